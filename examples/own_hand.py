@@ -1,4 +1,4 @@
-"""Describe your own hand in a file, print the message about a mistake in it, and let the simulated hand grasp.
+"""Describe your own hand in a file, print the message about a mistake in the file, and let the simulated hand grasp.
 
 python own_hand.py writes mine.toml.
 """

@@ -46,7 +46,7 @@ with RunLog(sys.argv[1]) as log:
     for change, start, end in zip(log.phases, starts, [*starts[1:], log.times[-1]], strict=True):
         for axis in axes:
             axis.axvline(start, color="0.8", linewidth=0.8, zorder=0)
-        if end - start > 0.3:  # the names of short phases would overlap
+        if end - start > 0.3:  # the names of two short phases would overlap
             above = axes[0].get_xaxis_transform()
             axes[0].text(start, 1.02, change.name, transform=above, rotation=30, fontsize="small")
     axes[-1].set_xlabel("time [s]")

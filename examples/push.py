@@ -1,4 +1,4 @@
-"""Push an object that a simulated hand holds, and compare the forces for two stiffnesses of the grip.
+"""Push an object that a simulated hand holds, and compare the forces for two values of the grip stiffness.
 
 python push.py writes push.png.
 """

@@ -39,7 +39,7 @@ CLOSED_DEG = {
     "middle": 30.0,
     "ring": 30.0,
     "thumb": 8.0,
-}  # at larger angles, the fingers touch the thumb
+}  # at larger angles, the fingers would touch the thumb
 
 
 def human_tip(name, t):
@@ -97,7 +97,7 @@ print(
 
 with RunLog(
     hand.result["log"]
-) as log:  # the log has all ticks, this program has observed only some
+) as log:  # the log has all ticks, but this program has observed only some of them
     streamed = (log.k > first) & (log.k < last)
     names = log.names("q")
     times = log.times[streamed]

@@ -1,4 +1,6 @@
-"""Turn a single motor by one radian with a proportional-derivative loop. The motor belongs to no hand and no tendon.
+"""Turn a single motor by one radian with a proportional-derivative (PD) loop.
+
+The motor of this example belongs to no hand and moves no tendon.
 
 Start in another terminal: python -m firmware_sim drive mit --ids 1 --bus local:bench
 Then start: python single_motor.py

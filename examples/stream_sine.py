@@ -34,7 +34,7 @@ with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:
 
 with RunLog(
     hand.result["log"]
-) as log:  # the log has all ticks, this program has observed only some
+) as log:  # the log has all ticks, but this program has observed only some of them
     streamed = (log.k > first) & (log.k < last)
     joints = [name.startswith("index") for name in log.names("q")]
     t = log.times[streamed]

@@ -20,7 +20,10 @@ SPEED_DEG_S = 60.0
 
 
 def arrived_lines():
-    """Yield the lines that have arrived since the last step, without waiting. Stop at the end of the input."""
+    """Yield the lines that have arrived since the last step, without waiting.
+
+    Stop at the end of the standard input.
+    """
     rest = b""
     while True:
         if select.select([0], [], [], 0.0)[0]:

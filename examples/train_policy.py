@@ -3,8 +3,8 @@
 The training takes one minute on an idle core.
 
 All digits use the same policy. The action for a digit is a weighted sum of four values: the
-reference after the horizon, the present reference, the angle of the digit, and 1. The first three
-values have the scale of an action.
+reference at the time at which the hand reaches the target, the present reference, the angle of the
+digit, and 1. The first three values have the same scale as an action.
 
 pip install '.[gym]' in a copy of the repository
 python train_policy.py [iterations] writes policy.npy and training.png.
@@ -46,7 +46,8 @@ def policy_action(policy, seen):
     A policy has weights (inputs + 1,), the last one for the constant 1.
     """
     parts = [np.degrees(seen[names == name]) for name in INPUT_NAMES]
-    parts[-1] = env.coordinates_of_joints(parts[-1])  # angles of digits from angles of joints
+    # this matrix computes the angles of digits from the angles of joints
+    parts[-1] = env.coordinates_of_joints(parts[-1])
     scaled = [2.0 * (part - env.low_deg) / (env.high_deg - env.low_deg) - 1.0 for part in parts]
     return np.clip(policy @ [*scaled, np.ones(len(env.names))], -1.0, 1.0).astype(np.float32)
 
@@ -71,7 +72,8 @@ first = policy.copy()
 curve = []
 for iteration in range(ITERATIONS):
     directions = rng.standard_normal((DIRECTION_COUNT, len(policy)))
-    seed = int(rng.integers(1000))  # both signs of a perturbation get the same episode
+    # both signs of a perturbation of the weights get the same episode
+    seed = int(rng.integers(1000))
     scores = np.array(
         [
             [run_episode(policy + sign * NOISE_SIZE * d, seed)[0] for sign in (1, -1)]

@@ -1,4 +1,4 @@
-"""Entry point of ``python -m firmware_sim``: a simulated hand, simulated drives alone, or the hub of a local bus."""
+"""Entry point of ``python -m firmware_sim``: a simulated hand, drives without a hand, or the hub of a bus."""
 
 import sys
 
@@ -14,13 +14,13 @@ def main(words: list[str]) -> int:
     """Run one of the three programs: hand, drives or hub.
 
     Args:
-        words: command-line arguments without the program's name.
+        words: command-line arguments without the name of the program.
 
     Returns:
-        Exit code: 0 after SIGTERM or SIGINT, 2 for arguments that the program cannot use, or if
+        Exit code: 0 after SIGTERM or SIGINT, and 2 for arguments that the program cannot use or if
         MuJoCo is missing.
     """
-    try:  # Imported here, because the hub needs neither MuJoCo nor a compiler.
+    try:  # Imported here, because the hub of a bus needs neither MuJoCo nor a compiler.
         check_words(words)
         if words[:1] == ["bus"]:
             from firmware_sim.programs import bus as alone

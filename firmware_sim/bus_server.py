@@ -1,4 +1,4 @@
-"""The simulator in real time.
+"""The server of the simulator in real time.
 
 One thread reads frames, advances the plant to the time of the clock, and answers at once.
 """
@@ -45,15 +45,15 @@ class ServerClock(Protocol):
 
     @property
     def scale(self) -> float:
-        """Return the plant time per wall time."""
+        """Return the ratio of plant time to wall time."""
         ...
 
     def now_ns(self) -> int:
-        """Return the target time of the plant [ns]."""
+        """Return the time that the plant should reach [ns]."""
         ...
 
     def ticks_sent(self) -> int:
-        """Return the number of ticks for which a controller on the same clock has sent all frames."""
+        """Return the number of ticks for which a controller that uses this clock has sent all frames."""
         ...
 
     def note_answered(self, ticks: int) -> None:
@@ -66,12 +66,12 @@ class ServerClock(Protocol):
 
 
 class ServedNodes(Protocol):
-    """The nodes that a server serves: those of a hand, or drives on a bench.
+    """The nodes that a server serves: the nodes of a hand, or drives on a bench.
 
     Attributes:
         t_ns: present time of the nodes [ns].
-        slip_ns: delay behind the wall clock that the simulation never makes up [ns].
-        foreign: number of frames that no node handled.
+        slip_ns: delay behind the wall clock that the simulation will never make up [ns].
+        foreign: number of received frames that no node has handled.
     """
 
     slip_ns: int
@@ -105,12 +105,12 @@ class ServedNodes(Protocol):
 
 
 class BusServer:
-    """The loop that advances a world by a clock, and exchanges frames through the ports of the buses.
+    """The loop that advances a world with a clock, and exchanges frames through the ports of the buses.
 
     Attributes:
         pace: measured pace of the simulation.
-        overruns: number of turns in which the plant was late.
-        slips: number of slips of the plant's clock.
+        overruns: number of turns of the loop in which the plant was late.
+        slips: number of slips of the clock of the plant.
         running: True while ``run`` serves. A signal handler sets it to False to end ``run``.
     """
 
@@ -125,11 +125,11 @@ class BusServer:
         """Set up the server.
 
         Args:
-            world: nodes to serve. Their time must be the present time of the clock.
-            ports: ports in the order of the hand's buses.
+            world: nodes to serve. The time of the nodes must be the present time of the clock.
+            ports: one port for each bus, in the order of the hand's buses.
             clock: clock that the world follows.
-            faults: socket for faults and other requests, None without such a socket.
-            priority: real-time priority, None for an ordinary process.
+            faults: socket for faults and other requests. None without such a socket.
+            priority: real-time priority of the process. None for an ordinary process.
         """
         self._faults = faults
         self._priority = priority
@@ -166,10 +166,10 @@ class BusServer:
         self._note_progress()
 
     def _note_progress(self) -> None:
-        """Report the answered ticks and the time of the plant to a controller on the same clock."""
+        """Report the number of answered ticks and the time of the plant to a controller that uses the same clock."""
         self._clock.note_reached(self._world.t_ns + self._world.slip_ns)
-        # The number of ticks is read before the sockets are checked. Frames that arrive in between
-        # belong to a later tick.
+        # The number of ticks is read before the sockets are checked. Frames that arrive between
+        # these two steps belong to a later tick.
         ticks = self._clock.ticks_sent()
         if ticks and not self._ready_links(0.0):
             self._clock.note_answered(ticks)
@@ -195,7 +195,7 @@ class BusServer:
         Returns:
             The sockets that are ready for reading.
         """
-        # The time of the world is behind the wall clock by the time that slips have lost.
+        # The time of the world is behind the wall clock by the time that was lost in slips.
         due_ns = self._world.t_ns + self._world.slip_ns + MAX_TURN_NS
         due_ns = min(due_ns, *(port.due_ns for port in self._ports))
         return self._ready_links(
@@ -214,7 +214,8 @@ class BusServer:
         """Advance the plant to the time of the clock.
 
         Args:
-            sampled: True to reach the time exactly, because the answers to frames sample the plant.
+            sampled: True to reach the time exactly. This is necessary if the answers to frames
+                sample the plant.
         """
         world = self._world
         target_ns = self._clock.now_ns() - world.slip_ns
@@ -227,9 +228,9 @@ class BusServer:
         follow(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
 
     def _give_up_lost_time(self, behind_ns: int) -> None:
-        """Give up the time lost while this process did not run.
+        """Give up the time that was lost while this process did not run.
 
-        During this time, plant and watchdogs stood still.
+        The plant and the watchdogs stood still during this time.
         """
         self._world.slip_ns += behind_ns
         self.slips += 1
@@ -251,7 +252,7 @@ class BusServer:
                 port.send(batch)
 
     def summary(self) -> dict[str, object]:
-        """Return the counts of a run, for the truth file and the last printed line."""
+        """Return the counts of a run, for the truth file and for the last line that is printed."""
         return {
             "overruns": self.overruns,
             "slips": self.slips,

@@ -1,4 +1,4 @@
-"""Common parts of the command-line programs: one-line errors, checks of arguments, and an end on SIGTERM or SIGINT."""
+"""Common parts of the programs: errors of one line, checks of arguments, end after SIGTERM or SIGINT."""
 
 import argparse
 import re

@@ -1,13 +1,15 @@
-"""Kernels: plain functions that numba can compile, for programs that advance a plant without waiting for a clock.
+"""Kernels: plain functions that numba can compile.
+
+The kernels are used by programs that advance a plant without waiting for a clock.
 
 ``compiled`` registers the argument types of a kernel. ``machine_code`` compiles the kernels of a
-module. Only ``machine_code`` imports numba. The import takes almost a second, too long for a
-simulator in a separate process.
+module. Only ``machine_code`` imports numba. The import takes almost a second. This is too long for
+a simulator in a separate process.
 
 A compiled kernel and its Python form return the same bits: operations keep their order and their
 rounding (no fast math). Numba stores the compiled code in a cache for each source file. The cache
-of a file is not renewed when another file changes. Kernels that call each other therefore belong in
-the same file, or their names carry a digest of the other files.
+of a file is not renewed when only another file changes. Kernels that call each other therefore
+belong in the same file, or their names carry a digest of the other files.
 """
 
 import ctypes
@@ -57,20 +59,20 @@ def kernel_helper(function: F) -> F:
 def call_c_function(function: int, first: int, second: int) -> None:
     """Call a C function ``void f(void *, void *)``.
 
-    The function and both arguments are given by their addresses.
+    The function and both arguments are given as addresses.
 
     Raises:
-        NotImplementedError: always when called from Python. Compiled kernels call the form from
-            ``_call_intrinsic`` instead.
+        NotImplementedError: always, if Python calls this function. Compiled kernels call the
+            compiled form from ``_call_intrinsic`` instead.
     """
     raise NotImplementedError("only compiled kernels can call an address")
 
 
 def rows_at(address: int, count: int, kind: Any) -> Any:
-    """Return the ``count`` numbers or rows at an address in memory as an array.
+    """Return ``count`` numbers or rows at an address in memory as an array.
 
-    An array made inside a kernel costs no time. Each array that is passed to a kernel costs 0.2 us
-    per call.
+    An array made inside a kernel costs no time. Each array passed to a kernel costs
+    0.2 us per call.
 
     Args:
         address: address of the first row.
@@ -78,8 +80,8 @@ def rows_at(address: int, count: int, kind: Any) -> Any:
         kind: dtype of a number or row.
 
     Raises:
-        NotImplementedError: always when called from Python. Compiled kernels call the form from
-            ``_rows_at`` instead.
+        NotImplementedError: always when called from Python. Compiled kernels call the compiled form
+            from ``_rows_at`` instead.
     """
     raise NotImplementedError("only compiled kernels can read rows at an address")
 
@@ -91,7 +93,7 @@ def machine_code(module: ModuleType) -> Any:
     Division by zero gives inf or NaN, as in numpy.
 
     Returns:
-        Namespace with each compiled kernel under its name.
+        A namespace that contains each compiled kernel under its name.
     """
     from numba import njit
 
@@ -104,7 +106,7 @@ def machine_code(module: ModuleType) -> Any:
         kernel = FunctionType(
             vars(module)[name].__code__, names, name
         )  # calls compiled kernels, not Python functions
-        # The qualified name is a part of numba's cache key. With the digest, a change in an
+        # The qualified name is a part of numba's cache key. With the digest in it, a change in an
         # imported kernel changes the key.
         kernel.__qualname__ = f"{name}{digest}"
         if arguments is None:
@@ -115,7 +117,7 @@ def machine_code(module: ModuleType) -> Any:
 
 
 def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
-    """Return the kernels imported by a module from other modules, each with the module of origin."""
+    """Return the kernels that a module imports from other modules, each with its module of origin."""
     imported = {}
     for name, value in vars(module).items():
         owner = value.__module__ if isinstance(value, FunctionType) else module.__name__
@@ -125,9 +127,9 @@ def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
 
 
 def _source_digest(modules: set[ModuleType]) -> str:
-    """Return a digest of the sources of modules and of all modules with imported kernels.
+    """Return a digest of the sources of some modules and of all modules with kernels that they import.
 
-    Without modules, the digest is empty.
+    Without any module, the digest is empty.
     """
     reached = set(modules)
     new = set(modules)
@@ -147,16 +149,14 @@ def _compile_kernel(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
 
     try:
         return njit(arguments, cache=True, error_model="numpy")(kernel)
-    except (
-        RuntimeError
-    ):  # No cache folder is writable, neither with the sources nor in the user's home.
+    except RuntimeError:  # No cache folder is writable, neither here nor in the user's home folder.
         return njit(arguments, error_model="numpy")(kernel)
 
 
 def use_compiled_kernels(module: ModuleType) -> None:
-    """Replace the kernels of a module by their compiled forms, for all callers in this process that use the module.
+    """Replace the kernels of a module by their compiled forms, for all callers in this process.
 
-    Functions that are marked with ``kernel_helper`` stay Python functions, because Python code also
+    Functions marked with ``kernel_helper`` stay Python functions, because Python code also
     calls them with objects.
     """
     compiled_kernels = machine_code(module)
@@ -181,8 +181,8 @@ def _numba_type(name: ArgumentType) -> Any:
 def _call_intrinsic() -> Any:
     """Build the compiled form of ``call_c_function``.
 
-    The function's address is an argument of the compiled code. Code with a constant address could
-    not be stored for the next process.
+    The address of the function is an argument of the compiled code. Code that contains a constant
+    address could not be stored for the next process.
     """
     from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]  # some releases come without types
     from numba import types

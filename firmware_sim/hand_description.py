@@ -37,45 +37,49 @@ PRISMATIC = "prismatic"
 POWER_COUNT = 6
 """Number of polynomial coefficients of a moment arm that depends on the joint angle."""
 TABLE_POWERS = 4
-"""Maximum number of polynomial coefficients that are fitted to a table of moment arms."""
+"""Maximum number of polynomial coefficients fitted to a table of moment arms."""
 
 
 class SimulatorError(ValueError):
-    """An error that the user of the simulator can correct. The message has a single line."""
+    """An error that the user of the simulator can correct.
+
+    The message of the error has a single line.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class Digit:
-    """One finger or thumb. Tuples have one entry for each joint.
+    """One finger or thumb. Each tuple has one entry for each joint.
 
-    A prismatic joint has m in place of rad and of deg, N in place of N m, and kg in place of kg m2.
+    For a prismatic joint, the units are m in place of rad and deg, N in place of N m, and kg in
+    place of kg m2.
 
     Attributes:
         name: name of the digit.
-        carrier: name of the digit whose last link carries this digit, empty for a digit on the
-            palm.
-        position: position of the first hinge in the palm frame, or in the frame of the carrier's
-            last link [m].
-        rpy_deg: extrinsic roll, pitch and yaw of the digit's mount in the same frame [deg].
+        carrier: name of the digit whose last link carries this digit, empty for a digit on
+            the palm.
+        position: position of the first hinge in the palm frame, or in the frame of the last link of
+            the carrier [m].
+        rpy_deg: extrinsic roll, pitch and yaw of the mount of the digit in the same frame [deg].
         length: length of each link [m], 0 where the axes of two joints meet.
         prismatic: True for each joint that slides along its axis.
-        axis: axis of each joint in the link's frame.
-        joint_rpy_deg: extrinsic roll, pitch and yaw of each link's frame at joint angle zero, in
-            the frame of the previous link [deg]. The first link is turned in the frame of the
-            mount.
-        com: centre of mass of each link: x, y, z in the link's frame [m].
+        axis: axis of each joint in the frame of its link.
+        joint_rpy_deg: extrinsic roll, pitch and yaw of the frame of each link at joint angle zero,
+            in the frame of the previous link [deg]. The rotation of the first link is relative to
+            the frame of the mount.
+        com: centre of mass of each link: x, y, z in the frame of the link [m].
         mass: mass of each link [kg].
-        inertia: inertia of each link about its centre of mass: xx, yy, zz, xy, xz, yz in the link's
-            frame [kg m2].
+        inertia: inertia of each link about its centre of mass: xx, yy, zz, xy, xz, yz in the frame
+            of the link [kg m2].
         radius: radius of the links of this digit [m].
         joint_min_deg: angle of the lower stop of each joint [deg].
         joint_max_deg: angle of the upper stop of each joint [deg].
         damping: viscous damping of each joint [N m s/rad].
-        armature: inertia that is added at each joint axis [kg m2].
+        armature: inertia added at each joint axis [kg m2].
         spring: stiffness of the return spring of each joint [N m/rad].
         preload: preload angle of the return spring of each joint [rad].
-        coupling: matrix of the joint angles that each coordinate moves, a row for each joint. It is
-            empty for a digit with independent joints.
+        coupling: matrix of the joint angles per unit of each coordinate, with one row for each
+            joint, empty for a digit with independent joints.
     """
 
     name: str
@@ -109,7 +113,7 @@ class LinkMesh:
     """A mesh that stands for a link or for the palm in pictures of the hand.
 
     Attributes:
-        link: name of the link, ``palm`` for the palm.
+        link: name of the link. The link is ``palm`` for the palm.
         file: path of the mesh file.
         scale: factors from the unit of the mesh file to metres, for x, y, z.
         position: position of the mesh in the link's frame [m].
@@ -142,7 +146,10 @@ class ArmCurve:
 
     @property
     def opposite(self) -> "ArmCurve":
-        """Return the moment arm of a tendon on the other side of the joint: the same arm with the other sign."""
+        """Return the moment arm of a tendon on the opposite side of the joint.
+
+        This moment arm has the opposite sign.
+        """
         return replace(self, powers=tuple(-power for power in self.powers))
 
     @property
@@ -156,26 +163,27 @@ class ArmCurve:
 
 @dataclass(frozen=True, slots=True)
 class TendonSpec:
-    """One tendon of a hand: routing, elasticity and friction.
+    """One tendon of a hand, with its routing, elasticity and friction.
 
     Attributes:
         name: name of the tendon.
         motor: name of the motor that winds the tendon.
-        arms: moment arm of the tendon by joint name [m]. If the arm depends on the joint angle, the
-            value is its mean.
-        curves: moment arms of the tendon that depend on the joint angle, by joint name.
+        arms: moment arm of the tendon at each joint [m], by the name of the joint. If the moment
+            arm depends on the joint angle, the value is its mean.
+        curves: moment arms of the tendon that depend on the joint angle, by the name of the joint.
         stiffness: stiffness of the tendon at tensions below the knee [N/m].
         damping: viscous damping of the tendon [N s/m].
-        knee: highest tension at which the tendon is linear [N].
+        knee: highest tension at which the stiffness is constant [N].
         after_knee_ratio: stiffness at tensions far above the knee, divided by ``stiffness``.
         knee_width: width of the transition at the knee, as an elongation of the tendon [m].
         friction: friction coefficient of the tendon in its guides, for the capstan equation.
         wrap: wrap angle of the tendon before the first joint [rad].
-        pretension: tension at rest in both tendons of a spool pair [N], 0 for a single tendon.
-        winding: 1 if a positive spool angle winds the tendon, -1 if it pays the tendon out.
+        pretension: tension at rest in both tendons of a spool pair [N], 0 for a single
+            tendon.
+        winding: 1 if a positive spool angle winds the tendon up, and -1 if it pays the tendon out.
         curves: moment arms that depend on the joint angle, by joint.
-        straight: prismatic joints, whose entry in ``arms`` is the excursion per motion [m/m]. The
-            tendon does not bend there.
+        straight: prismatic joints. For these, the entry in ``arms`` is the excursion per motion
+            [m/m]. The tendon does not bend at these joints.
     """
 
     name: str
@@ -195,7 +203,11 @@ class TendonSpec:
 
     @property
     def antagonist(self) -> "TendonSpec":
-        """Return the second tendon of a spool pair: a tendon with opposite winding and opposite moment arms."""
+        """Return the second tendon of a spool pair.
+
+        The winding and the moment arms of the second tendon have the opposite signs of those of the
+        first tendon.
+        """
         arms = {joint: -arm for joint, arm in self.arms.items()}
         curves = {joint: curve.opposite for joint, curve in self.curves.items()}
         name = f"{self.name}_antagonist"
@@ -218,18 +230,18 @@ class MotorSpec:
         torque_constant: torque of the motor per current [N m/A].
         torque_max: torque limit of the motor in continuous operation [N m].
         torque_peak: torque limit of the motor for a short time [N m].
-        position_range: largest position in frames of the drive [rad].
-        velocity_range: largest velocity in frames of the drive [rad/s].
-        direction: +1 or -1, the sign of the motor angle when the spool angle is positive.
-        zero: encoder angle of the homed hand at which the spool angle theta is 0 [rad].
+        position_range: largest position that the frames of the drive can contain [rad].
+        velocity_range: largest velocity that the frames of the drive can contain [rad/s].
+        direction: +1 or -1: sign of the motor angle when the spool angle is positive.
+        zero: encoder angle at which the spool angle theta of the homed hand is 0 [rad].
         options: options of the drive's protocol.
-        serial: serial number of the drive. If it is None, the drive has the default number of the
-            protocol.
-        torque_gain: true torque divided by the torque that the drive derives from its current. 1
-            unless the plant is perturbed.
-        top_speed: speed of the motor without load at the supply voltage [rad/s], 0 for a motor
-            without a speed limit.
-        stall_torque: torque of the motor at standstill if only the supply voltage limited the
+        serial: serial number of the drive. If None, the drive has the default serial number
+            of its protocol.
+        torque_gain: true torque divided by the torque that the drive computes from its current. The
+            value is 1 unless the plant is perturbed.
+        top_speed: speed of the motor without load at the supply voltage [rad/s], 0 for a
+            motor without a speed limit.
+        stall_torque: torque of the motor at standstill, if only the supply voltage limited its
             current [N m].
     """
 
@@ -261,20 +273,21 @@ class SensorSpec:
 
     Attributes:
         bus: name of the bus of the sensor node.
-        sync_id: identifier of the SYNC frame to which the node answers.
+        sync_id: identifier of the SYNC frame that the node answers.
         base_id: identifier of the first frame with tensions.
         tendons: name of the tendon of each load cell.
         joints: name of the joint of each joint encoder.
-        joint_decimation: number of SYNC frames for each frame with joint angles.
+        joint_decimation: number of SYNC frames per frame with joint angles.
         tension_noise: standard deviation of the noise of a measured tension [N].
         bias_drift: standard deviation of the random drift of a load cell after 100 s [N].
         joint_noise: standard deviation of the noise of a measured joint angle [rad].
-        travel_noise: the same of a measured position of a prismatic joint [m].
+        travel_noise: standard deviation of the noise of a measured position of a prismatic joint
+            [m].
         prismatic: names of the prismatic joints of the hand.
         tension_bias: constant error of every load cell [N], 0 unless the plant is perturbed.
         node_ids: node number of each CiA 404 amplifier, empty for the sensor node of handctl.
         channels_per_node: number of channels of each CiA 404 amplifier.
-        full_range: rated load of the load cells that are connected to CiA 404 amplifiers [N].
+        full_range: rated load of the load cells connected to CiA 404 amplifiers [N].
     """
 
     bus: str
@@ -305,9 +318,9 @@ class Hand:
         bitrates: nominal bit rate and data bit rate of each bus [bit/s]. The data bit rate is 0
             without CAN FD.
         digits: all digits of the hand.
-        tendons: all tendons of the hand, but of each spool pair only the first tendon.
+        tendons: all tendons of the hand. Of each spool pair, it contains only the first tendon.
         motors: all motors of the hand.
-        sensors: sensor node of the hand, None for a hand without one.
+        sensors: sensor node of the hand. None for a hand without a sensor node.
         meshes: meshes of the links and of the palm, for pictures. The plant does not use the
             meshes, and the comparison of hands ignores them.
     """
@@ -340,12 +353,12 @@ class Hand:
 
     @property
     def every_tendon(self) -> list[TendonSpec]:
-        """Return all tendons: first those of ``tendons``, then the second tendon of each spool pair."""
+        """Return all tendons: first the tendons of ``tendons``, then the second tendon of each spool pair."""
         return [*self.tendons, *(tendon.antagonist for tendon in self.pairs)]
 
     @property
-    def closing(self) -> list[Digit]:
-        """Return the digits that close on an object: those that carry no other digit."""
+    def closing_digits(self) -> list[Digit]:
+        """Return the digits that can close on an object: the digits that carry no other digit."""
         return [digit for digit in self.digits if not self.carried_by(digit.name)]
 
     @property
@@ -387,7 +400,8 @@ def load_hand(name_or_path: str) -> Hand:
         return _parse_hand(_resolved_file(tomllib.loads(path.read_text("utf-8"))), path.parent)
     except OSError as error:
         raise SimulatorError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:  # A number is too long, or the file is not UTF-8.
+    # A number in the file is too long, or the file is not UTF-8.
+    except (ValueError, RecursionError) as error:
         raise SimulatorError(f"{path}: not TOML: {error}") from error
     except (KeyError, TypeError, AttributeError) as error:
         raise SimulatorError(
@@ -396,7 +410,7 @@ def load_hand(name_or_path: str) -> Hand:
 
 
 def _resolved_file(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of a hand file of schema 2, in which values replace the defaults and templates."""
+    """Return the content of a hand file of schema 2 with all defaults and templates applied."""
     if content.get("schema") != 2:
         return content
     sections: dict[str, list[dict[str, Any]]] = {"digit": [], "tendon": [], "motor": []}
@@ -442,7 +456,11 @@ def _resolved_file(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_template(content: dict[str, Any], kind: str, section: dict[str, Any]) -> dict[str, Any]:
-    """Return an entry with missing keys filled from the template, then from the defaults of the entry's kind."""
+    """Return an entry with the missing keys filled in.
+
+    A key comes first from the template of the entry, and then from the defaults for this kind of
+    entry.
+    """
     default = content.get("default", {}).get(kind, {})
     template = content[f"{kind}_template"][section["template"]] if "template" in section else {}
     return _merged_tables(_merged_tables(default, template), section)
@@ -478,7 +496,7 @@ def _parse_hand(content: dict[str, Any], folder: Path) -> Hand:
 def _parse_meshes(content: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
     """Yield the meshes of a hand.
 
-    Relative paths of mesh files start at the folder of the hand file.
+    Relative paths of mesh files are relative to the folder of the hand file.
     """
     mount = content["mount"]
     pose_keys = ("scale", "position_m", "rpy_deg")
@@ -495,7 +513,7 @@ def _parse_meshes(content: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
 
 
 def _make_mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
-    """Return a mesh. An argument of None stands for no scaling, no shift or no rotation."""
+    """Return a mesh. If an argument is None, there is no scaling, no shift or no rotation."""
     factors = scale if isinstance(scale, list) else [1.0 if scale is None else scale] * 3
     return LinkMesh(
         link=link,
@@ -556,7 +574,9 @@ def _prismatic(section: dict[str, Any]) -> list[bool]:
 def _joint_values(
     section: dict[str, Any], key: str, default: float | None = None
 ) -> tuple[float, ...]:
-    """Return the value of each joint for a key of hinges, or for its counterpart of prismatic joints.
+    """Return the value of each joint.
+
+    The value comes from a key for hinges, or from the corresponding key for prismatic joints.
 
     Without a default, a missing key raises KeyError.
     """
@@ -572,18 +592,18 @@ def _joint_values(
 def _link_inertia(section: dict[str, Any], i: int) -> tuple[float, ...]:
     """Return the six inertia values of link ``i`` of a digit.
 
-    A single number in the file is the moment of inertia of a round bar about y and z.
+    If the file contains a single number, it is the moment of inertia of a round bar about y and z.
     """
     value = section["link_inertia_kg_m2"][i]
     if isinstance(value, int | float):
-        # No principal moment of inertia of a body exceeds the sum of the other two.
+        # No principal moment of inertia of a body is larger than the sum of the other two.
         along = min(section["link_mass_kg"][i] * section["link_radius_m"] ** 2 / 2, 2 * value)
         return (along, value, value, 0.0, 0.0, 0.0)
     return tuple(value) if len(value) == 6 else (*value, 0.0, 0.0, 0.0)
 
 
 def _joint_ranges(section: dict[str, Any]) -> dict[str, tuple[float, float]]:
-    """Return the lower and upper limit of each joint by joint name [rad]."""
+    """Return the lower and the upper limit of each joint [rad], by the name of the joint."""
     return {
         f"{digit['name']}_j{i + 1}": (math.radians(low), math.radians(high))
         for digit in section["digit"]
@@ -600,7 +620,7 @@ def _joint_ranges(section: dict[str, Any]) -> dict[str, tuple[float, float]]:
 def _parse_arm_curve(section: dict[str, list[float]], limits: tuple[float, float]) -> ArmCurve:
     """Return a moment arm that depends on the joint angle.
 
-    A table of arms is replaced by a least-squares polynomial.
+    A least-squares polynomial replaces a table of moment arms.
 
     Args:
         section: entry of the hand file with ``polynomial_m``, or with ``angle_deg`` and ``arm_m``.

@@ -1,4 +1,4 @@
-"""The simulator in lockstep: its clock advances only by the ticks of the caller."""
+"""The simulator in lockstep: its clock advances only when the caller executes a tick."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -17,13 +17,14 @@ from firmware_sim.wire.wire_options import parse_wire_options
 
 
 class LockstepHand:
-    """A simulated hand in lockstep with a caller.
+    """A simulated hand that runs in lockstep with a caller.
 
-    If the seeds and the frames are equal, the answers and the truth file are equal, byte for byte.
+    If the seeds and the frames of two runs are equal, their answers and truth files are equal byte
+    for byte.
 
     Attributes:
         world: plant and nodes of the hand, for tests that need the true state.
-        wired: simulated wires of the buses, None without them.
+        wired: simulated wires of the buses. None without simulated wires.
     """
 
     def __init__(  # noqa: PLR0913 - a keyword for each thing that a test varies
@@ -43,16 +44,16 @@ class LockstepHand:
 
         Args:
             hand_path: path of a hand file, or name of a packaged hand.
-            scene: packaged name, file or short form of a scene, such as ``cylinder:35``. None for a
-                hand without an object.
+            scene: scene as a packaged name, as a file, or in a short form such as ``cylinder:35``.
+                None for a hand without an object.
             seed: seed of all random numbers: noise, initial slack and encoder offsets.
-            truth_path: path of the truth file, None to write no truth file.
+            truth_path: path of the truth file. If None, no truth file is written.
             perturb: factors that multiply plant parameters, see ``plant_perturbation.PERTURBATION_KEYS``.
             period_ns: length of a tick [ns].
             homed: True to start with taut tendons and with the encoders at ``zero_rad`` of the hand
                 file.
-            wire: KEY=VALUE words of a simulated wire, see ``wire.wire_options``. None for answers that
-                all arrive within their tick.
+            wire: KEY=VALUE words of a simulated wire, see ``wire.wire_options``. If None, all
+                answers arrive within their tick.
             serials: serial numbers of the drives, see ``serial_numbers.with_serial_numbers``.
 
         Raises:
@@ -72,18 +73,18 @@ class LockstepHand:
             self.world.record(self._truth)
 
     def exchange(self, t_ns: int, frames: Any) -> Any:
-        """Answer the host's frames of one tick, then advance the simulation to the next tick.
+        """Answer the frames of the host in one tick, then advance the simulation to the next tick.
 
         Args:
-            t_ns: start of the tick [ns], not before the previous tick.
+            t_ns: start of the tick [ns], which must not be before the previous tick.
             frames: frames of the host as a contiguous array of ``frame_records.FRAME_DTYPE``. The
                 times in these frames are ignored.
 
         Returns:
-            The answers as an array of ``frame_records.FRAME_DTYPE``. On each bus, the times are
-            those of answers that follow one another within the tick. With simulated wires, the
-            array has the frames that have arrived by the end of the tick, and error frames of the
-            host's controllers.
+            The answers as an array of ``frame_records.FRAME_DTYPE``. The times of the answers are
+            those of frames that follow one another on their bus within the tick. With simulated
+            wires, the array contains the frames that have arrived by the end of the tick, and error
+            frames of the host's CAN controllers.
         """
         end_ns = t_ns + self._period_ns
         if self.wired:
@@ -100,7 +101,7 @@ class LockstepHand:
         )
 
     def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
-        """Answer the host's frames of one tick, and return the answers as objects.
+        """Answer the frames of the host in one tick, and return the answers as objects.
 
         See ``exchange``.
 
@@ -122,11 +123,11 @@ class LockstepHand:
         self.world.faults.inject(text)
 
     def fault_states(self) -> list[dict[str, object]]:
-        """List each fault injected so far, with state and number of effects."""
+        """List each fault that was injected so far, with its state and the number of its effects."""
         return self.world.faults.states()
 
     def truth(self) -> dict[str, list[float]]:
-        """Return parts of the present true state, for tests: tensions [N] and commanded motor torques [N m]."""
+        """Return parts of the present true state for tests: the tensions [N] and the commanded motor torques [N m]."""
         motors = self.world.plant.motors.values()
         return {
             "tension": self.world.plant.tensions(),
@@ -134,7 +135,7 @@ class LockstepHand:
         }
 
     def close(self) -> None:
-        """Complete and close the truth file, if there is one."""
+        """Complete and close the truth file, if one exists."""
         if self._truth is not None:
             counts = {
                 "foreign_frames": self.world.foreign,
@@ -144,6 +145,6 @@ class LockstepHand:
             self._truth = None
 
     def _loads(self) -> list[float]:
-        """Return for each wire the fraction of the elapsed time in which frames occupied the wire."""
+        """Return, for each wire, the fraction of the elapsed time in which frames occupied the wire."""
         assert self.wired
         return [round(wire.load(0, max(1, self.world.t_ns)), 4) for wire in self.wired.wires]

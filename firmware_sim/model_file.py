@@ -37,8 +37,9 @@ BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for 
 def read_model_file(path: str, file_format: str) -> dict[str, Any]:
     """Read the tree of links of a hand from a URDF or MJCF file.
 
-    All returned poses are those with all joints at angle zero, as in the file. Bodies fixed to each
-    other become a single link. The frame of a link has its origin in the link's joint.
+    In all poses that are returned, all joints are at angle zero, as in the file. Bodies that are
+    fixed to each other become a single link. The frame of a link has its origin at the joint of the
+    link.
 
     Args:
         path: path of the URDF or MJCF file.
@@ -48,15 +49,16 @@ def read_model_file(path: str, file_format: str) -> dict[str, Any]:
         Plain values in a table:
 
         - ``name``: name of the model.
-        - ``gravity``: (3,) acceleration of gravity in the root frame [m/s2], None if the format has
-          none.
-        - ``palm``: (3,) origin of each named frame on the root, by name [m].
-        - ``palm_meshes``: meshes on the root, in the form of the ``meshes`` of a link.
-        - ``links``: one table for each link, see ``_link_values``, parents first. The ``meshes`` of a link
-          are tables with ``file``, ``scale`` (3,), ``position`` (3,) [m] and ``rotation`` (3, 3) in
-          the link's frame.
-        - ``tendons``: name, moment arms by joint [m], motor or None, and maximum tension or None
-          [N] of each tendon.
+        - ``gravity``: (3,) acceleration of gravity in the root frame [m/s2]. None if the file
+          format has no gravity.
+        - ``palm``: (3,) origin of each named frame fixed to the root, by name [m].
+        - ``palm_meshes``: meshes fixed to the root, in the same form as the ``meshes`` of
+          a link.
+        - ``links``: one table for each link, see ``_link_values``. Parents come first. The
+          ``meshes`` of a link are tables with ``file``, ``scale`` (3,), ``position`` (3,) [m] and
+          ``rotation`` (3, 3) in the frame of the link.
+        - ``tendons``: for each tendon, its name, moment arms by joint [m], motor or None, and
+          maximum tension [N] or None.
         - ``notes``: one line for each part of the file that was not read.
 
     Raises:
@@ -142,14 +144,15 @@ def _compiled_model(
 ) -> tuple[Any, Any]:
     """Compile the model file without merging fixed bodies.
 
-    If a mesh is unreadable, shapes of meshes are left out.
+    If a mesh cannot be read, the shapes that use meshes are left out.
     """
     try:
         spec = _parsed_spec(path)
         spec.compiler.fusestatic = False
         spec.compiler.discardvisual = False
         if file_format == "urdf":
-            # In a URDF, separate elements give the inertia, which does not follow from the shapes.
+            # In a URDF, the inertia is given by separate elements and does not follow from the
+            # shapes.
             spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
             _name_mesh_files(spec, root, Path(path).absolute().parent)
         try:
@@ -167,7 +170,7 @@ def _compiled_model(
 def _name_mesh_files(spec: Any, root: ET.Element, folder: Path) -> None:
     """Replace the mesh names of a URDF by the paths of the mesh files.
 
-    MuJoCo itself finds no files in ROS packages, and ignores the folder in a mesh name.
+    MuJoCo itself finds no files in ROS packages, and ignores the folder in the name of a mesh.
     """
     places = {PurePath(name).name: place for name, place in urdf_files(root, folder).items()}
     for mesh in spec.meshes:
@@ -176,10 +179,10 @@ def _name_mesh_files(spec: Any, root: ET.Element, folder: Path) -> None:
 
 
 def _compile_spec(spec: Any) -> Any:
-    """Compile a model and suppress the warnings of MuJoCo.
+    """Compile a model, and suppress the warnings of MuJoCo.
 
-    The warnings concern dynamics, which are not used here. The warnings would appear beside a
-    one-line error message.
+    The warnings concern dynamics, which are not used here. The warnings would appear beside an
+    error message that should be one line.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -201,7 +204,7 @@ def _parsed_spec(path: str) -> Any:
 def _remove_meshes(spec: Any) -> bool:
     """Remove all shapes with a mesh and all images from a model.
 
-    Return False if there were none.
+    Return False without such shapes and images.
     """
     shapes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
     parts = [*shapes, *spec.meshes, *spec.textures]
@@ -248,7 +251,7 @@ def _joint_name(model: Any, joint: int) -> str:
 
 
 def _fixed_bodies(model: Any, root: int) -> list[int]:
-    """Return a body and all bodies fixed to the body."""
+    """Return a body and all bodies fixed to it."""
     return [body for body in range(model.nbody) if model.body_weldid[body] == root]
 
 
@@ -261,17 +264,18 @@ def _link_values(model: Any, data: Any, roots: list[int], body: int, path: str) 
         - ``name``: name of the body, and ``joint``: name of its joint.
         - ``parent``: index of the parent in the list of links, -1 for the root.
         - ``position`` (3,) [m] and ``rotation`` (3, 3) of the link in the frame of its parent.
-        - ``prismatic``: True if the joint slides along its axis. Its values are then in m, N and kg in
-          place of rad, N m and kg m2.
+        - ``prismatic``: True if the joint slides along its axis. The values of a prismatic joint
+          are in m, N and kg in place of rad, N m and kg m2.
         - ``axis``: (3,) axis of the joint in the frame of the link.
-        - ``range``: (2,) limits of the joint [rad], None for a joint without limits.
-        - ``damping``, ``armature`` and ``stiffness`` of the joint, and ``rest``: angle of the free
-          spring of the joint [rad].
+        - ``range``: (2,) limits of the joint [rad]. None for a joint without limits.
+        - ``damping``, ``armature`` and ``stiffness`` of the joint, and ``rest``: angle at which the
+          spring of the joint makes no torque [rad].
         - ``mass`` [kg], ``com``: (3,) centre of mass [m], ``inertia``: (3, 3) about the centre of
           mass [kg m2].
-        - ``frames``: (3,) origin of each named frame on the link, by name [m].
+        - ``frames``: (3,) origin of each named frame fixed to the link, by name [m].
         - ``points``: (n, 3) corners of the boxes around the shapes of the link [m].
-        - ``radius``: half width of the shapes of the link [m], None for a link without shapes.
+        - ``radius``: half of the width of the shapes of the link [m]. None for a link without
+          shapes.
     """
     joint = int(model.body_jntadr[body])
     dof = int(model.jnt_dofadr[joint])
@@ -333,7 +337,7 @@ def _mesh_values(
 def _link_inertia(
     model: Any, data: Any, members: list[int], origin: Any, link_rotation: Any
 ) -> tuple[float, list[float], list[list[float]]]:
-    """Return mass, centre of mass and central inertia of bodies fixed to each other, in a link's frame."""
+    """Return mass, centre of mass and central inertia of bodies fixed to each other, in the frame of a link."""
     masses = model.body_mass[members]
     mass = float(masses.sum())
     if mass <= 0.0:
@@ -356,10 +360,10 @@ def _link_inertia(
 def _frame_origins(
     model: Any, data: Any, root: int, origin: Any, link_rotation: Any
 ) -> dict[str, list[float]]:
-    """Return the origins (3,) of the named bodies and sites fixed to a link, by name, in the link's frame [m]."""
+    """Return the origins (3,) of the named bodies and sites fixed to a link, by name, in its frame [m]."""
     members = _fixed_bodies(model, root)
     places = {model.body(body).name: data.xpos[body] for body in members if body != root}
-    # MuJoCo places sites only in the first step, so their places are computed here.
+    # MuJoCo places sites only in its first step, so this function computes their places.
     for site in range(model.nsite):
         body = int(model.site_bodyid[site])
         if body in members:
@@ -376,7 +380,7 @@ def _frame_origins(
 def _shape_corners(
     model: Any, data: Any, members: list[int], origin: Any, link_rotation: Any
 ) -> tuple[list[list[float]], float | None]:
-    """Return the corners (n, 3) of the boxes around a link's shapes [m], and the link's half width [m] or None."""
+    """Return the corners (n, 3) of the boxes around the shapes of a link, and its half width or None [m]."""
     corners: list[Any] = []
     radii: dict[int, float] = {}
     for geom in range(model.ngeom):
@@ -404,7 +408,7 @@ def _shape_corners(
 
 
 def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
-    """Return the tendons with constant moment arms, each with arms and pulling motor."""
+    """Return the tendons with constant moment arms, each with its moment arms and the motor that pulls it."""
     found = []
     for tendon in range(model.ntendon):
         name = model.tendon(tendon).name or f"tendon_{tendon + 1}"
@@ -430,7 +434,7 @@ def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
 
 
 def _pull_direction(model: Any, motors: list[int]) -> dict[str, Any]:
-    """Return the name of a tendon's only actuator, and the maximum tension [N] if the actuator controls tension."""
+    """Return the only actuator of a tendon by name, and the maximum tension [N] if it controls tension."""
     if len(motors) != 1:
         return {"motor": None, "tension_max": None}
     motor = motors[0]

@@ -1,6 +1,7 @@
 """Messages for users.
 
-Even with quoted files and arguments, each message is a printable line of limited length.
+Each message is a printable line of limited length, even if it contains parts of files and
+arguments.
 """
 
 MAX_MESSAGE_LENGTH = 500
@@ -24,8 +25,8 @@ def printable_text(text: str) -> str:
 def one_line(text: str) -> str:
     """Convert a text to a message of one line.
 
-    The start of a message names the problem, and the end names the remedy. Therefore only the middle of a
-    long text is removed.
+    The start of a message names the problem, and the end names the remedy. If a text is too long,
+    only its middle is therefore removed.
     """
     if len(text) > 4 * MAX_MESSAGE_LENGTH:  # escape sequences never make a text shorter
         text = text[: 2 * MAX_MESSAGE_LENGTH] + text[-2 * MAX_MESSAGE_LENGTH :]

@@ -1,4 +1,7 @@
-"""Real-time priority for the simulator, which must keep up with the clock as real firmware does."""
+"""Real-time priority for the simulator.
+
+The simulator must keep up with the clock, as real firmware does.
+"""
 
 import math
 import os
@@ -46,11 +49,12 @@ def restore_priority() -> None:
 class RealTimePriority:
     """Real-time priority for a simulator that serves a controller, but leaves the controller enough computing time.
 
-    A simulator behind the clock is always busy. A controller on the same core has no real-time
-    priority while it still imports modules. A busy simulator with real-time priority would leave
-    the controller almost no time. Therefore the simulator takes the priority only at the first
-    frame of a host. If the plant falls behind repeatedly, the simulator gives the priority back for
-    ``ORDINARY_PRIORITY_S``. After a single stop of the machine, the simulator keeps the priority.
+    A simulator that is behind the clock is always busy. A controller on the same core has no
+    real-time priority as long as it imports modules. A simulator with real-time priority would then
+    leave the controller almost no time. The simulator therefore takes the priority only when the
+    first frame of a host arrives. If the plant repeatedly falls behind the clock, the simulator
+    gives the priority back for ``ORDINARY_PRIORITY_S``. After a single stop of the machine, the
+    simulator keeps the priority.
 
     Attributes:
         active: True while the process has the priority.
@@ -65,7 +69,8 @@ class RealTimePriority:
         """Start without real-time priority.
 
         Args:
-            take_priority_function: function that takes the priority and returns True if granted.
+            take_priority_function: function that takes the priority, and returns True if the system
+                has granted it.
             restore: function that restores the ordinary priority.
             now_s: function that returns the present time [s].
         """
@@ -82,7 +87,7 @@ class RealTimePriority:
             self.active = self._take()
             self._not_before_s = (
                 self._now_s() + ORDINARY_PRIORITY_S
-            )  # no new request in every turn after a refusal
+            )  # after a refusal, the priority is not requested in every turn again
 
     def note_slip(self) -> None:
         """Count a slip of the clock, and give the priority back after ``MAX_SLIPS`` slips."""

@@ -1,6 +1,6 @@
 """Serial numbers of simulated drives.
 
-Two hands of the same design differ only in the serial numbers.
+Two hands of the same design differ only in their serial numbers.
 """
 
 from collections.abc import Iterable
@@ -25,10 +25,11 @@ def with_serial_numbers(hand: Hand, words: Iterable[str]) -> Hand:
     Args:
         hand: description of the hand.
         words: NUMBER for all drives, to which each drive adds the node number, or MOTOR=NUMBER for
-            a single drive. A later word overrides an earlier one.
+            a single drive. A later word takes precedence over an earlier word.
 
     Raises:
-        SimulatorError: the motor does not exist, or the number is not valid for its protocol.
+        SimulatorError: the motor does not exist, or the number is not valid for the protocol of its
+            drive.
     """
     serials: dict[str, int | None] = {motor.name: motor.serial for motor in hand.motors}
     for word in words:

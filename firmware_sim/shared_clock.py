@@ -1,18 +1,18 @@
-"""A clock shared by simulator and controller on this machine.
+"""A clock that simulator and controller share on one machine.
 
 The clock pauses while the machine is too slow.
 
 The operating system may stop the simulator for many milliseconds. The answers of the simulator are
-then late, although the simulated hand works correctly. A controller that uses the shared clock
-waits for late answers. In every tick, the controller sets a time called the gate. The simulator
-never advances beyond the gate.
+then late although the simulated hand works correctly. A controller that uses the shared clock waits
+for these answers. In every tick, the controller sets a time called the gate. The simulator never
+advances beyond the gate.
 
 The clock is a file with six 64-bit integers. Both processes map the file into memory:
 
     version | gate [ns] | sum of the pauses [ns] | ticks sent | ticks answered | reached [ns]
 
-The simulator writes the version and the last two integers. The controller writes the other three.
-All times are CLOCK_MONOTONIC minus the pauses, without the time scale.
+The simulator writes the version and the last two integers. The controller writes the other
+integers. All times are CLOCK_MONOTONIC minus the sum of the pauses, without the time scale.
 """
 
 import mmap
@@ -28,7 +28,7 @@ GATE_INDEX, PAUSED_INDEX, SENT_INDEX, ANSWERED_INDEX, REACHED_INDEX = 1, 2, 3, 4
 """Indices of the integers in the file."""
 INTEGER_COUNT = 6
 OPEN_GATE_NS = 2**63 - 1
-"""Value of the gate if there is no controller."""
+"""Value of the gate without a controller."""
 MAX_GATE_WAIT_NS = 120_000_000
 """Longest wait at the gate, as wall time [ns].
 
@@ -40,7 +40,7 @@ for a late controller is shorter than this wait.
 
 
 class SharedClock:
-    """The clock of a simulator, with the pauses and the gate of its controller.
+    """The clock of a simulator, which includes the pauses and the gate of its controller.
 
     See ``bus_server.ServerClock``.
 
@@ -48,7 +48,7 @@ class SharedClock:
     times the scale.
 
     Attributes:
-        scale: plant time per wall time.
+        scale: ratio of plant time to wall time.
     """
 
     def __init__(self, scale: float = 1.0) -> None:
@@ -67,7 +67,7 @@ class SharedClock:
         """Create the file of the clock, for sharing with a controller.
 
         Args:
-            path: path of the file. A file that a killed simulator left is replaced.
+            path: path of the file. If a killed simulator has left such a file, it is replaced.
 
         Raises:
             SimulatorError: the file cannot be created.
@@ -87,7 +87,7 @@ class SharedClock:
         self._path = path
 
     def now_ns(self) -> int:
-        """Return the present time [ns], or the gate if the gate is earlier."""
+        """Return the present time [ns]. If the gate is earlier, return the gate."""
         now, gate = time.monotonic_ns() - self._numbers[PAUSED_INDEX], self._numbers[GATE_INDEX]
         if gate < now <= gate + MAX_GATE_WAIT_NS:
             now = gate
@@ -108,7 +108,8 @@ class SharedClock:
     def close(self) -> None:
         """Remove the file of the clock.
 
-        A controller that still maps the file then waits, as it waits for a stopped simulator.
+        A controller that still maps the file then waits, in the same way as for a stopped
+        simulator.
         """
         if self._path:
             self._path.unlink(missing_ok=True)

@@ -1,6 +1,6 @@
-"""The world of a hand: plant and nodes.
+"""The world of a hand: the plant and the nodes.
 
-The caller gives time and frames. The world has no sockets or clocks.
+The caller passes times and frames to the world. The world itself has no sockets and no clocks.
 
 Injected faults act on frames of nodes, in a node, in a sensor or in the plant. See ``faults``.
 """
@@ -35,7 +35,7 @@ _ARRIVAL_NS = itemgetter(4)
 MAX_ENCODER_OFFSET_RAD = 0.5
 """Maximum encoder angle at theta = 0 in a hand that is not homed [rad].
 
-This angle is small compared with the position range of the drives, and with the 3 rad that a grasp
+The angle is small compared with the position range of the drives, and with the 3 rad that a grasp
 needs.
 """
 
@@ -43,25 +43,25 @@ needs.
 class SimulatedWorld:
     """The plant and the simulated nodes of one hand.
 
-    If the world is not homed, it starts as a hand at power-up. Each tendon is slack by 1 to 3 mm,
+    A world that is not homed starts like a hand at power-up. Each tendon is slack by 1 to 3 mm,
     because the motors were off. At the spool angle where a tendon is just taut at q = 0, the
     encoder of its motor reads an angle within 0.5 rad of ``zero_rad``, as after a spool was clamped
-    by hand. Slack and encoder angle are random numbers that depend on a seed. A homed world starts
-    with taut tendons and with the encoders at ``zero_rad``.
+    by hand. The slack and the encoder angle are random numbers that depend on a seed. A homed world
+    starts with taut tendons and with the encoders at ``zero_rad``.
 
     Attributes:
         hand: description of the hand.
         plant: mechanics of the hand.
         nodes: list of the nodes on each bus of the hand.
         t_ns: present time of plant and nodes [ns].
-        slip_ns: time lost by slips while this process did not run [ns].
-        foreign: number of frames that no node handled.
+        slip_ns: time that was lost by slips while this process did not run [ns].
+        foreign: number of received frames that no node has handled.
         sensor_node: node with load cells and joint encoders, or the collection of all amplifiers.
         sensor_nodes: the nodes on the bus that read load cells.
-        faults: faults that have been injected.
-        encoder_offset: encoder angle at theta = 0, by motor name [rad].
+        faults: faults that were injected.
+        encoder_offset: encoder angle at theta = 0 [rad], by the name of the motor.
         row_of: kind and row of each node that compiled kernels handle, by the ``id()`` of the node.
-        exchange: exchange of frames by a compiled kernel, None without compiled kernels.
+        exchange: exchange of frames by a compiled kernel. None without compiled kernels.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class SimulatedWorld:
         return Camera(self.hand, self.plant.scene, width_px, height_px)
 
     def _bus_index(self, name: str) -> int:
-        """Return the index of a bus of the hand by its name."""
+        """Return the index of a bus of the hand, given its name."""
         if name not in self.hand.buses:
             raise SimulatorError(
                 f"{self.hand.name}: no bus {name}; expected one of {', '.join(self.hand.buses)}"
@@ -144,11 +144,11 @@ class SimulatedWorld:
         """Build the drive node of each motor.
 
         Args:
-            compiled: True to keep the nodes' numbers in rows, for compiled kernels.
-            rows: arrays of rows by row type, extended by this function.
+            compiled: True to store the numbers of the nodes in rows, for compiled kernels.
+            rows: arrays of rows by row type. The function extends the arrays.
 
         Returns:
-            Drive node of each motor by the name of the motor.
+            The drive node of each motor, by the name of the motor.
         """
         nodes: dict[str, DriveNode] = {}
         for motor in self.hand.motors:
@@ -227,14 +227,15 @@ class SimulatedWorld:
             frame: frame of the host.
 
         Returns:
-            The answers, with the present time as their time.
+            The answers. The time of the answers is the present time.
         """
         answers: list[Frame] = []
         handled = False
         t_ns = self.t_ns
         bus = frame[3]
         faults = self.faults
-        wire_faulty = faults.wire_faults_of  # a fault may also react to frames for other nodes
+        # a fault may also react to frames that are for other nodes
+        wire_faulty = faults.wire_faults_of
         receivers = (
             self._nodes_of_bus[bus]
             if wire_faulty
@@ -280,12 +281,11 @@ class SimulatedWorld:
     def advance(self, t_ns: int, row_wake_ns: int | None = None) -> None:
         """Advance plant and nodes towards ``t_ns`` in whole steps.
 
-        The next call makes up for a remainder.
+        The next call makes up for the remaining time.
 
         Args:
-            t_ns: time to advance to [ns].
-            row_wake_ns: earliest wake time of the drives whose state is in array rows [ns], None if
-                not known.
+            t_ns: time to which the world advances [ns].
+            row_wake_ns: earliest wake time of the drives whose state is in array rows [ns], None if it is not known.
         """
         plant = self.plant
         truth = self._truth
@@ -315,8 +315,8 @@ class SimulatedWorld:
     def reach(self, t_ns: int) -> None:
         """Advance plant and nodes to exactly ``t_ns``, so that samples belong to their exact time.
 
-        Other steps keep their places in time. The step around ``t_ns`` is divided, and the next
-        call completes the divided step.
+        All other steps keep their places in time. The step that contains ``t_ns`` is divided, and
+        the next call completes this step.
         """
         self.advance(t_ns)
         rest_ns = t_ns - self.t_ns
@@ -327,7 +327,7 @@ class SimulatedWorld:
             self.t_ns = t_ns
 
     def _write_truth(self, now_ns: int) -> None:
-        """Write a row of the truth file if it is due."""
+        """Write a row of the truth file if a row is due."""
         truth = self._truth
         plant = self.plant
         if truth is not None and plant.t_ns >= truth.due_ns:
@@ -350,10 +350,11 @@ class SimulatedWorld:
         )
 
     def _wake(self, now_ns: int) -> int | None:
-        """Wake the due nodes, and store the frames sent by them.
+        """Wake the nodes that are due, and store the frames that they send.
 
         Returns:
-            Earliest wake time of the drives whose state is in array rows [ns], None if not known.
+            The earliest wake time of the drives whose state is in array rows [ns]. None if it
+            is not known.
         """
         if self.exchange and not self._without_row and self.exchange.send_due(now_ns):
             return self.exchange.wake_ns
@@ -370,7 +371,7 @@ class SimulatedWorld:
         return None
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames on the bus that come from senders outside the hand."""
+        """Queue frames on the bus whose senders are outside of the hand."""
         self._unsolicited += frames
 
     def take_unsolicited(self) -> list[Frame]:
@@ -384,7 +385,7 @@ class SimulatedWorld:
     def take_unsolicited_records(self) -> Any:
         """Return the unsolicited frames as an array of ``frame_records.FRAME_DTYPE``.
 
-        The array is valid until the next frame is sent.
+        The array stays valid until the next frame is sent.
         """
         assert self.exchange
         return (
@@ -400,7 +401,7 @@ class SimulatedWorld:
         """Return the header of a truth file of this world.
 
         Args:
-            clock: name of the clock that the times in the file belong to.
+            clock: name of the clock to which the times in the file belong.
         """
         return {
             "clock": clock,
@@ -414,7 +415,7 @@ class SimulatedWorld:
 
 
 def _steps_until(now_ns: int, due_ns: int, end_ns: int) -> int:
-    """Count the steps until an event is due or the end is reached, at least 1.
+    """Count the steps until an event is due or the end is reached. The result is at least 1.
 
     Args:
         now_ns: present time [ns].
@@ -439,7 +440,7 @@ def make_world(
         scene: description of object, support and later events.
         seed: seed of all random numbers.
         homed: True to start as a homed hand.
-        origin_ns: time of the world at the start [ns].
+        origin_ns: time of the world at its start [ns].
         compiled: True to use compiled kernels, see ``Plant``.
 
     Raises:

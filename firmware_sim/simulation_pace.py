@@ -1,4 +1,4 @@
-"""The pace of the simulation: reports of a delay behind the clock, and an advised pace for this machine."""
+"""The pace of the simulation: reports of a delay behind the clock, and a pace that this machine can keep."""
 
 import math
 import os
@@ -25,7 +25,7 @@ ADVISED_FRACTION = 0.8
 
 @dataclass(frozen=True, slots=True)
 class ClockReadings:
-    """Readings of all clocks at the same time.
+    """Readings of all clocks, taken at the same time.
 
     Attributes:
         wall_s: time of the wall clock [s].
@@ -39,11 +39,13 @@ class ClockReadings:
 
 
 class PaceCounter:
-    """Counter of the clock's slips that measures and reports the pace of the simulation.
+    """Counter of the slips of the clock.
+
+    The counter measures and reports the pace of the simulation.
 
     Attributes:
-        advice: pace that this machine can keep, as plant time per wall time. None until the machine
-            proves too slow.
+        advice: pace that this machine can keep, as the ratio of plant time to wall time. The value
+            is None until the machine proves too slow.
     """
 
     def __init__(
@@ -82,10 +84,10 @@ class PaceCounter:
         self._mark = self._start = self._clock_readings(plant_ns)
 
     def slipped(self, behind_ns: int, plant_ns: int) -> None:
-        """Count a slip of the clock, and report it unless the last report is less than a second old.
+        """Count a slip of the clock. Report it, unless the last report is less than a second old.
 
         Args:
-            behind_ns: time lost by the slip, as plant time [ns].
+            behind_ns: plant time that was lost by the slip [ns].
             plant_ns: present time of the plant [ns].
         """
         self._slips += 1
@@ -120,7 +122,7 @@ class PaceCounter:
         return f"firmware_sim: {lost}: this machine is fast enough for --time-scale {self.advice:g}"
 
     def _update_advice(self, now: ClockReadings) -> None:
-        """Update the advised pace from the pace since the last report."""
+        """Update the advised pace, using the pace since the last report."""
         measured = (now.plant_s - self._mark.plant_s) / (now.wall_s - self._mark.wall_s)
         advice = ADVISED_FRACTION * min(
             measured,
@@ -144,7 +146,10 @@ def rounded_down(pace: float) -> float:
 
 
 def _pace_ratio(start: ClockReadings, end: ClockReadings) -> float:
-    """Return the plant time per computing time. It is infinite if no computing time has passed."""
+    """Return the ratio of plant time to computing time.
+
+    The value is infinite if no computing time has passed.
+    """
     cpu_s = end.cpu_s - start.cpu_s
     return (end.plant_s - start.plant_s) / cpu_s if cpu_s > 0.0 else math.inf
 

@@ -17,10 +17,10 @@ _PATH_MAX = 103
 def run_dir() -> Path:
     """Return the run directory.
 
-    A missing directory is made. A directory open to other users is refused.
+    A missing directory is created. A directory that other users can access is refused.
 
     Raises:
-        SimulatorError: the directory cannot be made, or the directory or one above it is a link,
+        SimulatorError: the directory cannot be created. Or it, or a directory above it, is a link,
             belongs to another user, or is open to others.
     """
     if named := os.environ.get("HANDCTL_RUN_DIR"):
@@ -35,9 +35,9 @@ def run_dir() -> Path:
     folder = Path(os.path.abspath(folder))
     folder = Path(os.path.realpath(_parent_dir(folder, path_parts)), *folder.parts[-path_parts:])
     try:
-        for path in [*reversed(folder.parents), folder][
-            1:
-        ]:  # top down: in a checked directory, no other user can replace an entry.
+        # The check goes from the top down: in a checked directory, no other user can replace an
+        # entry.
+        for path in [*reversed(folder.parents), folder][1:]:
             _check_directory(path, mine=len(folder.parts) - len(path.parts) < path_parts)
     except OSError as error:
         raise SimulatorError(
@@ -78,8 +78,8 @@ def _check_directory(path: Path, mine: bool) -> None:
         raise _path_error(path, "is a link")
     if status.st_uid != os.geteuid() and (mine or status.st_uid):
         raise _path_error(path, f"belongs to another user ({status.st_uid})")
-    # A directory that others may write is safe with the sticky bit. As in /tmp, only owners can
-    # replace their entries.
+    # A directory that others may write is safe if it has the sticky bit. As in /tmp, only owners
+    # can replace their entries.
     if status.st_mode & 0o022 and (mine or not status.st_mode & stat.S_ISVTX):
         raise _path_error(path, f"is open to others (mode {stat.S_IMODE(status.st_mode):04o})")
     if mine and status.st_mode & 0o077:
@@ -113,7 +113,7 @@ def bus_path(name: str) -> Path:
 def faults_path(spec: str) -> Path:
     """Return the path of the fault socket of a simulator on this bus.
 
-    ``join:NAME`` has the path of ``local:NAME``.
+    ``join:NAME`` has the same path as ``local:NAME``.
     """
     return truth_path(spec).with_suffix(".faults")
 

@@ -31,10 +31,10 @@ INITIAL_CAPACITY = 64
 
 
 class TickExchange:
-    """The computation of the answers of a tick, for a world with node states in array rows.
+    """The computation of the answers of a tick, for a world whose node states are in array rows.
 
     Attributes:
-        sends_unsolicited: True if the compiled kernel sends the unsolicited frames of drives, False
+        sends_unsolicited: True if the compiled kernel sends the unsolicited frames of drives. False
             if the world sends them.
     """
 
@@ -76,7 +76,7 @@ class TickExchange:
         self._receivers: Any = None
 
     def refresh_identifiers(self) -> None:
-        """Build the table of identifiers again before the next frame."""
+        """Build the table of identifiers again when the next frame arrives."""
         self._table = None
 
     def answer(self, frames: Any, t_ns: int, last_ns: int) -> tuple[Any, bool]:
@@ -85,11 +85,11 @@ class TickExchange:
         Args:
             frames: frames of the host, an array of ``FRAME_DTYPE``.
             t_ns: start of the tick [ns].
-            last_ns: maximum delay of an answer after the start of the tick [ns].
+            last_ns: largest delay of an answer after the start of the tick [ns].
 
         Returns:
-            The answers, with times as if they were sent one after the other, and True if the times
-            are in rising order.
+            The answers, with times as if they were sent one after the other, and True if their
+            times are in rising order.
         """
         world = self._world
         progress = self._progress
@@ -125,7 +125,7 @@ class TickExchange:
         self._kernels.answer(frames, answers, self._addresses, t_ns, last_ns, self._max_answers)
 
     def _enlarged(self, answers: Any) -> Any:
-        """Return the array of answers, copied into an array of twice the capacity."""
+        """Return the array of answers, copied into an array with twice the capacity."""
         self._capacity = 2 * len(answers)
         return np.concatenate((answers, np.empty(len(answers), FRAME_DTYPE)))
 
@@ -140,9 +140,10 @@ class TickExchange:
         return answers
 
     def _build_table(self) -> None:
-        """Build the table of receivers by identifier.
+        """Build the table that gives the receivers of each identifier.
 
-        Python handles the identifiers that a node whose state is not in an array row may answer.
+        If the state of a node is not in an array row, Python handles the identifiers that this node
+        may answer.
         """
         world = self._world
         receivers = list[tuple[int, int, int]]()
@@ -162,7 +163,7 @@ class TickExchange:
                 if not all(can_id in cyclic_ids[id(node)] for node in accepting):
                     continue
                 next_receiver = -1
-                # Each entry holds the index of the next receiver, so the list is built from its
+                # Each entry contains the index of the next receiver, so the list is built from its
                 # end.
                 for node in reversed(accepting):
                     receivers.append((*world.row_of[id(node)], next_receiver))
@@ -193,7 +194,7 @@ class TickExchange:
     def _accepted_identifiers(self) -> list[Any]:
         """Return the identifiers that each node accepts.
 
-        A node returns another object after a change.
+        After a change of its identifiers, a node returns another object.
         """
         return [
             getattr(node, "accepted_ids", node.ids) for nodes in self._world.nodes for node in nodes
@@ -230,7 +231,7 @@ class TickExchange:
             return False
         if self._table is None:
             self._build_table()
-        # A drive sends at most two frames at a time: heartbeat and encoder estimates.
+        # A drive sends at most two frames at a time: a heartbeat and its encoder estimates.
         while self._progress[SENT] + 2 * len(self._drive_rows) > len(self._sent):
             self._sent = np.concatenate((self._sent, np.empty(len(self._sent), FRAME_DTYPE)))
         rotors = self._world.plant.sampled[3]

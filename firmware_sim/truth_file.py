@@ -1,9 +1,10 @@
-"""The truth file: a record of the plant's true state in every millisecond.
+"""The truth file: a record of the true state of the plant in every millisecond.
 
 Tests compare a controller with this record.
 
-The file starts with a line of JSON, which is padded with spaces and completed when the file is
-closed. Rows follow. Each row has an int64 t_ns and a float64 for each column, little-endian.
+The file starts with a line of JSON. This line is padded with spaces, and completed when the file is
+closed. Rows follow. Each row consists of an int64 t_ns and of a float64 for each column,
+little-endian.
 """
 
 import json
@@ -30,7 +31,7 @@ class TruthFile(NamedTuple):
     Attributes:
         header: content of the header line.
         t_ns: times of the rows, shape (rows,) [ns].
-        values: true values, shape (rows, columns). ``header["units"]`` gives the unit of each
+        values: true values, shape (rows, columns). ``header["units"]`` contains the unit of each
             column.
     """
 
@@ -70,11 +71,11 @@ def truth_columns(plant: Plant) -> list[tuple[str, str]]:
 class TruthWriter:
     """Writer of a truth file.
 
-    The values of a row belong to the time of the row. Only the contact forces belong to the
-    previous step of the plant, 0.5 ms earlier.
+    The values of a row belong to the time of the row, except the contact forces. The contact forces
+    belong to the previous step of the plant, 0.5 ms earlier.
 
     Attributes:
-        due_ns: plant time at which the next row must be written [ns].
+        due_ns: plant time when the next row must be written [ns].
     """
 
     def __init__(self, path: Path, plant: Plant, header: dict[str, object]) -> None:
@@ -144,7 +145,7 @@ class TruthWriter:
 
 
 def read_truth(path: str | Path) -> TruthFile:
-    """Read a truth file. An incomplete last row is ignored.
+    """Read a truth file. The reader ignores an incomplete last row.
 
     Raises:
         ValueError: the file does not begin with a header.

@@ -1,4 +1,4 @@
-"""Settings of all tests: examples of property tests, nightly tests, and repetition of tests on the real clock."""
+"""Settings of all tests: examples of property tests, nightly tests, repetition of tests on the real clock."""
 
 import os
 import signal
@@ -37,12 +37,12 @@ MAX_STALL_WAIT_S = 15.0
 REAL_CLOCK_TIMEOUT_S = 900.0
 """Time limit for all tries of a test on the real clock together [s]. A test may set a shorter limit."""
 
-# A shell starts its background jobs with SIGINT ignored, and nohup ignores SIGHUP. Every program
-# that the tests start would inherit this.
+# A shell starts its background jobs with SIGINT ignored, and nohup ignores SIGHUP. Without this,
+# every program that the tests start would ignore both signals too.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # If Python may not store byte code, each program that the tests start compiles 300 modules. This
-# takes half of the program's start-up time.
+# takes half of the start-up time of the program.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
     BYTE_CODE = tempfile.TemporaryDirectory(prefix="handctl-byte-code-", ignore_cleanup_errors=True)
     """Folder for the byte code of the programs that tests start. It is removed at the end of this process."""
@@ -73,7 +73,7 @@ def has_clock_tests(path: Path) -> bool:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave out a file that has no tests on the real clock, if only tests on the real clock are selected.
+    """If only tests on the real clock are selected, leave out a file that has no such test.
 
     The import of all test files would take 15 s.
     """
@@ -89,12 +89,14 @@ class RepeatAfterStall:
 
     A test has at most three tries.
 
-    If a test slows time, each repetition slows it further by the factor of the fixture
-    ``repeat_time_scale``. In slower time a stall has less effect, but a defect has the same effect.
+    If the time scale of a test is slow, each repetition makes it slower by the factor of the
+    fixture ``repeat_time_scale``. In slower time, a stall of the machine has less effect, but a
+    defect has the same effect.
 
     Attributes:
-        stalls: names of the repeated tests, with the longest stall during each [s].
-        meter: stall meter, which starts with the first test on the real clock.
+        stalls: name of each repeated test, with the longest stall of the machine during the test
+            [s].
+        meter: stall meter, which starts before the first test on the real clock.
     """
 
     def __init__(self) -> None:
@@ -113,7 +115,10 @@ class RepeatAfterStall:
             self._start = time.monotonic()
 
     def failed_by_stall(self, error: BaseException | None) -> bool:
-        """Return True if the present try failed and the machine stalled during it. ``error`` is None if it passed."""
+        """Return True if the present try failed and the machine stalled during it.
+
+        ``error`` is None if the try passed.
+        """
         longest = self.meter.longest_since(self._start) if self.meter and error else 0.0
         if longest:
             self.stalls.append((self._test, longest))
@@ -121,9 +126,9 @@ class RepeatAfterStall:
         return longest > 0.0
 
     def wait_without_stall(self) -> None:
-        """Wait until the machine had no stall for ``TIME_WITHOUT_STALL_S``, but at most for ``MAX_STALL_WAIT_S``.
+        """Wait until the machine has had no stall for ``TIME_WITHOUT_STALL_S``, but for at most ``MAX_STALL_WAIT_S``.
 
-        A stall is often followed by others.
+        After a stall, other stalls often follow.
         """
         assert self.meter
         until = time.monotonic() + MAX_STALL_WAIT_S
@@ -141,7 +146,7 @@ class RepeatAfterStall:
                 item.add_marker(pytest.mark.timeout(REAL_CLOCK_TIMEOUT_S))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """Report the repeated tests and the longest stall in each."""
+        """Report the repeated tests, each with its longest stall."""
         for test, longest in self.stalls:
             terminalreporter.write_line(
                 f"failed while the machine stalled for {longest * 1e3:.0f} ms: {test}"
@@ -155,21 +160,22 @@ class RepeatAfterStall:
 
 @pytest.fixture
 def repeat_time_scale(request: pytest.FixtureRequest) -> float:
-    """Return the factor on the time scale of a test: 1 in its first try, less in each repetition."""
+    """Return the factor that multiplies the time scale of a test: 1 in its first try, and less in each repetition."""
     return float(TIME_SCALE_PER_REPEAT ** (getattr(request.node, "execution_count", 1) - 1))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option that stores the processor time of each test."""
+    """Add the option that stores the processor time of each test in a file."""
     parser.addoption(
         "--durations-file", type=Path, help="append the processor time of each test to this file"
     )
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the repetition of tests, except in a guest of the vcan tests.
+    """Register the repetition of tests, except in the virtual machine of the vcan tests.
 
-    A guest has only one core, on which every process waits for the others.
+    The virtual machine of the vcan tests has only one core, on which every process waits for the
+    others.
     """
     if "HANDCTL_VCAN_REPORTS" not in os.environ:
         config.pluginmanager.register(RepeatAfterStall(), "repeats")
@@ -178,7 +184,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Skip the nightly tests in other runs, and leave the slow tests out of a sample."""
+    """Skip the nightly tests unless this run is a nightly run.
+
+    If this run is a sample, leave out the slow tests.
+    """
     if not NIGHTLY:
         for item in items:
             if item.get_closest_marker("nightly"):

@@ -1,6 +1,6 @@
 """Choose the slow tests by their measured processor time.
 
-`make test` leaves out the slow tests. CI or the nightly run performs them.
+`make test` leaves out the slow tests. CI or the nightly run executes them.
 
     make test SLOW_S=inf PYTEST_FLAGS=--durations-file=times.jsonl      # writes the time of each test
     python -m tests.slow_tests times.jsonl                                    # writes tests/slow_tests.txt
@@ -8,12 +8,13 @@
     make unit HANDCTL_SLOW_S=0 PYTEST_FLAGS=--durations-file=times.jsonl    # only the tests of `make test`
     python -m tests.slow_tests times.jsonl --add                              # adds those that have become slow
 
-A run leaves out the listed tests whose cost is above ``HANDCTL_SLOW_S``. `make test` sets 0, and CI
-sets 3, with a higher value for tests on the real clock. `make nightly` and plain pytest run all
-listed tests. The cost of a test is its processor time. For a test on the real clock, the cost is
-its elapsed time. In a sample, each test function keeps its first cases up to a total cost of
-``FUNCTION_BUDGET_S`` or ``REAL_CLOCK_BUDGET_S``. Each file keeps at least its cheapest test if that
-costs no more than ``FILE_LIMIT_S``. A sample therefore still enters nearly every file.
+With ``HANDCTL_SLOW_S``, a run leaves out those listed tests whose cost is higher than this value.
+`make test` sets the value 0. CI sets 3, and a higher value for tests on the real clock. `make
+nightly` and plain pytest run all listed tests. The cost of a test is its processor time. For a test
+on the real clock, the cost is its elapsed time. In a sample, each test function keeps its first
+cases, up to a total cost of ``FUNCTION_BUDGET_S`` or ``REAL_CLOCK_BUDGET_S``. Each file keeps at
+least its cheapest test, if that test costs no more than ``FILE_LIMIT_S``. So a sample still runs a
+test of nearly every file.
 """
 
 import json
@@ -50,7 +51,7 @@ def listed_costs() -> dict[str, float]:
 
 
 def processor_time() -> float:
-    """Return the processor time of this process and of its children that have ended [s]."""
+    """Return the processor time of this process and of those of its children that have ended [s]."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in used)
 
@@ -59,22 +60,25 @@ class DurationRecorder:
     """Plugin that appends the processor time and the elapsed time of each test to a file.
 
     Attributes:
-        path: a line of JSON per test: node identifier, processor time [s], elapsed time [s], and True for
-            a test on the real clock.
+        path: file with one line of JSON for each test: node identifier, processor time [s], elapsed
+            time [s], and True for a test on the real clock.
     """
 
     def __init__(self, path: Path) -> None:
-        """Append to a file that the processes of xdist share."""
+        """Append to a file to which all processes of xdist write."""
         self.path = path
         self._elapsed_s: defaultdict[str, float] = defaultdict(float)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Add the elapsed time of a part of a test. A test in a virtual machine has the time that it took there."""
+        """Add the elapsed time of a part of a test.
+
+        For a test in a virtual machine, use the time that the test took there.
+        """
         self._elapsed_s[report.nodeid] += report.duration
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        """Measure the times of one test with its fixtures, and write them."""
+        """Measure the times of one test, including its fixtures, and write them to the file."""
         processor = processor_time()
         result = yield
         times = (processor_time() - processor, self._elapsed_s.pop(item.nodeid, 0.0))
@@ -92,8 +96,8 @@ def choose_slow_tests(rows: list[tuple[str, float, float, bool]]) -> dict[str, f
     """Choose the slow tests, and return the time of each [s].
 
     Args:
-        rows: node identifier, processor time and elapsed time [s] of each test, and True for a test on the
-            real clock, in the order of the run.
+        rows: for each test, its node identifier, processor time and elapsed time [s], and True for
+            a test on the real clock, in the order of the run.
     """
     files: dict[str, list[tuple[float, str]]] = {}
     spent: dict[str, float] = {}
@@ -120,7 +124,8 @@ def main(path: Path, add: bool) -> None:
 
     Args:
         path: file with the times of a run.
-        add: True to keep the tests that are listed, because the run was a sample and left them out.
+        add: True to keep the tests that are already listed. This is necessary if the run was a
+            sample and has left them out.
     """
     rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     slow = choose_slow_tests(rows) | (listed_costs() if add else {})

@@ -1,8 +1,10 @@
-"""Detect stalls of the machine. If a test on the real clock fails during a stall, this does not show a defect.
+"""Detect stalls of the machine.
 
-A host sometimes pauses a virtual machine for tens of milliseconds. In such a stall, a controller
-correctly ends its run. A sleeping process on each core detects the stall from outside the tested
-processes.
+If a test on the real clock fails during a stall, the failure does not show a defect.
+
+A host sometimes pauses a virtual machine for tens of milliseconds. During such a stall, a
+controller correctly ends its run. A sleeping process on each core detects the stall, independently
+of the tested processes.
 """
 
 import contextlib
@@ -26,7 +28,7 @@ class StallMeter:
     These processes run until :meth:`close`.
 
     Attributes:
-        pids: processes of the sleepers, one per core.
+        pids: process ids of the sleeping processes, one for each core.
     """
 
     def __init__(self) -> None:
@@ -44,7 +46,10 @@ class StallMeter:
         self._unread: list[tuple[float, float]] = []
 
     def longest_since(self, begin: float) -> float:
-        """Return the longest stall that ended after a time of ``time.monotonic`` [s]. Zero if there was none."""
+        """Return the duration of the longest stall that ended after a given time of ``time.monotonic`` [s].
+
+        If there was none, return zero.
+        """
         for sleeper in self._sleepers:
             assert sleeper.stdout
             for line in (sleeper.stdout.read() or b"").splitlines():

@@ -25,7 +25,7 @@ class BusPort(Protocol):
 
     Attributes:
         lost: frames that could not be sent or read.
-        due_ns: time at which the port must be served even if no socket is ready [ns]. The time is
+        due_ns: time when the port must be served even if no socket is ready [ns]. The time is
             ``medium.NEVER_NS`` if the port must be served only when a socket is ready.
     """
 
@@ -36,7 +36,7 @@ class BusPort(Protocol):
 
     @property
     def due_ns(self) -> int:
-        """Return the time at which the port must be served even if no socket is ready [ns]."""
+        """Return the time when the port must be served even if no socket is ready [ns]."""
         ...
 
     def read_sockets(self) -> list[socket.socket]:

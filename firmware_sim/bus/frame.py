@@ -40,7 +40,7 @@ class Frame(NamedTuple):
         data: payload of the frame, at most 8 bytes (classical) or 64 bytes (FD).
         flags: CAN FD flags, a combination of BRS, ESI and FDF. 0 for a classical frame.
         bus: index of the frame's bus in the hand's list of buses.
-        t_ns: time at which the frame was received [ns].
+        t_ns: time when the frame was received [ns].
     """
 
     can_id: int

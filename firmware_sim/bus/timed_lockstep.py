@@ -80,7 +80,7 @@ class TimedLockstep:
             for wire in self.wires:
                 wire.advance(at_ns)
             # The answer of a node contains readings of the plant. Therefore the plant first
-            # advances to the time at which the request ends on the wire.
+            # advances to the time when the request ends on the wire.
             if any(map(self._world.has_receiver, self._received)):
                 self._world.reach(at_ns)
             self._answer_received_frames()

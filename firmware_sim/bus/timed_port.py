@@ -210,7 +210,7 @@ class TimedPort:
     def send(self, frames: list[Frame]) -> None:
         """Send the answers of the nodes.
 
-        An answer may start at the time at which the last received frame ended. See ``bus_ports.BusPort``.
+        An answer may start at the time when the last received frame ended. See ``bus_ports.BusPort``.
         """
         for frame in frames:
             controller = self._nodes.get(frame.can_id)

@@ -246,7 +246,7 @@ def instances_of_component(component: str, hand: Hand, kind: str = "") -> list[s
     Args:
         component: type of component, one of the constants from ``NODE_TARGET`` to ``DIGIT_TARGET``.
         hand: hand whose components are listed.
-        kind: kind of fault that the listed components can have. If it is empty, all components are
+        kind: kind of fault that the listed components can have. If empty, all components are
             listed.
     """
     motors = [motor.name for motor in hand.motors]

@@ -115,18 +115,20 @@ def _reading_change(active: ActiveFault, now_ns: Callable[[], int]) -> Callable[
     return read_wrong
 
 
-def _delayed_reading(active: ActiveFault, past: list[float], value: float, now_ns: int) -> float:
+def _delayed_reading(
+    active: ActiveFault, past_readings: list[float], value: float, now_ns: int
+) -> float:
     """Return the reading of ``size`` samples ago.
 
     Until so many samples exist, return the present reading.
     """
-    past.append(value)
+    past_readings.append(value)
     # The list holds the first reading twice, because ``_reading_change`` has also stored it.
-    if len(past) <= int(active.fault.size) + 1:
+    if len(past_readings) <= int(active.fault.size) + 1:
         return value
     active.note_effect(now_ns)
-    del past[0]
-    return past[0]
+    del past_readings[0]
+    return past_readings[0]
 
 
 def _start_mute(world: Any, active: ActiveFault) -> UndoFunction:

@@ -11,7 +11,7 @@ Commands have the layout of ``mit.codec``. Feedback (8 bytes, highest byte and b
 Older firmware sends only the first six bytes. Source: fact sheet mit_damiao, section variants.
 
 Choices where the fact sheet is silent: a disabled motor answers commands. An error removes the
-torque, and ends when its cause ends. Special commands (seven bytes of FF and a code) with an
+torque. The error ends when its cause ends. Special commands (seven bytes of FF and a code) with an
 unknown code are not answered.
 """
 
@@ -88,10 +88,10 @@ class CubemarsNode:
     Attributes:
         enabled: True if the motor follows commands.
         error: present error of the motor.
-        offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
+        offset: angle in the frames of the motor at which the spool angle theta is 0 [rad].
         thermal: temperatures of the motor.
         short: True if feedback has six bytes, as in older firmware.
-        ids: identifiers that the node may answer.
+        ids: identifiers for the node to answer.
         malformed: number of frames with the node's identifier that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: negative, because the drive has no watchdog.
@@ -126,7 +126,7 @@ class CubemarsNode:
         """Process a frame, and answer with a frame of the same identifier.
 
         Returns:
-            The answers, or None if the frame is not for the motor.
+            The answers. None if the frame is not for this motor.
         """
         if frame.can_id != self._id:
             return None
@@ -207,7 +207,7 @@ class CubemarsNode:
             self._switch_torque(enable=False)
 
     def power_cycle(self) -> None:
-        """Restart the motor, disabled and without error."""
+        """Restart the motor. The motor is then disabled and has no error."""
         self.error = FeedbackError.NONE
         self._switch_torque(enable=False)
 

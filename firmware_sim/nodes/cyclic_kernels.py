@@ -1,10 +1,10 @@
 """Compiled kernel that answers the cyclic frames of a tick. Frames and answers are records.
 
-A table gives the first receiver of each identifier. Each receiver gives the next receiver of the
-same identifier. The kernel stops at a frame that Python must process: a special command, a register
-request, a frame of wrong length, or any frame if a watchdog is due. The node then processes this
-frame in Python, and the kernel continues with the next frame. The bit layouts are in ``mit.codec``,
-``odrive.node``, ``cia402.kernels`` and ``sensor_node``.
+A table contains the first receiver of each identifier. Each receiver contains the index of the next
+receiver of the same identifier. The kernel stops at a frame that Python must process: a special
+command, a register request, a frame of wrong length, or any frame while a watchdog is due. The node
+then processes this frame in Python, and the kernel continues with the next frame. The bit layouts
+are in ``mit.codec``, ``odrive.node``, ``cia402.kernels`` and ``sensor_node``.
 """
 
 import ctypes
@@ -95,7 +95,7 @@ _SPECIAL_COMMAND_BITS = 0xFFFFFFFFFFFFFF
 class ReceiverStruct(ctypes.Structure):
     """A node that receives an identifier.
 
-    The fields are the kind of the node, the row in the array for the kind, and the index of the
+    The fields are the kind of the node, its row in the array for this kind, and the index of the
     next receiver or -1.
     """
 
@@ -109,7 +109,10 @@ def empty_table(buses: int) -> Any:
 
 @kernel_helper
 def table_index(bus: int, can_id: int) -> int:
-    """Return the index of an identifier in the table of receivers, -1 for an identifier of more than 11 bits."""
+    """Return the index of an identifier in the table of receivers.
+
+    Return -1 for an identifier of more than 11 bits.
+    """
     if can_id & ~REMOTE_FLAG >= _STANDARD_ID_COUNT:
         return -1
     # The index selects the blocks of the bus, and then the block of data frames or remote frames.
@@ -120,7 +123,7 @@ def table_index(bus: int, can_id: int) -> int:
 
 @kernel_helper
 def _payload_as_integer(payload: Any) -> int:
-    """Return eight bytes as an integer, the first byte highest.
+    """Return eight bytes as an integer. The first byte is the highest.
 
     The sign of the integer has no meaning.
     """
@@ -160,7 +163,7 @@ def _mit_needs_python(node: Any, rotor: Any, frame: Any, t_ns: int) -> bool:
     """Return True if Python must process a frame for an MIT drive."""
     if frame.length != 8 or t_ns >= node.wake_ns or rotor.faulty != 0 or node.mode != MODE_MIT:
         return True
-    # Only the first seven bytes are compared, without the code of the special command.
+    # Only the first seven bytes are compared. The eighth byte is the code of the special command.
     return _payload_as_integer(frame.data) >> 8 & _SPECIAL_COMMAND_BITS == _SPECIAL_COMMAND_BITS
 
 
@@ -216,7 +219,7 @@ def _answer_odrive(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, c
     """Apply a torque setpoint to an ODrive, or answer an encoder request.
 
     Returns:
-        Number of answers in ``answers``.
+        The number of answers in ``answers``.
     """
     if frame.can_id & REMOTE_FLAG:
         _write_encoder_frame(node, rotor, frame.bus, answers[count])
@@ -284,7 +287,7 @@ def _write_sensor_frames(
     """Write payloads of the sensor node into frames that answer SYNC.
 
     Args:
-        words: payloads as integers, to be written low byte first.
+        words: payloads as integers. The payloads are written with the low byte first.
         channels: number of channels in all payloads together.
         can_id: identifier of the first frame.
         frame: the SYNC frame.
@@ -313,10 +316,10 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
         node: row of the sensor node.
         frame: the SYNC frame.
         t_ns: present time [ns].
-        cells: tension of each tendon [N].
+        cells: true tension of each tendon [N].
         q: joint angles [rad].
-        cell_order: index of the tendon of each load cell channel.
-        joint_order: index of the joint of each encoder channel.
+        cell_order: for each channel of the load cells, the index of its tendon.
+        joint_order: for each channel of the joint encoders, the index of its joint.
         bias: bias of each load cell [N].
         noise: random numbers with a normal distribution, see ``NormalNoise``.
         noise_bounds: indices into ``noise``, see ``NormalNoise``.
@@ -368,7 +371,7 @@ def _stamp_in_sequence(
         answers: answers, in which the times are set.
         count: number of answers.
         t_ns: start of the tick [ns].
-        last_ns: maximum delay of an answer after the start of the tick [ns].
+        last_ns: largest delay of an answer after the start of the tick [ns].
         buses: number of buses.
 
     Returns:
@@ -495,13 +498,13 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         last_ns: maximum delay of an answer after the start of the tick [ns].
         table: index of the first receiver of each identifier, or -1.
         max_answers: maximum number of answers to one frame.
-        receivers: array of all receivers. The indices in ``table`` and in the receivers point into
-            this array.
+        receivers: array of all receivers. The indices in ``table`` and in the receivers are indices
+            into this array.
         mit: rows of MIT drives.
         odrive: rows of ODrives.
         cia402: rows of CiA 402 drives.
         drives: all drives as receivers.
-        sensor: row of the sensor node, shape (1,). Without a sensor node, shape (0,).
+        sensor: row of the sensor node, shape (1,), shape (0,) without a sensor node.
         cell_order: see ``_answer_sync``.
         joint_order: see ``_answer_sync``.
         bias: see ``_answer_sync``.
@@ -530,8 +533,8 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         while index >= 0:
             receiver_row = receivers[index]
             if receiver_row.kind == SENSOR_NODE_KIND:
-                # The kernel cannot draw random numbers, so all numbers for one SYNC must have been
-                # drawn before.
+                # The kernel cannot draw random numbers, so all random numbers for one SYNC frame
+                # must be drawn before.
                 drawn = noise_bounds[1] >= noise_bounds[0] + 2 * len(cell_order) + len(joint_order)
                 needs_python = needs_python or frame.length != 1 or not drawn
             else:
@@ -611,7 +614,7 @@ def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answ
 
 @kernel_helper
 def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
-    """Return True if Python must wake an ODrive, because more than the two cyclic messages is due.
+    """Return True if Python must wake an ODrive, because something other than the two cyclic messages is due.
 
     Python does the update of temperatures, the watchdog, the end of a calibration, the modes of
     ``odrive.motion_modes``, and the messages of firmware 0.5.
@@ -624,7 +627,7 @@ def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
 
 @kernel_helper
 def _cia402_needs_wake(node: Any, now_ns: int) -> bool:
-    """Return True if Python must wake a CiA 402 drive, because more than the heartbeat is due."""
+    """Return True if Python must wake a CiA 402 drive, because something other than the heartbeat is due."""
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= CIA402_THERMAL_PERIOD_NS
     if node.motion_due_ns > 0:
         return True

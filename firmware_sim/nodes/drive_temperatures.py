@@ -1,6 +1,6 @@
 """Temperatures of a drive's winding and MOSFETs.
 
-Each of the two is modelled as a heat capacity that loses heat to the surroundings.
+Winding and MOSFETs are each modelled as a heat capacity that loses heat to the surroundings.
 """
 
 import ctypes
@@ -29,7 +29,7 @@ class DriveTemperatures:
     Attributes:
         winding: temperature of the winding [degC].
         mosfet: temperature of the MOSFETs [degC].
-        forced: winding temperature imposed by a fault [degC], None without a fault.
+        forced: winding temperature that a fault imposes [degC]. None without a fault.
     """
 
     def __init__(self, torque_constant: float) -> None:
@@ -65,11 +65,14 @@ class DriveTemperatures:
 
 
 class ThermalStruct(ctypes.Structure, DriveTemperatures):
-    """Temperatures that are stored in the row of a drive."""
+    """Temperatures stored in the row of a drive."""
 
     _fields_ = [(name, ctypes.c_double) for name in ("winding", "mosfet")]
 
 
 def _low_pass(value: float, target: float, time_constants: float) -> float:
-    """Move a value towards a target as a first-order lag does in a time, given in time constants."""
+    """Move a value towards a target as a first-order lag does.
+
+    The time is given in time constants.
+    """
     return target + (value - target) * math.exp(-time_constants)

@@ -1,7 +1,7 @@
 """Setpoint generators and cascaded controllers for the position and velocity modes of the drives.
 
-The controllers of a real drive run at 10 to 20 kHz. In the simulation, the position loop runs once
-per millisecond. The velocity loop is a part of the servo (``plant.motor``), and is integrated
+In a real drive, these controllers run at 10 to 20 kHz. In the simulation, the position loop runs
+once per millisecond. The velocity loop is a part of the servo (``plant.motor``), and is integrated
 implicitly. Drives of all protocols share this cascade:
 
     velocity demand = position gain (position - angle) + velocity, within +-speed
@@ -48,7 +48,10 @@ class LoopGains(NamedTuple):
 
 
 def assumed_gains(inertia: float, position: float = POSITION_GAIN) -> LoopGains:
-    """Return assumed gains of a drive that documents none, for an inertia [kg m2] and a position gain [1/s]."""
+    """Return assumed gains for a drive that documents none.
+
+    The assumed gains follow from an inertia [kg m2] and a position gain [1/s].
+    """
     velocity = VELOCITY_BANDWIDTH * inertia
     return LoopGains(position, velocity, INTEGRAL_RATE * velocity)
 
@@ -85,7 +88,8 @@ class MotionSetpoint:
         largest = (fall if slows else rise) * step_s
         change = min(largest, max(-largest, velocity - self.velocity))
         if slows and abs(change) > abs(self.velocity):
-            # A reversal stops at zero for a step, because acceleration and deceleration may differ.
+            # When the motion reverses, it stops at zero for one step, because acceleration and
+            # deceleration may differ.
             change = -self.velocity
         self.velocity += change
         self.acceleration = change / step_s
@@ -116,7 +120,8 @@ class MotionSetpoint:
             # stop within the remaining distance.
             half = 0.5 * fall * step_s
             stoppable = math.sqrt(half * half + 2.0 * fall * abs(rest)) - half
-        # The last step jumps to the target. This jump may need up to twice the deceleration.
+        # In the last step, the setpoint jumps to the target. This jump may need up to twice the
+        # deceleration.
         slowest = fall * step_s
         if abs(rest) <= min(slowest, speed) * step_s and abs(self.velocity) <= 2.0 * slowest:
             self.jump(target)
@@ -168,7 +173,7 @@ class CascadeController:
             gains: gains of both loops.
             speed: largest velocity demand [rad/s].
             limit: torque limit [N m].
-            step_s: time since the last call [s]. With 0, the integrator keeps its value.
+            step_s: time since the last call [s]. If 0, the integrator keeps its value.
             torque: feedforward torque [N m].
         """
         motor = self._motor

@@ -48,8 +48,8 @@ class NormalNoise:
             seed: seed of the stream.
         """
         _, words, _ = random.Random(seed).getstate()
-        # Python and numpy both use MT19937 and make doubles from it in the same way, so both
-        # streams have the same bits.
+        # Python and numpy both use MT19937, and make doubles from its numbers in the same way. Both
+        # streams therefore have the same bits.
         self._uniform = np.random.RandomState()
         self._uniform.set_state(("MT19937", np.array(words[:-1], np.uint32), words[-1], 0, 0.0))
         self.numbers: Any = np.zeros(2 * BLOCK_SIZE)

@@ -1,4 +1,4 @@
-"""The interface between a drive protocol and the simulator: the protocol's node, and its motors as delivered."""
+"""The interface between a drive protocol and the simulator: the node of the protocol, and its motors as delivered."""
 
 import math
 from collections.abc import Callable
@@ -18,7 +18,7 @@ class SimulatedNode(Protocol):
     Attributes:
         wake_ns: time of the next call of ``wake`` [ns].
         malformed: number of frames with the node's identifiers that the node could not decode.
-        ids: identifiers that the node may answer. After each change, the set is a new object. It is
+        ids: identifiers for the node to answer. After each change, the set is another object.
             None if the node must see every frame.
     """
 
@@ -29,7 +29,7 @@ class SimulatedNode(Protocol):
 
     @property
     def ids(self) -> frozenset[int] | None:
-        """Return the identifiers that the node may answer, None if the node must see every frame."""
+        """Return the identifiers for the node to answer, None if the node must see every frame."""
         ...
 
     @property
@@ -41,7 +41,7 @@ class SimulatedNode(Protocol):
         """Process a frame from the bus, and answer it.
 
         Returns:
-            The answers, or None if the frame is not for this node.
+            The answers. None if the frame is not for this node.
         """
         ...
 
@@ -49,7 +49,7 @@ class SimulatedNode(Protocol):
         """Do the work that is due, such as updates of watchdog and temperatures.
 
         Returns:
-            The unsolicited frames to send, None if the node never sends any.
+            The unsolicited frames to send. None if the node never sends any.
         """
         ...
 
@@ -58,15 +58,15 @@ class DriveNode(SimulatedNode, Protocol):
     """A simulated node that drives a motor.
 
     Attributes:
-        watchdog_fed_ns: time of the last frame that fed the watchdog [ns], negative if the drive
-            has no watchdog.
+        watchdog_fed_ns: time of the last frame that fed the watchdog [ns], negative if the
+            drive has no watchdog.
     """
 
     watchdog_fed_ns: int
 
 
 class ShaftSpec(NamedTuple):
-    """Data of a motor as delivered, all at its output shaft.
+    """Data of a motor as delivered. All of them refer to its output shaft.
 
     Attributes:
         peak: torque at full scale of the frames [N m].
@@ -108,15 +108,15 @@ class ProtocolSpec(NamedTuple):
             angle at theta = 0 [rad].
         numbers: valid node numbers of drives.
         shaft: shaft of the default motor on a bench.
-        host_frame: function that returns, for a node number, identifier and payload of a frame that
-            only hosts send and that has no effect.
+        host_frame: function from a node number to the identifier and the payload of
+            a frame that only hosts send and that has no effect.
         corrupt_command: function that makes the command *disable* ineffective, for a faulty drive.
         corrupt_reply: function that changes a value in the reply to a read request, for a faulty
             drive.
         force_command: function that makes a drive follow a torque command in any state, for a
-            faulty drive. None if the protocol has none.
-        row: class of a node whose numbers are kept in a row of an array, for compiled kernels. None
-            if there is none.
+            faulty drive. None if the protocol has no such function.
+        row: class of a node whose numbers are kept in a row of an array, for compiled kernels.
+            None without such a class.
         node_kind: kind of node in compiled kernels, see ``cyclic_kernels.ReceiverStruct``.
     """
 

@@ -1,6 +1,7 @@
 """The sensor node.
 
-At each SYNC, the node samples the load cells and joint encoders, and sends their readings.
+When a SYNC frame arrives, the node samples the load cells and joint encoders, and sends their
+readings.
 
 Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
 
@@ -11,8 +12,9 @@ Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
     tension code     (tension + 6 N) / 0.0625 N, 0 and 4095 mean saturated
     joint code       2048 + angle / (2 pi rad / 4096), or 2048 + position / 50 um
 
-The identifiers of tension frames start at the base identifier, and those of joint frames at the
-base + 0x10. A frame with fewer than five channels has only as many bytes as its channels need.
+The identifiers of tension frames start at the base identifier. The identifiers of joint frames
+start at the base identifier + 0x10. A frame with fewer than five channels has only as many bytes as
+its channels need.
 Source: DBC of the hand, sensor_node.
 """
 
@@ -68,7 +70,7 @@ class SensorStruct(ctypes.Structure):
 @compiled("real", "real", "real", "count")
 def _encode_value(value: float, low: float, step: float, offset: int) -> int:
     """Return the 12-bit code of a value. The codes 0 and 4095 mean that the value is saturated."""
-    # In Python and in compiled code, round() rounds halves to even numbers.
+    # Both in Python and in compiled code, round() rounds halves to even numbers.
     return min(_MAX_CHANNEL_CODE, max(0, round((value - low) / step) + offset))
 
 
@@ -123,8 +125,8 @@ def read_cells(
     Args:
         true: true tension of each cell [N].
         bias: bias of each cell [N], which the kernel updates.
-        normal: random numbers with a normal distribution: first for the walk of each cell, then for
-            the noise of each cell.
+        normal: random numbers with a normal distribution: first one for the bias walk of each cell,
+            then one for the noise of each cell.
         drift: standard deviation of the bias walk since the last sample [N].
         noise: standard deviation of the noise of a reading [N].
         readings: reading of each cell [N], written by the kernel.
@@ -140,9 +142,9 @@ def read_cells(
 def drift_since(node: Any, t_ns: int) -> float:
     """Return the standard deviation of the bias walk since the last sample [N].
 
-    Store the time of this sample.
+    Store the time of the sample.
 
-    The standard deviation is ``bias_drift`` after 100 s.
+    After 100 s, the standard deviation of the bias is ``bias_drift``.
     """
     elapsed_s = (t_ns - node.sampled_ns) * 1e-9 if node.sampled_ns >= 0 else 0.0
     node.sampled_ns = t_ns
@@ -212,9 +214,9 @@ class SensorNode:
 
     Attributes:
         bias: present bias of each load cell [N].
-        cell_faults: function that changes the reading of a load cell, by channel.
-        joint_faults: function that changes the reading of a joint encoder, by channel.
-        suppressed: functions by the identifier of a frame. The function is called instead of
+        cell_faults: for each channel, the function that changes the reading of its load cell.
+        joint_faults: for each channel, the function that changes the reading of its joint encoder.
+        suppressed: functions by the identifier of a frame. Such a function is called instead of
             sending the frame.
         ids: set with the identifier of SYNC.
         malformed: number of SYNC frames of a wrong length.
@@ -237,7 +239,7 @@ class SensorNode:
         self._angles = angles
         self.tension_noise = spec.tension_noise
         self.bias_drift = spec.bias_drift
-        # A prismatic joint is encoded like an angle with the same code.
+        # A prismatic joint is encoded like the angle that has the same code.
         slides = [joint in spec.prismatic for joint in spec.joints]
         per_m = JOINT_STEP_RAD / JOINT_STEP_M
         noise = spec.travel_noise * per_m

@@ -1,4 +1,4 @@
 """The mechanics of the simulated hand.
 
-MuJoCo computes links and contacts. This package computes tendons and rotors.
+MuJoCo computes the links and the contacts. This package computes the tendons and the rotors.
 """

@@ -1,11 +1,12 @@
 """Kernels that advance tendons, rotors and servos by a step, in scalar arithmetic.
 
 In compiled kernels, tendons and rotors are rows of an array. In Python, they are objects in a list.
-The rows and the objects have the same attributes.
+Rows and objects have the same attributes.
 
 Tendon damping and Coulomb-like capstan friction rise too steeply with speed for an explicit step of
 the light links. Therefore the engine integrates the slope of both implicitly, as a damping of the
-tendon. The kernels then add the torque of this damping back, and only the exact friction remains.
+tendon. The kernels then add the torque of this damping to the links again, so that only the exact
+friction remains.
 """
 
 import math
@@ -92,10 +93,10 @@ def _elastic(tendon: Any, stretch: float) -> float:
 
 @kernel_helper
 def _secant(tendon: Any, tension_loss: float, tension_angle: float) -> float:
-    """Compute the friction of a tendon divided by the speed of the tendon [N s/m].
+    """Compute the friction of a tendon, divided by the speed of the tendon [N s/m].
 
-    The quotient (secant) is used instead of the tangent. With the tangent, friction would reverse
-    the motion of a light link.
+    The kernel uses this quotient (secant) instead of the tangent. With the tangent, friction would
+    reverse the motion of a light link.
 
     Args:
         tendon: the tendon with its present speed.
@@ -103,7 +104,7 @@ def _secant(tendon: Any, tension_loss: float, tension_angle: float) -> float:
         tension_angle: tension of the tendon times its wrap angle [N rad].
     """
     speed = abs(tendon.speed)
-    # Near rest, the quotient would be 0/0. Its limit is returned instead.
+    # Near rest, the quotient would be 0/0. The limit of the quotient is returned instead.
     if speed < 1e-3 * CAPSTAN_SPEED:
         return float(tension_angle * tendon.friction / CAPSTAN_SPEED)
     return float(tension_loss / speed)
@@ -126,9 +127,10 @@ def _cell_tension(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: A
 def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> None:
     """Add the joint torques of a taut tendon to ``torque`` [N m].
 
-    Set the slope of the tendon's friction.
+    Also set the slope of the friction of the tendon.
 
-    Friction reduces the tension at a pulley by the wrap angle up to and including this pulley.
+    Friction reduces the tension at a pulley. The wrap angle includes this pulley and all pulleys
+    before it.
     Source: MODEL, section 3.
     """
     tension = tendon.tension
@@ -165,8 +167,8 @@ def _apply_tendon(
     speed = 0.0
     for i in range(tendon.first, tendon.end):
         stretch -= _taken_up(arms, i, q[joints[i]])
-        # The stretch is the excursion of the spool minus those of the joints. A positive spool
-        # angle winds the tendon, a positive joint angle closes the digit.
+        # The stretch is the excursion of the spool minus the excursions of the joints. A positive
+        # spool angle winds the tendon, a positive joint angle closes the digit.
         speed += _arm_at(arms, i, q[joints[i]]) * dq[joints[i]]
     tension = 0.0
     if stretch > 0.0:
@@ -218,7 +220,7 @@ def limit_torque_by_speed(
 ) -> float:
     """Limit a torque command [N m] to the range from slope (-speed - omega) to slope (speed - omega).
 
-    In this range, omega is the velocity at the end of the step, as for the command of the servo.
+    Here omega is the velocity at the end of the step, as for the command of the servo.
 
     Args:
         rotor: the rotor.
@@ -234,8 +236,8 @@ def limit_torque_by_speed(
     sign = 1.0 if rotor.gain > 0.0 else -1.0
     mass = inertia + rotor.viscous
     push = inertia * rotor.omega + rotor.gain * (1.0 - rotor.lag) * rotor.torque - drag
-    # These are the solutions of limit = slope (+-speed - omega), with omega = (push + gain lag
-    # limit) / mass.
+    # The next values solve limit = slope (+-speed - omega) with omega = (push + gain lag limit) /
+    # mass.
     scale = mass + slope * abs(rotor.gain) * rotor.lag
     highest = (slope * speed * mass - sign * slope * push) / scale
     lowest = (-slope * speed * mass - sign * slope * push) / scale
@@ -249,9 +251,9 @@ def limit_torque_by_speed(
 def compute_command(rotor: Any) -> None:
     """Compute the limited torque command [N m] of the servo, from the velocity at the end of the step.
 
-    The control loop of a real drive runs at 10 to 20 kHz. With the implicit form, all gains that
-    are stable in the drive are stable here. If a drive moves its position setpoint by itself, the
-    setpoint first moves to its value at the end of the step.
+    The control loop of a real drive runs at 10 to 20 kHz. Because of the implicit form, all gains
+    that are stable in the drive are stable here. If a drive moves its position setpoint by itself,
+    the setpoint first moves to its value at the end of the step.
     """
     servo = rotor.servo_row
     lag = rotor.lag
@@ -351,7 +353,7 @@ def step_drivetrain(
         dq: joint velocities [rad/s].
         torque: joint torques, written by the kernel [N m].
         damping: damping of each tendon, written by the kernel [N s/m].
-        all_rotors: True to step all rotors. If it is False, the rotors with ``steps_alone`` are
+        all_rotors: True to step all rotors. If False, the rotors with ``steps_alone`` are
             left out.
     """
     for i in range(len(torque)):
@@ -360,8 +362,8 @@ def step_drivetrain(
         rotors[i].load = 0.0
     for i in range(len(tendons)):
         tendon = tendons[i]
-        # Two antagonistic tendons on one spool pull against each other, so their loads have
-        # opposite signs.
+        # Two antagonistic tendons on one spool pull against each other. The loads of the two
+        # tendons therefore have opposite signs.
         _apply_tendon(tendon, joints, arms, rotors[tendon.motor], q, dq, torque)
         _compensate_damping(tendon, joints, arms, dq, torque)
         damping[i] = tendon.slope
@@ -395,7 +397,7 @@ def _steps(
         data: address of the second argument of the step function.
 
     Returns:
-        Number of completed steps. The number is less than ``count`` if the plant has diverged, and
+        Number of completed steps. This number is less than ``count`` if the plant has diverged, and
         0 if a motor has a fault.
     """
     for i in range(len(rotors)):
@@ -405,7 +407,7 @@ def _steps(
         speeds = 0.0
         for speed in dq:
             speeds += speed
-        if not abs(speeds) < DIVERGED_RAD_S:  # also true if the sum is NaN
+        if not abs(speeds) < DIVERGED_RAD_S:  # this condition is also true if the sum is NaN
             return done
         step_drivetrain(tendons, joints, arms, rotors, q, dq, torque, damping, True)
         # mj_step of the engine reads and writes q, dq, torque and damping in place.

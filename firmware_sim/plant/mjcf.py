@@ -73,10 +73,10 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     """Build the model of a hand and a scene as MJCF text.
 
     Joints have the order of the hand. The hand's joints are the first entries of qpos and qvel, and
-    the free joint of the object follows. Contacts are softer than in MODEL, section 6. With the
-    solref of 0.002 given there, the penetration in a grasp is less than the error of the collision
-    detector. With so small a penetration, contacts would vanish for single steps. Source of the
-    other settings: MODEL, section 6.
+    the free joint of the object follows. The contacts are softer than in section 6 of MODEL. With
+    the solref of 0.002 given there, the penetration in a grasp is less than the error of the
+    collision detector. Contacts with such a small penetration would vanish for single steps. Source
+    of the other settings: MODEL, section 6.
 
     Args:
         hand: the hand.
@@ -109,7 +109,7 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 
 def opposed_digits(hand: Hand) -> list[bool]:
     """Return True for each digit that closes against the first closing digit, as the thumb does."""
-    first = _closing_direction(hand, hand.closing[0])
+    first = _closing_direction(hand, hand.closing_digits[0])
     return [float(first @ _closing_direction(hand, digit)) < 0.0 for digit in hand.digits]
 
 
@@ -232,7 +232,7 @@ def _hidden_if(has_mesh: bool) -> str:
 
 
 def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
-    """Return True for each link of a digit that overlaps at rest with the palm or the carrying link.
+    """Return True for each link of a digit that overlaps with the palm or the carrying link when the digit is at rest.
 
     Such links are hinged close to the palm. The model excludes their collisions with the palm.
     """
@@ -292,8 +292,8 @@ def _digit_element(
 def _digit_bits(opposed: bool, near_palm: bool) -> tuple[int, int]:
     """Return collision category and affinity of a link.
 
-    All links of a digit touch the object and the opposed digits. Only links away from the palm
-    touch the palm.
+    All links of a digit touch the object and the opposed digits. Only links hinged away
+    from the palm touch the palm.
     """
     category, opposite = (OPPOSED_BIT, FINGER_BIT) if opposed else (FINGER_BIT, OPPOSED_BIT)
     return category, OBJECT_BIT | opposite | (0 if near_palm else PALM_BIT)
@@ -349,9 +349,10 @@ def _tendon_element(tendon: TendonSpec) -> str:
 def _loopbacks(hand: Hand, digit: Digit) -> dict[str, str]:
     """Build the loopback tendons that hold the joints of a digit with spool pairs to its coupling B.
 
-    Such a digit has no springs, and its pairs alone leave coupled joints free to turn against each
-    other. In a real hand a loopback tendon or a bar couples them. A combination c of the joint
-    angles is constant if B^T c = 0. Each c becomes a tendon, and ``_equality`` keeps its length.
+    Such a digit has no springs. With the spool pairs alone, coupled joints could turn against each
+    other. In a real hand, a loopback tendon or a bar couples these joints. A combination c of the
+    joint angles is constant if B^T c = 0. Each c becomes a tendon, and ``_equality`` keeps its
+    length.
 
     Returns:
         The tendons by name. In the model they come after those of ``Hand.every_tendon``.
@@ -372,7 +373,10 @@ def _loopbacks(hand: Hand, digit: Digit) -> dict[str, str]:
 
 
 def _equality(loopbacks: Iterable[str]) -> str:
-    """Build the constraints that keep the lengths of loopback tendons, an empty text without any."""
+    """Build the constraints that keep the lengths of loopback tendons.
+
+    Without such tendons, the text is empty.
+    """
     constraints = "".join(f'<tendon tendon1="{name}" {COUPLING_STIFFNESS}/>' for name in loopbacks)
     return f"<equality>{constraints}</equality>\n" if constraints else ""
 

@@ -1,8 +1,8 @@
 """A motor: the rotor at the spool and the servo of the drive, integrated with the step of the plant.
 
 The control loop of a real drive (10 to 20 kHz) is faster than the step of the plant. The simulation
-integrates the loop implicitly. Gains that are stable in the drive are thus stable in the
-simulation, without sub-steps.
+integrates the loop implicitly. Because of this, gains that are stable in the drive are stable in
+the simulation, without sub-steps.
 """
 
 import math
@@ -49,7 +49,8 @@ class Motor:
         viscous: viscous friction of the rotor [N m s/rad].
         coulomb: Coulomb friction of the rotor [N m].
         gain: true torque divided by the torque that the drive derives from its current.
-        top_speed: speed of the motor without load [rad/s], 0 for a motor without a speed limit.
+        top_speed: speed of the motor without load [rad/s], 0 for a motor without a speed
+            limit.
         stall_torque: torque at standstill if only the supply voltage limited it [N m].
         step: time step of the plant [s].
         lag: fraction by which the current approaches its command in one step.
@@ -62,8 +63,9 @@ class Motor:
         impedance: inertia divided by the step, plus the slope of the friction [N m s/rad].
         steps_alone: True if the rotor is stepped by Python and not by ``step_drivetrain``.
         number: row of the rotor among all rotors of a hand.
-        encoder_fault: function that changes the measured angle [rad], None without a fault.
-        power_stage_fault: function that changes the torque command [N m], None without a fault.
+        encoder_fault: function that changes the measured angle [rad]. None without a fault.
+        power_stage_fault: function that changes the torque command [N m]. None without a
+            fault.
         faulty: True if the encoder or the power stage has a fault.
     """
 
@@ -100,7 +102,7 @@ class Motor:
 
     @property
     def encoder_fault(self) -> Callable[[float], float] | None:
-        """Return the function that changes the measured angle, None without a fault."""
+        """Return the function that changes the measured angle. None without a fault."""
         return self._encoder_fault
 
     @encoder_fault.setter
@@ -110,7 +112,7 @@ class Motor:
 
     @property
     def power_stage_fault(self) -> Callable[[float], float] | None:
-        """Return the function that changes the torque command, None without a fault."""
+        """Return the function that changes the torque command. None without a fault."""
         return self._power_stage_fault
 
     @power_stage_fault.setter

@@ -43,9 +43,9 @@ class Plant:
         engine: rigid bodies and contacts.
         motors: rotors by motor name.
         tendons: each tendon with the winding rotor, in the order of ``Hand.every_tendon``.
-        table: table under the object, None in a scene without support.
-        load: force on the object that grows with time, None in most scenes.
-        stages: events after the grasp, None in most scenes.
+        table: table under the object. None in a scene without a support.
+        load: force on the object that grows with time. None in most scenes.
+        stages: events after the grasp. None in most scenes.
         stage: index of the present stage, -1 before the first stage.
         sampled: arguments for kernels that sample the plant: arrays of the drivetrain, joint angles
             [rad], joint velocities [rad/s], and an array in which tensions are written [N].
@@ -63,8 +63,8 @@ class Plant:
             scene: description of object, support and later events.
             seed: seed of the tendons' slack.
             homed: True to start with taut tendons.
-            compiled: True to use compiled kernels. With False, the start is one second faster, but
-                each step is slower.
+            compiled: True to use compiled kernels. If False, the start is one second faster,
+                but each step is slower.
 
         Raises:
             SimulatorError: the engine does not accept the hand, a tendon names an unknown motor or joint, or the
@@ -85,8 +85,8 @@ class Plant:
             self._rotors, rotors = motor_rows(hand.motors, STEP_S)
         else:
             self._rotors = rotors = [Motor(motor, STEP_S) for motor in hand.motors]
-        # The dict gives the index of the second tendon of each spool pair by the index of the first
-        # tendon.
+        # The dict has the index of the first tendon of each spool pair as its key, and the index of
+        # the second tendon as its value.
         firsts = [i for i, spec in enumerate(hand.tendons) if spec.pretension]
         self._antagonist = {i: len(hand.tendons) + place for place, i in enumerate(firsts)}
         self.motors = {
@@ -123,7 +123,7 @@ class Plant:
     def _check_overlaps(self) -> None:
         """Refuse an object that overlaps the open hand.
 
-        Contact forces would throw hand and object apart.
+        Otherwise contact forces would throw the hand and the object apart.
         """
         overlaps = {
             name: depth
@@ -163,7 +163,7 @@ class Plant:
         With compiled kernels, the table reads the contact forces in the memory of the engine.
         """
         hand = self.hand
-        closing = [i for i, digit in enumerate(hand.digits) if digit in hand.closing]
+        closing = [i for i, digit in enumerate(hand.digits) if digit in hand.closing_digits]
         opposed = [opposed_digits(hand)[i] for i in closing]
         if not compiled:
             return SupportTable(support, opposed, [3 * i for i in closing])
@@ -202,7 +202,7 @@ class Plant:
     def advance(self, count: int) -> None:
         """Run a number of steps of the plant.
 
-        A divided step is completed first and counts as one step.
+        A divided step is completed first. A divided step counts as one step.
 
         Args:
             count: number of steps.
@@ -215,7 +215,7 @@ class Plant:
             block = 1 if self.part_ns else min(count, self._free_steps())
             self._run_steps(block)
             count -= block
-            # Table and load act only between two steps, never within a step.
+            # The table and the load act only between two steps, never within a step.
             if (
                 self.table
                 and self.steps % TABLE_UPDATE_STEPS == 0
@@ -266,14 +266,16 @@ class Plant:
         return TABLE_UPDATE_STEPS - self.steps % TABLE_UPDATE_STEPS if table_active else 1 << 30
 
     def _table_can_act(self, table: SupportTable) -> bool:
-        """Check whether the table, or a stage after the table has sunk, can still change the plant."""
+        """Return True if the table, or a stage after the table has sunk, can still change the plant."""
         return bool(self.stages) or not table.settled
 
     def _run_steps(self, count: int) -> None:
-        """Run steps of the plant. Without faulty motors, a single kernel call runs all steps."""
+        """Run steps of the plant.
+
+        If no motor is faulty, a single call of the kernel runs all steps.
+        """
         if self.part_ns:
-            # The divided step is completed first, so that later steps start at multiples of
-            # STEP_NS.
+            # A divided step is completed first, so that later steps start at multiples of STEP_NS.
             self._run_step_of_duration(STEP_NS - self.part_ns)
             self.part_ns = 0
             self.steps += 1
@@ -304,7 +306,7 @@ class Plant:
         q, dq, torque, damping = self._bodies or self._joint_lists()
         if (
             not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGED_RAD_S
-        ):  # also true if the sum is NaN
+        ):  # this condition is also true if the sum is NaN
             raise self._divergence_error()
         if faulty_motors:
             for motor in self._rotors:
@@ -318,7 +320,7 @@ class Plant:
         engine.step()
 
     def _joint_lists(self) -> tuple[list[float], list[float], list[float], list[float]]:
-        """List joint angles and velocities, and make lists for torques and tendon damping, for kernels in Python."""
+        """List joint angles and velocities, and make lists for torques and tendon damping, for Python kernels."""
         q = self.engine.q.tolist()
         dq = self.engine.dq.tolist()
         return q, dq, [0.0] * len(q), [0.0] * len(self.tendons)
@@ -362,8 +364,8 @@ class Plant:
         """Compute the present tension of each tendon at its load cell.
 
         Returns:
-            Tensions, shape (tendons,) [N]. The array belongs to the plant, and is overwritten in
-            the next call.
+            Tensions, shape (tendons,) [N]. The array belongs to the plant. The next call overwrites
+            it.
         """
         q, dq, *_ = self._bodies or self._joint_lists()
         self._kernels.tensions(*self._drivetrain, q, dq, self._tensions)
@@ -372,7 +374,7 @@ class Plant:
     def tensions(self) -> list[float]:
         """Return the present tension of each tendon at its load cell [N].
 
-        A spool pair has a single value, the net tension.
+        A spool pair has a single value: its net tension.
         """
         single = self.cells().tolist()
         net = [float(tension) for tension in single[: len(self.hand.tendons)]]

@@ -31,7 +31,7 @@ def perturbed_hand(hand: Hand, factors: dict[str, float]) -> Hand:
     """Multiply the plant parameters of a hand by factors.
 
     Args:
-        hand: hand as described by its file.
+        hand: description of the hand from its file.
         factors: factors by key of ``PERTURBATION_KEYS``. The value of ``bias`` is not a factor but an offset
             [N].
 

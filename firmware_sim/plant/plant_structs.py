@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass
 class Servo:
-    """Setpoints and gains of a drive's servo, with the sign of the hand: a positive torque winds.
+    """Setpoints and gains of the servo of a drive, with the sign of the hand: a positive torque winds the tendon up.
 
     The torque of the servo is kp (position - theta) + kd (velocity - omega) + torque, within
     +-limit.
@@ -22,8 +22,8 @@ class Servo:
         torque: feedforward torque [N m].
         limit: torque limit of the drive [N m].
         speed_limit: speed above which the drive brakes [rad/s].
-        speed_gain: braking torque per speed above ``speed_limit`` [N m s/rad], 0 for no speed
-            limit.
+        speed_gain: braking torque per speed above ``speed_limit`` [N m s/rad], 0 if there is
+            no speed limit.
         target_speed: speed with which the drive moves the position setpoint by itself [rad/s].
     """
 

@@ -14,7 +14,7 @@ from firmware_sim.plant.mjcf import MAX_CONTACTS
 class RigidBodyEngine:
     """The rigid bodies of hand and scene with their joints, springs, stops and contacts.
 
-    All attributes that are arrays are views into MuJoCo's memory.
+    All attributes that are arrays are views of MuJoCo's memory.
 
     Attributes:
         step: function that advances the engine by one step.
@@ -43,8 +43,8 @@ class RigidBodyEngine:
         n = joint_count
         self.step: Callable[[], None] = lambda: mujoco.mj_step(model, data)
         self.native = _native_step(model, data)
-        # These arrays are views into MuJoCo's memory. The views are valid as long as the data
-        # object exists.
+        # These arrays are views of MuJoCo's memory. A view is valid as long as the data object
+        # exists.
         self.q: Any = data.qpos[:n]
         self.dq: Any = data.qvel[:n]
         self.applied: Any = data.qfrc_applied[:n]
@@ -72,7 +72,7 @@ class RigidBodyEngine:
         data.mocap_pos[:] = self._data.mocap_pos
 
     def object_speed(self) -> float:
-        """Return the speed of the object's centre [m/s], 0 without an object."""
+        """Return the speed of the centre of the object [m/s]. Without an object, it is 0."""
         return float(np.linalg.norm(self._object_velocity[:3])) if self.has_object else 0.0
 
     def forces_on(self, sensor_kind: str, digits: list[str]) -> Callable[[], list[float]]:
@@ -83,8 +83,8 @@ class RigidBodyEngine:
             digits: names of the digits.
 
         Returns:
-            Function without arguments. The result of the function lists the components x, y, z of
-            each digit's force in the palm frame, digit by digit.
+            Function without arguments. The result of the function lists the force on each digit in
+            the palm frame: x, y, z of one digit after the other.
         """
         index = np.array(
             [
@@ -94,14 +94,14 @@ class RigidBodyEngine:
             ]
         )
         data = self._data.sensordata
-        # The sensor gives the force that the first body (the digit) exerts on the second. Therefore
-        # the sign is changed.
+        # The sensor gives the force that the first body (the digit) exerts on the second. The sign
+        # is therefore changed.
         return lambda: (-data[index]).tolist()  # type: ignore[no-any-return,unused-ignore]
 
     def force_indices(self, sensor_kind: str, digits: list[str]) -> list[int]:
-        """Return the index in ``sensed`` of each digit's force.
+        """Return the index in ``sensed`` at which the force of each digit begins.
 
-        The values in ``sensed`` have the opposite sign. See ``forces_on``.
+        The forces in ``sensed`` have the opposite sign. See ``forces_on``.
         """
         return [self._sensor_index(f"{sensor_kind}/{digit}") for digit in digits]
 
@@ -115,7 +115,7 @@ class RigidBodyEngine:
         return lambda: np.abs(data[index]).sum(axis=1).tolist()  # type: ignore[no-any-return,unused-ignore]
 
     def _sensor_index(self, name: str) -> int:
-        """Return the index in ``sensed`` of a sensor's first value."""
+        """Return the index in ``sensed`` at which the values of a sensor begin."""
         return int(self._model.sensor_adr[self._model.sensor(name).id])
 
     def set_timestep(self, step_s: float) -> None:
@@ -137,9 +137,9 @@ class RigidBodyEngine:
         return release
 
     def overlaps(self) -> dict[str, float]:
-        """Return the depth of overlap of the object with each touched body [m], by body name.
+        """Return how deep the object overlaps with each body that it touches [m], by the name of the body.
 
-        The table is left out.
+        The table is not included.
         """
         model = self._model
         depths: dict[str, float] = {}

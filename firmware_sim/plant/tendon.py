@@ -1,4 +1,4 @@
-"""An elastic tendon that pulls but never pushes, with friction on the passed pulleys."""
+"""An elastic tendon that pulls but never pushes, with friction on the pulleys that it passes."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -34,14 +34,15 @@ class Tendon:
 
     Attributes:
         tension: tension at the load cell, between spool and first pulley, in the last step [N].
-        speed: speed of the tendon towards the spool in the last step [m/s]. It is positive when the
-            digit closes.
+        speed: speed of the tendon towards the spool in the last step [m/s]. The value is positive
+            when the digit closes.
         slope: damping plus friction divided by speed, for the implicit integrator [N s/m].
         extra_length: length of the tendon beyond the length in its description [m].
-        radius: radius of the spool [m], negative if a positive spool angle pays the tendon out.
+        radius: radius of the spool [m], negative if a positive spool angle pays the tendon
+            out.
         stiffness: stiffness of the tendon at tensions below the knee [N/m].
         after_knee: stiffness of the tendon at tensions far above the knee [N/m].
-        knee: highest tension at which the tendon is linear [N].
+        knee: highest tension at which the stiffness is constant [N].
         knee_stretch: stretch of the tendon at the knee [m].
         knee_width: width of the transition at the knee, as a stretch [m].
         damping: viscous damping of the tendon [N s/m].
@@ -61,10 +62,10 @@ class Tendon:
         Args:
             spec: description of the tendon.
             motor: row of the rotor that winds the tendon.
-            spool_radius: radius of the spool [m].
+            spool_radius: radius of the spool that winds the tendon [m].
         """
         self.tension = self.speed = self.slope = 0.0
-        # The pretension of a spool pair is below the knee, so the tendon is linear there.
+        # The pretension of a spool pair is below the knee, so the stiffness is constant there.
         self.extra_length = -spec.pretension / spec.stiffness if spec.pretension else 0.0
         self.motor = motor
         self.radius = spec.winding * spool_radius
@@ -103,8 +104,8 @@ class TendonRouting:
 
     Attributes:
         tendons: the tendons.
-        rows: array with a row for each tendon, for compiled kernels. Without compiled kernels, it
-            is the list ``tendons``.
+        rows: array with a row for each tendon, for compiled kernels. Without compiled kernels, the
+            attribute is the list ``tendons``.
         joints: joint index of each pulley, tendon by tendon, as an array or a list.
         arms: ``PULLEY_NUMBER_COUNT`` numbers of each pulley, as an array or a list.
     """
@@ -133,7 +134,7 @@ class TendonRouting:
             motor = motors.index(spec.motor)
             tendon.describe(spec, motor, radii[motor])
             tendon.first = len(path)
-            # At a joint with moment arm 0 the tendon passes through the axis, so there is no
+            # At a joint with a moment arm of 0, the tendon passes through the axis, without a
             # pulley.
             passed = [name for name, arm in spec.arms.items() if arm]
             path += [(joints.index(name), _pulley_numbers(spec, name)) for name in passed]

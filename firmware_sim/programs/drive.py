@@ -74,7 +74,7 @@ class SimulatedDriveBench:
         nodes: nodes in the order of the drive descriptions.
         slip_ns: time lost by slips of the clock [ns].
         part_ns: completed part of the step in progress [ns].
-        faults: faults that are injected while the bench runs.
+        faults: faults injected while the bench runs.
     """
 
     def __init__(self, specs: list[MotorSpec], origin_ns: int = 0, fault: str = "") -> None:
@@ -83,8 +83,7 @@ class SimulatedDriveBench:
         Args:
             specs: descriptions of the drives.
             origin_ns: time of the clock at the start [ns].
-            fault: deliberate fault of all drives, a key of ``faulty_drive.DRIVE_FAULTS``, empty for no
-                fault.
+            fault: deliberate fault of all drives, as a key of ``faulty_drive.DRIVE_FAULTS``, empty for no fault.
         """
         self.t_ns = origin_ns
         self.slip_ns = 0
@@ -139,7 +138,7 @@ class SimulatedDriveBench:
     def reach(self, t_ns: int) -> None:
         """Advance the drives to exactly ``t_ns``.
 
-        A step may be divided. The next call completes the step.
+        This may divide a step. The next call then completes the step.
         """
         self.advance(t_ns)
         rest_ns = t_ns - self.t_ns

@@ -1,4 +1,4 @@
-"""Drives as delivered: with the manufacturer's identifiers, ranges and timing, and with a free shaft."""
+"""Drives as delivered: with the identifiers, ranges and timing of the manufacturer, and with a free shaft."""
 
 from firmware_sim.hand_description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS, cubemars
@@ -34,13 +34,13 @@ def drive_spec(
     """Build the description of a drive with a free shaft.
 
     Args:
-        protocol: key of ``nodes.PROTOCOL_SPECS``. With ``mit`` and a CubeMars motor type, the protocol
-            is cubemars.
+        protocol: key of ``nodes.PROTOCOL_SPECS``. If the protocol is ``mit`` and the motor type is
+            one of CubeMars, the drive has the protocol cubemars.
         node_id: node number of the drive.
-        motor_type: motor type of the protocol, such as a key of ``MIT_TYPES``. Empty for the
-            protocol's default.
+        motor_type: motor type of the protocol, such as a key of ``MIT_TYPES``, empty for the
+            default of the protocol.
         fd: True for an MIT motor that is set to CAN FD.
-        inertia: inertia of the shaft [kg m2], None for the default of the motor type.
+        inertia: inertia of the shaft [kg m2]. None for the default of the motor type.
         firmware: firmware version of an ODrive, 0.6 or 0.5. Other drives ignore it.
 
     Raises:

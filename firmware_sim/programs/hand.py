@@ -172,7 +172,7 @@ def _serve_hand(
 
     until_signal(stop)
     gc.collect()
-    gc.freeze()  # from now on, the garbage collector skips loaded modules
+    gc.freeze()  # from now on, the garbage collector skips the modules that are loaded
     print(ready_line, flush=True)
     try:
         server.run()

@@ -42,9 +42,9 @@ class SinkingTable:
         drop_force: minimum contact force with which a digit counts as holding the object [N].
         drop_hold: time for which the digits must hold the object before the table sinks [s].
         drop_digits: number of digits that must hold the object. If the hand has fewer digits, all
-            of them must.
+            of its digits must hold the object.
         drop_opposed: True if one of these digits must close against the others, as the thumb does.
-        sink_speed: speed with which the table sinks [m/s].
+        sink_speed: speed of the sinking table [m/s].
         sink_depth: depth below the initial position at which the table stops [m].
     """
 
@@ -59,12 +59,12 @@ class SinkingTable:
 
 @dataclass(frozen=True, slots=True)
 class GrowingLoad:
-    """A force at the object's centre that grows until the grasp fails.
+    """A force at the centre of the object that grows until the grasp fails.
 
     Attributes:
         direction: unit vector of the force in the palm frame.
         start: time after power-up at which the force starts [s].
-        rate: rate at which the force grows [N/s].
+        rate: growth rate of the force [N/s].
     """
 
     direction: tuple[float, float, float]
@@ -80,7 +80,7 @@ class GrowingLoad:
 class Scene:
     """The surroundings of a hand: an object with its support and load, and the stages after the grasp.
 
-    The scene of a free hand has no object, support, load or stage.
+    The scene of a free hand contains no object, support, load or stage.
     """
 
     name: str
@@ -91,7 +91,7 @@ class Scene:
 
 
 def packaged_scenes() -> list[str]:
-    """List the names of the scenes that are packaged with the simulator."""
+    """List the names of the scenes packaged with the simulator."""
     folder = importlib.resources.files("firmware_sim") / "scenes"
     return sorted(
         item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")
@@ -123,7 +123,10 @@ def load_scene(text: str | None) -> Scene:
 
 
 def _resized_scene(scene: Scene, millimetres: str, text: str) -> Scene:
-    """Return the scene with another diameter of the object, and with the same gap between object and palm."""
+    """Return the scene with another diameter of the object.
+
+    The gap between object and palm stays the same.
+    """
     try:
         diameter = float(millimetres) * 1e-3
     except ValueError:

@@ -20,13 +20,15 @@ class SceneStage:
     stage ends.
 
     Attributes:
-        down: unit vector of gravity in the palm frame after the turn, None to keep the direction.
+        down: unit vector of gravity in the palm frame after the turn. If None, the direction
+            stays the same.
         turn: duration of the turn of gravity to the new direction [s].
         duration: duration of the rest of the stage, after the turn [s].
         push: force at the centre of the object in the palm frame [N].
         push_at: time from the end of the turn to the start of the push [s].
         push_duration: duration of the push [s].
-        friction: sliding friction coefficient after the turn, None to keep the coefficient.
+        friction: sliding friction coefficient after the turn. If None, the coefficient stays
+            the same.
     """
 
     down: Vector | None
@@ -74,10 +76,11 @@ class SceneState:
     """State of a scene with stages at one time.
 
     Attributes:
-        stage: index of the present stage, -1 for a scene without stages.
+        stage: index of the present stage, -1 in a scene without stages.
         gravity: acceleration of gravity in the palm frame [m/s2].
         push: force at the centre of the object in the palm frame [N].
-        friction: sliding friction coefficient, None for the one in the scene file.
+        friction: sliding friction coefficient. If None, the coefficient of the scene file
+            applies.
     """
 
     stage: int
@@ -107,7 +110,7 @@ class StageSequence:
     def state_at(self, time: float) -> SceneState:
         """Return the state at a time since the table started to sink [s].
 
-        After the last stage, its final state remains.
+        After the last stage, its final state stays.
         """
         start = 0.0
         gravity = self._gravity
@@ -144,7 +147,7 @@ def _turned_vector(start: Vector, end: Vector, fraction: float) -> Vector:
 
     Args:
         start: vector at fraction 0.
-        end: vector at fraction 1. The result has the length of this vector.
+        end: vector at fraction 1. The result has the length of the first vector.
         fraction: fraction of the way from ``start`` to ``end``, 0 to 1.
     """
     mixed = tuple(a + (b - a) * fraction for a, b in zip(start, end, strict=True))

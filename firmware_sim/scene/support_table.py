@@ -1,4 +1,4 @@
-"""The table under the object. It sinks once the hand holds the object."""
+"""The table under the object. The table sinks once the hand holds the object."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -16,10 +16,12 @@ def grasped(
     """Check whether enough digits press on the object and, if required, from both sides.
 
     Args:
-        forces: array that holds x, y, z of the contact force on each digit [N] among other values.
+        forces: array that contains x, y, z of the contact force on each digit [N], among other
+            values.
         indices: index of the first value of each digit, shape (digits,).
-        opposed: 1 for each digit that closes against the first digit, otherwise 0, shape (digits,).
-        min_force_squared: square of the minimum force of a pressing digit [N2].
+        opposed: 1 for each digit that closes against the first digit, and 0 for the others, shape
+            (digits,).
+        min_force_squared: square of the smallest force with which a digit counts as pressing [N2].
         digits: number of digits that must press.
         both_sides: True if digits on both sides of the object must press.
     """
@@ -33,7 +35,7 @@ def grasped(
             pressing += 1
             opposing += opposed[i]
     # If both sides are required, at least one pressing digit must be opposed, and at least one must
-    # not.
+    # not be opposed.
     return pressing >= digits and (not both_sides or 0 < opposing < pressing)
 
 
@@ -42,7 +44,7 @@ class SupportTable:
 
     Attributes:
         depth: depth of the table below its initial position [m].
-        dropped_at: plant time at which the table started to sink [s], None before.
+        dropped_at: plant time when the table started to sink [s]. None before this time.
     """
 
     def __init__(
@@ -57,10 +59,10 @@ class SupportTable:
         Args:
             support: description of the table in the scene.
             opposed: True for each digit that closes against the first digit.
-            indices: index of each digit's first value among the forces. By default, the forces are
-                three values for each digit, one digit after the other.
-            kernels: compiled kernels of this module, for forces in an array. None to use the Python
-                functions.
+            indices: index at which the force of each digit begins. By default, the forces are three
+                values for each digit, one digit after the other.
+            kernels: compiled kernels of this module, for forces in an array. If None, the
+                Python functions are used.
         """
         self._support = support
         starts = list(indices) or list(range(0, 3 * len(opposed), 3))
@@ -91,7 +93,7 @@ class SupportTable:
             forces: x, y, z of the contact force on each digit [N], in one list or array.
 
         Returns:
-            Depth of the table below its initial position [m].
+            The depth of the table below its initial position [m].
         """
         if self.dropped_at is None:
             self._check_grasp(time, forces)

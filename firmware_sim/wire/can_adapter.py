@@ -1,9 +1,9 @@
 """Latency of a CAN adapter, which connects a host to the CAN controller on the wire.
 
-A USB host transfers data only at the start of a USB frame: once per millisecond for a full-speed
-device, once per 125 us for a high-speed device. In both directions, a CAN frame waits for the start
-of the next USB frame. A serial bus inside an adapter transfers one CAN frame after the other.
-Source of the USB times: USB 2.0 specification, 5.3.3 (frames and microframes).
+A USB host transfers data only at the start of a USB frame. A USB frame starts every 1 ms for a
+full-speed device, and every 125 us for a high-speed device. In both directions, a CAN frame waits
+for the start of the next USB frame. A serial bus inside an adapter transfers one CAN frame after
+the other. Source of the USB times: USB 2.0 specification, 5.3.3 (frames and microframes).
 """
 
 import random
@@ -20,8 +20,9 @@ class AdapterClass(NamedTuple):
     """A class of CAN adapters with similar latency.
 
     Attributes:
-        send_period_ns: period at which frames leave the host [ns], 0 for no wait.
-        receive_ns: period at which received frames reach the host [ns], 0 for no wait.
+        send_period_ns: period of frames that leave the host [ns], 0 if they do not wait.
+        receive_ns: period of received frames that reach the host [ns], 0 if they do not
+            wait.
         frame_ns: duration of a frame on a serial bus inside the adapter, in either direction [ns].
         text: description of the class with examples.
     """
@@ -71,14 +72,14 @@ class AdapterLatency:
         self._sent_ns = self._received_ns = 0
 
     def send(self, t_ns: int) -> int:
-        """Return the time of arrival at the controller for a frame sent now by the host [ns]."""
+        """Return the time when a frame that the host sends now arrives at the controller [ns]."""
         adapter = self._adapter
         at_ns = self._next_start(t_ns, adapter.send_period_ns)
         self._sent_ns = max(at_ns, self._sent_ns) + adapter.frame_ns
         return self._sent_ns
 
     def receive(self, t_ns: int) -> int:
-        """Return the time of arrival at the host for a frame received now by the controller [ns]."""
+        """Return the time when a frame that the controller receives now arrives at the host [ns]."""
         adapter = self._adapter
         at_ns = self._next_start(t_ns, adapter.receive_ns)
         self._received_ns = max(at_ns, self._received_ns) + adapter.frame_ns

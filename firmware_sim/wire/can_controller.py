@@ -76,10 +76,11 @@ class CanController:
         tx_errors: value of the transmit error counter.
         rx_errors: value of the receive error counter.
         state: error state of the controller.
-        refused: number of frames refused because the queue was full or the controller off the bus.
+        refused: number of frames that were refused because the queue was full or the controller was
+            off the bus.
         sent: number of frames sent successfully.
-        on_receive: function called with each received frame and its time [ns], also with error
-            frames of the controller. None to ignore received frames.
+        on_receive: function that is called with each received frame and its time [ns], and with
+            error frames of the controller. None to ignore received frames.
         retry_ns: earliest time of the next transmission [ns]. An error-passive sender must wait for
             other senders.
     """
@@ -106,7 +107,7 @@ class CanController:
 
     @property
     def on_bus(self) -> bool:
-        """Return True if the controller is on the bus, and not in the state bus-off."""
+        """Return True if the controller is on the bus, which means that it is not in the state bus-off."""
         return self.state != CanErrorState.BUS_OFF
 
     def offer(self, frame: Frame, t_ns: int) -> bool:
@@ -147,8 +148,8 @@ class CanController:
     def deliver(self, frame: Frame, t_ns: int) -> None:
         """Count a frame of another controller as received, and pass it to the owner."""
         if self.rx_errors:
-            # According to ISO 11898-1, a received frame lowers the counter of a passive receiver to
-            # below the passive level, and any other counter by one.
+            # According to ISO 11898-1, a received frame lowers the error counter. The counter of a
+            # passive receiver falls below the passive level, and any other counter falls by one.
             self.rx_errors = min(self.rx_errors, PASSIVE_ERROR_COUNT) - 1
             self._update_error_state(t_ns)
         if self.on_receive:
@@ -157,8 +158,8 @@ class CanController:
     def count_unacknowledged(self, t_ns: int) -> None:
         """Count a transmit error, because no controller has acknowledged the frame.
 
-        The counter of an error-passive sender does not change. A controller that is alone on a bus
-        thus never goes off the bus.
+        The counter of an error-passive sender does not change. So a controller that is alone on a
+        bus never goes off the bus.
         """
         if self.state < CanErrorState.PASSIVE:
             self.tx_errors += TX_ERROR_INCREMENT

@@ -2,10 +2,10 @@
 
 Source: ISO 11898-1:2015, frame formats and bit stuffing.
 
-In a classical frame, stuff bits are inserted into start of frame, identifier, RTR, IDE, reserved
-bit, DLC, data and CRC, but not into the tail. In an FD frame, stuff bits are inserted up to the
-data in the same way. Stuff count and CRC of an FD frame have fixed stuff bits, one before every
-four bits.
+In a classical frame, stuff bits are inserted into all fields from start of frame to CRC (start of
+frame, identifier, RTR, IDE, reserved bit, DLC, data, CRC), but not into the tail. In an FD frame,
+stuff bits are inserted up to the data in the same way. The stuff count and the CRC of an FD frame
+have fixed stuff bits: one before every four bits.
 """
 
 from dataclasses import dataclass
@@ -32,10 +32,10 @@ class BitRates:
 
     Attributes:
         nominal: bit rate of the arbitration and of classical frames [bit/s].
-        data: bit rate in the data phase of FD frames with bit-rate switch [bit/s], 0 for a bus
-            without CAN FD.
-        actual: True to count the actual stuff bits of each frame. False to count the maximum for
-            the frame's length.
+        data: bit rate in the data phase of FD frames with bit-rate switch [bit/s], 0 for a
+            bus without CAN FD.
+        actual: True to count the actual stuff bits of each frame. False to count the largest
+            possible number of stuff bits for the length of the frame.
     """
 
     nominal: int
@@ -49,8 +49,8 @@ class BitRates:
     def frame_ns(self, frame: Frame) -> int:
         """Return the time for which a frame occupies the wire, including the interframe space [ns]."""
         content = bytes(frame.data) if self.actual else bytes(len(frame.data))
-        # If the actual stuff bits do not count, content of zeros makes the cache key depend only on
-        # the length.
+        # If the actual stuff bits do not count, the content is replaced by zeros, so that the cache
+        # key depends only on the length.
         slow, fast = _frame_bits(frame.can_id, content, frame.flags & (FDF | BRS), self.actual)
         return round(slow * 1e9 / self.nominal + fast * 1e9 / (self.data or self.nominal))
 
@@ -105,8 +105,8 @@ def _fd_frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[
     body += "".join(format(byte, "08b") for byte in data.ljust(size, b"\0"))
     in_head = _stuff_bit_count(head) if actual else (len(head) - 1) // 4
     in_all = _stuff_bit_count(head + body) if actual else (len(head) + len(body) - 1) // 4
-    # The CRC has 17 bits up to 16 bytes of payload, and 21 bits above. Stuff count and CRC have one
-    # fixed stuff bit before every four bits.
+    # The CRC has 17 bits for up to 16 bytes of payload, and 21 bits for more. Stuff count and CRC
+    # have one fixed stuff bit before every four bits.
     check = 4 + (17 if size <= 16 else 21)
     slow = len(head) + in_head + TAIL_BITS
     fast = len(body) + in_all - in_head + check + -(-check // 4)
@@ -130,7 +130,7 @@ def _identifier_bits(can_id: int) -> str:
 def _stuff_bit_count(bits: str) -> int:
     """Count the stuff bits of a bit string.
 
-    After five equal bits, the opposite bit is inserted and counts from there on.
+    After five equal bits, the opposite bit is inserted. Counting continues with the inserted bit.
     """
     last = ""
     run = 0
@@ -149,8 +149,8 @@ def _crc15(bits: str) -> str:
     """Compute the classical CRC of a bit string, written as 15 binary digits."""
     register = 0
     for bit in bits:
-        # This is one step of the CRC's shift register, with feedback of the top bit and the input
-        # bit.
+        # This line is one step of the shift register of the CRC, with feedback of the top bit and
+        # the input bit.
         out = register >> 14 ^ (bit == "1")
         register = register << 1 & 0x7FFF ^ (CRC15_POLYNOMIAL if out else 0)
     return format(register, "015b")

@@ -1,6 +1,7 @@
 """The simulated wire.
 
-The wire carries one frame at a time, the lowest identifier first, and never interrupts a frame.
+The wire carries one frame at a time. The lowest identifier comes first, and no frame is
+interrupted.
 
 The caller advances the wire with ``advance``. All times come from the caller, and may be real or
 virtual.
@@ -37,8 +38,8 @@ class WireOptions:
     Attributes:
         queue: capacity of a controller's queue [frames].
         error_rate: fraction of the frames that are randomly destroyed on the wire.
-        restart_ms: delay after which a controller is restarted after bus-off [ms], negative for no
-            restart.
+        restart_ms: delay after bus-off until a controller is restarted [ms]. If negative, the
+            controller is not restarted.
         seed: seed of the random errors.
     """
 
@@ -54,10 +55,10 @@ class SimulatedWire:
     Attributes:
         rate: bit rates of the wire.
         options: options of the wire.
-        busy_ns: time in which the wire was occupied, errors included [ns].
+        busy_ns: time during which the wire was occupied, including errors [ns].
         frames: number of frames sent successfully.
         errors: number of frames that were destroyed or not acknowledged.
-        disturbed: number of the following frames that the wire will destroy. Tests set this number.
+        disturbed: number of the next frames that the wire will destroy. Tests set the number.
     """
 
     def __init__(self, rate: BitRates, options: WireOptions = WireOptions()) -> None:
@@ -86,7 +87,7 @@ class SimulatedWire:
         Args:
             on_receive: function called with each received frame and its time [ns], None to ignore
                 received frames.
-            queue: capacity of the controller's queue [frames]. If it is None, the options of the
+            queue: capacity of the controller's queue [frames]. If None, the options of the
                 wire decide.
         """
         controller = CanController(self.options.queue if queue is None else queue, on_receive)
@@ -100,12 +101,12 @@ class SimulatedWire:
         self._senders = [other for other in self._senders if other is not controller]
 
     def next_ns(self) -> int:
-        """Return the time of the next event on the wire [ns], NEVER_NS without any event."""
+        """Return the time of the next event on the wire [ns]. Return NEVER_NS if none exists."""
         due = self._end_ns if self._end_ns != NEVER_NS else self._start_ns()
         return min(due, self._restart_ns()) if self._restarts else due
 
     def _restart_ns(self) -> int:
-        """Return the time at which the next controller is restarted after bus-off [ns]."""
+        """Return the time when the next controller is restarted after bus-off [ns]."""
         return min((at for at, _ in self._restarts), default=NEVER_NS)
 
     def step(self, t_ns: int) -> bool:
@@ -137,7 +138,7 @@ class SimulatedWire:
             pass
 
     def load(self, busy_before_ns: int, elapsed_ns: int) -> float:
-        """Return the fraction of a time span in which frames occupied the wire.
+        """Return the fraction of a time span during which frames occupied the wire.
 
         Args:
             busy_before_ns: ``busy_ns`` at the start of the span.
@@ -146,17 +147,17 @@ class SimulatedWire:
         return (self.busy_ns - busy_before_ns) / elapsed_ns
 
     def _start_ns(self) -> int:
-        """Return the time at which the next frame can start [ns]."""
+        """Return the time when the next frame can start [ns]."""
         ready = min([c.ready_ns() for c in self._controllers if c.queue], default=NEVER_NS)
         return max(ready, self._free_ns) if ready != NEVER_NS else NEVER_NS
 
     def _arbitrate(self, t_ns: int) -> None:
-        """Start the winner of arbitration among all ready frames."""
+        """Start the frame that wins the arbitration among all ready frames."""
         candidates = [c for c in self._controllers if c.queue and c.ready_ns() <= t_ns]
         lowest = min([c.queue[0][1] for c in candidates])
         self._senders = [c for c in candidates if c.queue[0][1] == lowest]
         frames = [c.queue[0][2] for c in self._senders]
-        # Two frames with the same identifier both win arbitration. If the contents differ, both
+        # Two frames with the same identifier both win arbitration. If their contents differ, both
         # frames are destroyed.
         identical = len(frames) == 1 or all(frame[:3] == frames[0][:3] for frame in frames)
         self._acknowledged = self._has_receiver()

@@ -31,10 +31,10 @@ class WireSpec:
     Attributes:
         options: options of the wires.
         actual: True to count the actual stuff bits of each frame.
-        bitrate: nominal bit rate that replaces the bit rate in the hand file [bit/s], 0 to keep the
-            hand file's.
-        data_bitrate: data bit rate that replaces the bit rate in the hand file [bit/s], 0 to keep
-            the hand file's.
+        bitrate: nominal bit rate that replaces the rate in the hand file [bit/s], 0 to keep
+            the rate in the hand file.
+        data_bitrate: data bit rate that replaces the rate in the hand file [bit/s], 0 to keep
+            the rate in the hand file.
         adapter: class of the CAN adapters of the hosts, a key of ``ADAPTER_CLASSES``.
     """
 
@@ -48,7 +48,8 @@ class WireSpec:
         """Return the latency of a host's CAN adapter.
 
         Args:
-            adapter_number: number of the adapter. The number selects the random phase of the adapter.
+            adapter_number: number of the adapter. The number of the host selects the random phase
+                of the adapter.
         """
         return AdapterLatency(self.adapter, self.options.seed + adapter_number)
 

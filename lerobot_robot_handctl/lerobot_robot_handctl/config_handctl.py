@@ -13,7 +13,7 @@ from lerobot.teleoperators.config import TeleoperatorConfig
 @RobotConfig.register_subclass("handctl")
 @dataclass(kw_only=True)
 class HandctlRobotConfig(RobotConfig):
-    """Settings of a hand as a robot.
+    """Settings of a hand that LeRobot uses as a robot.
 
     Attributes:
         hand: name of a packaged hand, or path of a hand file.

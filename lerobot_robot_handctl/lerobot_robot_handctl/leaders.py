@@ -29,19 +29,20 @@ CLOSE, OPEN, OPEN_ALL = "qwertyuiop", "asdfghjkl;", " "
 class Leader(Teleoperator):
     """Base class of the teleoperators.
 
-    A teleoperator commands the joints of a hand, and has neither force feedback nor calibration.
+    A teleoperator of handctl commands the joints of a hand. The teleoperator has neither force
+    feedback nor calibration.
     """
 
     names: tuple[str, ...]
 
     @cached_property
     def action_features(self) -> dict[str, Any]:
-        """Return the names and types of an action's elements: a position for each joint."""
+        """Return the names and types of the elements of an action: a position for each joint."""
         return dict.fromkeys(self.names, float)
 
     @property
     def feedback_features(self) -> dict[str, Any]:
-        """Return an empty mapping, because there is no feedback."""
+        """Return an empty mapping, because the teleoperator takes no feedback."""
         return {}
 
     @property
@@ -51,7 +52,7 @@ class Leader(Teleoperator):
 
     @property
     def is_calibrated(self) -> bool:
-        """Return True, because there is nothing to calibrate."""
+        """Return True, because a teleoperator has nothing to calibrate."""
         return True
 
     _is_open = False
@@ -63,13 +64,13 @@ class Leader(Teleoperator):
         self._is_open = True
 
     def calibrate(self) -> None:
-        """Do nothing, because there is nothing to calibrate."""
+        """Do nothing, because a teleoperator has nothing to calibrate."""
 
     def configure(self) -> None:
-        """Do nothing, because there are no settings."""
+        """Do nothing, because a teleoperator has no settings."""
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
-        """Do nothing, because there is no feedback."""
+        """Do nothing, because the teleoperator takes no feedback."""
 
     def disconnect(self) -> None:
         """Stop giving actions."""
@@ -83,7 +84,10 @@ class Leader(Teleoperator):
 
 
 class HandctlKeyboard(Leader):
-    """Teleoperator that reads keys from the standard input. Each key closes or opens a digit by a step."""
+    """Teleoperator that reads keys from the standard input.
+
+    Each key closes or opens a digit by one step.
+    """
 
     config_class = HandctlKeyboardConfig
     name = "handctl_keyboard"
@@ -101,7 +105,10 @@ class HandctlKeyboard(Leader):
         self._settings: Any = None
 
     def connect(self, calibrate: bool = True) -> None:
-        """Connect, and set the terminal to pass on single keys. A standard input that is no terminal stays as it is."""
+        """Connect the teleoperator, and set the terminal to pass on single keys.
+
+        A standard input that is no terminal is left unchanged.
+        """
         super().connect(calibrate)
         self._angles[:] = 0.0
         if sys.stdin.isatty():
@@ -116,7 +123,7 @@ class HandctlKeyboard(Leader):
         return named(self.names, self._angles)
 
     def disconnect(self) -> None:
-        """Disconnect, and restore the mode of the terminal."""
+        """Disconnect the teleoperator, and restore the mode of the terminal."""
         super().disconnect()
         if self._settings is not None:
             termios.tcsetattr(0, termios.TCSADRAIN, self._settings)
@@ -142,9 +149,9 @@ class HandctlKeyboard(Leader):
 
 
 class HandctlLog(Leader):
-    """Teleoperator that repeats the commanded angles of a recorded run with their timing.
+    """Teleoperator that repeats the commanded angles of a recorded run with the recorded timing.
 
-    Only the part in which the hand was active is used.
+    The teleoperator uses only the part of the run in which the hand was active.
     """
 
     config_class = HandctlLogConfig
@@ -162,8 +169,8 @@ class HandctlLog(Leader):
             self.names = position_names(log.names("q"), prismatic_joints(log.header))
             active = log.mode == HandMode.ACTIVE
             goal = log.field("q_goal")[active]
-            # The joints of a digit that holds a tension have no commanded angles. Their estimated
-            # angles are used instead.
+            # The joints of a digit that holds a tension have no commanded angles. For these joints,
+            # the teleoperator uses the estimated angles.
             self._angles = np.where(np.isnan(goal), log.field("q")[active], goal)
             self._times = log.times[active]
         if not len(self._times):
@@ -174,14 +181,17 @@ class HandctlLog(Leader):
         self._start_s: float | None = None
 
     def connect(self, calibrate: bool = True) -> None:
-        """Connect, and begin at the first angles of the run. Its time starts at the first ``get_action``."""
+        """Connect the teleoperator, and begin at the first angles of the run.
+
+        The time of the teleoperator starts at the first ``get_action``.
+        """
         super().connect(calibrate)
         self._start_s = None
 
     def get_action(self) -> dict[str, Any]:
-        """Return the angles that the run commanded at this time [rad].
+        """Return the angles that the recorded run commanded at the present time of the teleoperator [rad].
 
-        After the end of the log, these are its last angles.
+        After the end of the log, the function returns the last angles.
         """
         self._check_open()
         now = time.monotonic()

@@ -10,7 +10,7 @@ TENSION = ".tension_N"
 
 
 def named(names: Iterable[str], positions: Iterable[float]) -> dict[str, float]:
-    """Return joint positions by the names that they have in a dataset [rad, or m of prismatic joints].
+    """Return joint positions [rad, or m of prismatic joints] as a dict whose keys are the names in a dataset.
 
     Args:
         names: names of the elements, see ``position_names``.

@@ -23,10 +23,13 @@ PAUSE_S = 0.4
 
 
 class HandctlRobot(Robot):
-    """Robot whose hand follows actions. The actions are sent to the controller as a stream of targets.
+    """Robot of LeRobot whose hand follows actions.
 
-    If the actions pause, a thread closes the stream. This thread sends no targets. So if the
-    program hangs, no targets arrive, and the controller first holds the hand and then relaxes it.
+    The actions are sent to the controller as a stream of targets.
+
+    If no actions arrive for some time, a thread closes the stream. This thread never sends targets.
+    If the program hangs, no targets arrive. The controller then first holds the hand, and later
+    relaxes it.
     """
 
     config_class = HandctlRobotConfig
@@ -52,7 +55,7 @@ class HandctlRobot(Robot):
 
     @cached_property
     def observation_features(self) -> dict[str, Any]:
-        """Return the names and types of an observation's elements: joint angles, tensions and camera images."""
+        """Return the names and types of the elements of an observation: joint angles, tensions and camera images."""
         tensions = {f"{tendon}{TENSION}": float for tendon in self.description.tendon_names}
         pictures = {
             name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()
@@ -61,7 +64,7 @@ class HandctlRobot(Robot):
 
     @cached_property
     def action_features(self) -> dict[str, Any]:
-        """Return the names and types of an action's elements: a position for each joint."""
+        """Return the names and types of the elements of an action: a position for each joint."""
         return dict.fromkeys(self._names, float)
 
     @property
@@ -75,7 +78,10 @@ class HandctlRobot(Robot):
         return True
 
     def connect(self, calibrate: bool = True) -> None:
-        """Connect to the controller on the bus, or start a controller, which commissions and arms the hand."""
+        """Connect to the controller on the bus.
+
+        If there is none, start a controller, which commissions and arms the hand.
+        """
         if self._hand is not None:
             raise DeviceAlreadyConnectedError(f"{self} is connected")
         hand = handctl.connect(self.config.hand, self.config.bus, *self.config.options).open()
@@ -130,7 +136,7 @@ class HandctlRobot(Robot):
     def disconnect(self) -> None:
         """Close the stream and the client.
 
-        If this robot has started the controller, the hand relaxes and is disarmed.
+        If this robot has started the controller, the controller then relaxes and disarms the hand.
         """
         hand = self._connected()
         self._ended.set()
@@ -139,7 +145,8 @@ class HandctlRobot(Robot):
             self._hand = None
         try:
             if stream is not None:
-                with suppress(handctl.HandctlError):  # the run has ended: close raises the reason
+                # the run has ended, and close raises the reason
+                with suppress(handctl.HandctlError):
                     stream.close()
             hand.close()
         finally:
@@ -167,5 +174,5 @@ class HandctlRobot(Robot):
                     stream, self._stream = self._stream, None
                     with suppress(
                         handctl.HandctlError
-                    ):  # the run has ended: the next action raises the reason
+                    ):  # the run has ended, and the next action raises the reason
                         stream.close()

@@ -1,6 +1,6 @@
 """Program `python -m handctl`.
 
-The program runs the command line on a machine that has no `handctl` script on the PATH.
+``python -m handctl`` runs the command line on a machine that has no `handctl` script on the PATH.
 """
 
 import sys

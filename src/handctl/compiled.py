@@ -4,11 +4,11 @@ A kernel is a plain function of arrays and numbers, written with loops and ``mat
 ``NUMBA_DISABLE_JIT=1``, Python interprets the kernels. Compiled code does not reorder operations
 (no ``fastmath``), so interpreted and compiled kernels give the same numbers to the last bit.
 
-``compile_kernels`` compiles all kernels before a hand is armed. One compilation serves every hand, because
-the types of a kernel's arguments do not depend on the hand. The compiled code is stored in a
-folder. The name of the folder is a hash of all source files of kernels and of their path. A change
-in one of these files leads to a new folder. So no process runs code of another version. If no
-folder can be written, each process compiles the kernels itself.
+``compile_kernels`` compiles all kernels before a hand is armed. One compilation serves every hand,
+because the types of a kernel's arguments do not depend on the hand. The compiled code is stored in
+a folder. The name of the folder contains a hash of the path and the content of all source files of
+kernels. A change in one of these files leads to a new folder. So no process runs the compiled code
+of another version. If no folder can be written, each process compiles the kernels itself.
 """
 
 import contextlib
@@ -138,7 +138,7 @@ def _mark_function(function: F) -> F:
 def _cached_in(folder: Path | None) -> Iterator[None]:
     """Let numba store the code of kernels in a folder, within this context.
 
-    Other packages that use numba are not affected.
+    The context has no effect on other packages that use numba.
     """
     before = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(folder or "")
@@ -149,7 +149,7 @@ def _cached_in(folder: Path | None) -> Iterator[None]:
 
 
 def _cache_folder() -> Path | None:
-    """Create and return the folder for the code of this version, or return None if no folder can be written."""
+    """Create and return the folder for the compiled code of this version, or None if it is not writable."""
     root = Path(
         os.environ.get("NUMBA_CACHE_DIR")
         or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
@@ -167,11 +167,11 @@ def _cache_folder() -> Path | None:
 
 
 def _source_hash() -> str:
-    """Return a hash over all source files of kernels and the path of the package.
+    """Return a hash over the content of all source files of kernels and over the path of the package.
 
     Numba stores code by the path of the source file. Without the path in the hash, two
-    installations of one version would share a folder, and find code in the folder that only the
-    other can use.
+    installations of the same version would share a folder. One of them would then find code that
+    only the other one can use.
     """
     here = Path(__file__).parent
     digest = hashlib.blake2b(os.fsencode(here), digest_size=8)
@@ -205,9 +205,9 @@ def square(value: float) -> float:
 
 
 def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> Any:
-    """Generate the code of ``borrowed_array``, which returns an array without an owner.
+    """Generate the code of ``borrowed_array``, a function that returns an array without an owner.
 
-    References to such an array are not counted.
+    References to a borrowed array are not counted.
 
     Raises:
         TypingError: the array to borrow from is not contiguous in C order.
@@ -248,12 +248,12 @@ def borrowed_array(flat: NDArray[Any], first: int, shape: tuple[int, ...]) -> ND
     If a function is called with an array, numba counts the references to the array with atomic
     operations. Kernels pass dozens of tables to the functions that they call, and the counting took
     longer than all computations. A borrowed array has no reference count, so the caller of the
-    kernel must keep the memory alive. If Python interprets the kernel, the result is an ordinary
-    view.
+    kernel must keep the memory alive. If Python interprets the kernel, the borrowed array is an
+    ordinary view.
 
     Args:
         flat: contiguous array.
-        first: index of the first element of the part.
+        first: index of the first element of the part of the array.
         shape: shape of the result.
     """
     return flat.reshape(-1)[first : first + math.prod(shape)].reshape(shape)
@@ -299,7 +299,7 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
         report(done, len(waiting))
         if _CACHE_FOLDER:
             load_kernel(one.code, one.types)
-        one.code.compile(one.types)  # this does nothing if the code was loaded
+        one.code.compile(one.types)  # this call does nothing if the stored code was loaded
         one.code.disable_compile()
 
 
@@ -350,7 +350,7 @@ def _compile_together(
         todo, giving = os.pipe()
         os.write(
             giving, bytes(order)
-        )  # the worker that reads a byte compiles the kernel with this number
+        )  # the worker that reads a byte from the pipe compiles the kernel with this number
         os.close(giving)
         workers = [
             _start_compiler_process(todo, waiting)
@@ -373,7 +373,7 @@ def _try_lock(lock: IO[str]) -> bool:
 
 
 def _start_compiler_process(todo: int, waiting: Sequence[_UncompiledKernel]) -> int:
-    """Fork a process that compiles one kernel after the other until none is left.
+    """Fork a process that compiles one waiting kernel after the other, until all are compiled.
 
     Return the process id.
     """

@@ -1,6 +1,6 @@
 """Order of the colours of digits.
 
-The order gives a digit the same colour in every figure and on every hand.
+A digit has the same colour in every figure and on every hand.
 """
 
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ DIGITS_WITH_COLOUR = ("index", "middle", "ring", "thumb")
 
 
 def colour_numbers(digit_names: Sequence[str]) -> tuple[int, ...]:
-    """Return the number in a palette for the colour of each digit.
+    """Return the number of the colour of each digit in a palette.
 
     The digits in DIGITS_WITH_COLOUR have the first numbers. The other digits of the hand have the
     next numbers, in order. If a hand has no digit of DIGITS_WITH_COLOUR, the other digits have the

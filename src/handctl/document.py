@@ -1,4 +1,4 @@
-"""Documents, the validated and unchangeable content of TOML files such as task, gains and calibration files.
+"""Documents: the validated and unchangeable content of TOML files, for example task, gains and calibration files.
 
 A mistake in a file is reported in one line with file, key path, value and expected value.
 """
@@ -96,8 +96,8 @@ def _error_line(
 def _without_tags(content: Any, location: Sequence[str | int], kind: str) -> tuple[str | int, ...]:
     """Return the location of an error without the names that pydantic adds for the alternatives of a union.
 
-    All parts of a location exist in the content, except the last part of the location of a missing
-    key.
+    All parts of the location exist in the content. Only the last part may be missing, if the error
+    is a missing key.
     """
     path: list[str | int] = []
     for position, part in enumerate(location):
@@ -114,7 +114,7 @@ def _without_tags(content: Any, location: Sequence[str | int], kind: str) -> tup
 
 
 def _expected_key(key: str, model: type[BaseModel], location: Sequence[str | int]) -> str:
-    """Return the key that was probably meant, or all keys that may stand in the same table."""
+    """Return the key that was probably meant, or all keys that are allowed in the same table."""
     valid = sorted(_keys_at(model, location) or _keys_at(model, ()))
     near = similar_name(key, valid)
     if near:

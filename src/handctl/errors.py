@@ -20,8 +20,8 @@ class HandctlError(Exception):
     Args:
         what: the mistake, together with the wrong value.
         where: place of the mistake: key path, node, or file and offset. The text is empty if the
-            mistake has no place.
-        right: the expected value. The text is empty without a suggestion.
+            mistake has no particular place.
+        right: the expected value. The text is empty if there is no suggestion.
     """
 
     def __init__(self, what: str, where: str = "", right: str = "") -> None:
@@ -45,8 +45,8 @@ class NoSimulatorError(BusError):
 
     Args:
         bus: specification of the bus.
-        why: reason for which the bus cannot be opened.
-        command: command that starts a suitable simulator. The text is empty if no hand is known.
+        why: reason why the bus cannot be opened.
+        command: command that starts a suitable simulator. The text is empty if the hand is unknown.
     """
 
     def __init__(self, bus: str, why: str, command: str = "") -> None:
@@ -74,7 +74,7 @@ class UnconfirmedError(PowerError, BusError):
     Args:
         bus: bus of the controller.
         word: name of the request, e.g. ``stop``.
-        why: event that came instead of the confirmation.
+        why: event that occurred instead of the confirmation.
     """
 
     def __init__(self, bus: str, word: str, why: str) -> None:

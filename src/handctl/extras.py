@@ -1,6 +1,6 @@
 """Optional packages, and the extras of handctl that install them.
 
-``pip install handctl`` installs the packages that a controller on a real bus needs. All other
+``pip install handctl`` installs only the packages that a controller on a real bus needs. All other
 packages belong to an extra in pyproject.toml.
 """
 
@@ -58,7 +58,7 @@ def is_installed(package: str) -> bool:
 
 
 def extras_installed() -> dict[str, bool]:
-    """Return the extras of handctl by name, True if all packages of the extra are installed."""
+    """Return for each extra of handctl, by name, whether all packages of the extra are installed."""
     return {
         extra: all(
             is_installed(package) for package, other in EXTRA_BY_MODULE.items() if other == extra
@@ -75,8 +75,8 @@ def missing_extra(user: str, error: ImportError) -> MissingExtraError | None:
         error: error of the failed import.
 
     Returns:
-        the error that names the extra, or None if the missing package is not an optional package of
-        handctl.
+        the error that names the extra to install. None if the missing package is not an
+        optional package of handctl.
     """
     package = (error.name or "").partition(".")[0]
     return MissingExtraError(user, package) if package in EXTRA_BY_MODULE else None

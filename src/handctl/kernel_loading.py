@@ -3,13 +3,13 @@
 When numba loads a stored function, three steps take most of the time. First, numba registers all
 types and functions that can be compiled. Second, numba imports the modules of the numba functions
 that the stored function contains. Third, numba parses the intermediate code (bitcode) of the stored
-function. The bitcode is needed only to inline the function into others. A program that finds the
-code of all kernels in the folder compiles nothing, and needs no such step. If a function is
-compiled later, numba registers the types at that time. If a kernel calls another kernel, the
-bitcode of the called kernel is parsed then.
+function. The bitcode is needed only to inline the stored function into other functions. A program
+that finds the code of all kernels in the folder compiles nothing, and needs none of these steps. If
+a function is compiled later, numba registers the types at that time. If a kernel calls another
+kernel, the bitcode of the called kernel is parsed then.
 
-These three steps are internal to numba. This module leaves them out only for the versions of numba
-in ``TESTED_VERSIONS``.
+These three steps are internal steps of numba. This module leaves them out only for the versions of
+numba in ``TESTED_VERSIONS``.
 """
 
 from collections.abc import Iterator
@@ -55,7 +55,7 @@ def _without_compiler(context: Any) -> Iterator[None]:
     """Let numba load stored code without registering types and parsing bitcode, inside this context."""
     runtime.rtsys.initialize(
         context
-    )  # counts references to arrays. numba does this when it registers its types
+    )  # this function counts references to arrays. numba adds it when it registers its types
     library: Any = codegen.CPUCodeLibrary
     before = library.__dict__["_unserialize"]
     library._unserialize = classmethod(_load_object_code)
@@ -67,7 +67,8 @@ def _without_compiler(context: Any) -> Iterator[None]:
     try:
         yield
     finally:
-        del context.refresh, context.get_executable  # the methods of the class are visible again
+        # afterwards, the methods of the class are visible again
+        del context.refresh, context.get_executable
         environment._rebuild_env = rebuild_environment
         library._unserialize = before
 
@@ -85,7 +86,7 @@ def _without_module(module: str, constants: list[Any], name: str) -> Any:
     Args:
         module: name of the module.
         constants: Python objects to which the code refers by number.
-        name: name under which the code finds the constants.
+        name: name by which the code finds the constants.
     """
     found = environment.lookup_environment(name)
     if found is None:
@@ -111,7 +112,10 @@ def _load_object_code(cls: Any, generator: Any, state: tuple[str, str, tuple[byt
 
 
 def _parsed_module(library: Any, bitcode: bytes) -> Any:
-    """Return the module of a code library for linking. The first call parses the module."""
+    """Return the module of a code library for linking.
+
+    The first call of this function parses the module.
+    """
     if library._shared_module is None:
         library._shared_module = binding.parse_bitcode(bitcode)
     return library._shared_module

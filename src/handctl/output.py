@@ -24,7 +24,9 @@ FIGURE_SUFFIXES = {".png", ".svg", ".pdf"}
 
 @contextmanager
 def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
-    """Yield a temporary path. When the content is on the disk, move the file to ``path``.
+    """Yield a temporary path.
+
+    When the new content is on the disk, move the temporary file to ``path``.
 
     Even after a power cut, the path leads to the complete old file or the complete new file. If the
     output fails, no temporary file remains. Links are followed. Output to an existing terminal or
@@ -32,11 +34,12 @@ def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
 
     Args:
         path: path of the output.
-        new: True to refuse a path that exists.
+        new: True to refuse a path that already exists.
 
     Raises:
         ConfigError: the path cannot be written.
-        OSError: writing has failed. The error names ``path`` instead of the temporary path.
+        OSError: writing has failed. In the error message, ``path`` takes the place of the temporary
+            path.
     """
     target = _resolve_target(path, new)
     if target.exists() and not target.is_file():
@@ -59,7 +62,7 @@ def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
 
 
 def path_with_suffix(path: Path, suffix: str) -> Path:
-    """Return the path of an output: the path of its source file with another suffix.
+    """Return the path of an output file: the path of its source file with another suffix.
 
     Raises:
         ConfigError: the path has no file name, e.g. ``.`` or ``/``.
@@ -96,11 +99,11 @@ def check_output(path: Path, what: str, *read: Path | None) -> None:
 
     Args:
         path: path of the output.
-        what: name of the output in the error message, e.g. the option.
+        what: name of the output in the error message, e.g. the name of the option.
         read: input files of the same command.
 
     Raises:
-        ConfigError: the path cannot be written or is that of an input.
+        ConfigError: the path cannot be written, or is the path of an input file.
     """
     try:
         target = _resolve_target(path, False)
@@ -117,7 +120,7 @@ def _is_same_file(target: Path, other: Path) -> bool:
 
 
 def _resolve_target(path: Path, new: bool) -> Path:
-    """Check the path of an output, and return the path behind all links."""
+    """Check the path of an output, and return the path to which its links lead."""
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise ConfigError("no such folder", str(path), "a name in a folder that exists")
@@ -134,8 +137,7 @@ def _resolve_target(path: Path, new: bool) -> Path:
 def _check_pipe_reader(target: Path, path: Path) -> Iterator[None]:
     """Raise an error for a named pipe without a reader, because opening such a pipe would wait forever.
 
-    The pipe stays open during the block. Otherwise the reader would end as soon as the last writer
-    closes the pipe.
+    The pipe stays open during the block. If the function closed the pipe, the reader would end.
     """
     if not target.is_fifo():
         yield

@@ -1,8 +1,8 @@
 """Output of text that is safe for a terminal.
 
 Text from files, logs and arguments must not control a terminal or fill the screen. So characters
-that are not printable are escaped as in Python source: control characters, terminal escapes, marks
-of text direction, and lone surrogates.
+that are not printable are escaped as in Python source. Such characters are control characters,
+terminal escapes, marks of text direction, and lone surrogates.
 """
 
 import difflib
@@ -32,7 +32,7 @@ def escape_text(text: str, kept: str = "") -> str:
 
 
 def _escaped_character(character: str) -> str:
-    """Return a character in the spelling of Python source."""
+    """Return a character as Python source would write it."""
     return character.encode("unicode_escape", "replace").decode()
 
 
@@ -54,10 +54,11 @@ def similar_name(word: str, names: Iterable[str], cutoff: float = 0.6) -> str:
 
 
 def one_line_message(text: str, max_characters: int = MAX_MESSAGE_CHARACTERS) -> str:
-    """Return a text as one line of limited length. Line ends become spaces. The middle of a long text is left out.
+    """Return a text as one line of limited length.
 
-    The beginning of a message has the mistake, and the end has the expected value, so both are
-    kept.
+    Line ends become spaces. If the text is too long, its middle is left out.
+
+    A message begins with the mistake and ends with the expected value, so both ends are kept.
     """
     if len(text) > 4 * max_characters:  # escaping never makes a text shorter
         text = text[: 2 * max_characters] + text[-2 * max_characters :]

@@ -18,8 +18,8 @@ def run_in_forked_copy(work: Callable[[], str]) -> tuple[int, int]:
         work: function to run. The copy writes the result into a pipe.
 
     Returns:
-        process id of the copy, and reading end of the pipe. If the function fails, the copy prints
-        the traceback and ends with status 1.
+        process id of the copy, and the end of the pipe from which this process reads the result. If
+        the function fails, the copy prints the traceback and ends with status 1.
     """
     reading, writing = os.pipe()
     process = os.fork()

@@ -10,10 +10,10 @@ from types import FrameType
 def installed_handler(
     handler: Callable[[int, FrameType | None], None], *numbers: signal.Signals
 ) -> Iterator[None]:
-    """Install a signal handler for the duration of a block, then restore the previous handlers.
+    """Install a signal handler for the duration of a block, and then restore the previous handlers.
 
     Args:
-        handler: handler of all these signals.
+        handler: function that handles all signals of the block.
         numbers: signals to handle.
     """
     before = {number: signal.signal(number, handler) for number in numbers}
@@ -34,5 +34,5 @@ class TerminationFlag:
         self.requested = False
 
     def __call__(self, number: int, frame: object) -> None:
-        """Handle the signal: set the flag."""
+        """Handle a signal: set the flag."""
         self.requested = True

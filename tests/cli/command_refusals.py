@@ -1,4 +1,4 @@
-"""Run commands with bad input, and return their error lines."""
+"""Run commands with wrong input, and return the error lines that they print."""
 
 from handctl.cli.main import main
 
@@ -13,7 +13,7 @@ def refusal_line(capsys, *words):
 def refusal_lines(capsys, *words):
     """Return the error lines that a command prints when it refuses its input.
 
-    Each mistake has one line.
+    Each mistake in the input has its own line.
     """
     assert main(words) == 2
     out, err = capsys.readouterr()

@@ -1,4 +1,4 @@
-"""A command with ``--view`` on a machine without a screen is refused before the run starts."""
+"""A command with ``--view`` is refused before the run starts if the machine has no screen."""
 
 import sys
 

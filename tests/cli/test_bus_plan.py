@@ -1,6 +1,6 @@
 """Test ``handctl bus plan``: the computed bus load, and the proposed buses.
 
-All motors fit on the proposed buses.
+The buses that the command proposes can carry the frames of all motors.
 """
 
 import json
@@ -123,9 +123,9 @@ def test_run_refuses_an_overloaded_bus(capsys: pytest.CaptureFixture[str]) -> No
 def test_a_bus_too_slow_for_the_watchdogs_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A run is refused even at the control rate that the bus can carry.
+    """A run is refused even at the highest control rate that the bus can carry.
 
-    This rate is 20 Hz, so one tick is as long as the watchdog time of 50 ms.
+    This rate is 20 Hz. One tick then takes as long as the watchdog time of 50 ms.
     """
     slow = tmp_path / "slow.toml"
     slow.write_text(hand_path("jamia11").read_text().replace("1_000_000", "125_000"))
@@ -142,9 +142,10 @@ def test_a_bus_too_slow_for_the_watchdogs_is_refused(
 def test_real_motors_are_not_run_in_slow_motion(
     bus: str, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Refuse slow motion with real motors.
+    """Slow motion with real motors is refused.
 
-    The loop is designed for 2 ms but would run every 20 ms, and the hand would oscillate.
+    The control loop is designed for a period of 2 ms. If it ran every 20 ms, the hand would
+    oscillate.
     """
     assert (
         main(["run", "--hand", "jamia", "--bus", bus, "--time-scale", "0.1", "--dry-run"]) == code

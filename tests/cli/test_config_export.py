@@ -12,7 +12,7 @@ from tests.drives.protocol_bench import hand_file, move_to_second_bus
 
 
 def message_names(path):
-    """Return the names of the messages in a DBC file, which cantools reads in strict mode."""
+    """Return the names of the messages in a DBC file. cantools reads the file in strict mode."""
     return {message.name for message in cantools.database.load_file(path, strict=True).messages}
 
 

@@ -1,7 +1,7 @@
 """Test ``handctl config init --urdf`` and ``--mjcf``.
 
-Both options import the links of a description. The resulting hand file is refused until its missing
-values are given.
+Both options import the links from a robot description. The resulting hand file is refused until its
+missing values are given.
 """
 
 import itertools
@@ -76,7 +76,7 @@ FILE_BY_OPTION = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 
 def text_with_all_values(text: str) -> str:
-    """Return the text of a hand file, in which a value replaces each TODO."""
+    """Return the text of a hand file in which a value replaces each TODO."""
     return re.sub(
         r'^(\w+) = "TODO".*$',
         lambda line: f"{line[1]} = {MEASURED_VALUES[line[1]]}",
@@ -95,7 +95,7 @@ def import_description(form: str, path: Path | str, *words: str) -> str:
 def reimport_packaged_hand(form: str, name: str) -> Hand:
     """Export a packaged hand, import it again, and return the resulting hand.
 
-    Take its tendons, springs and buses from the packaged hand.
+    Tendons, springs and buses come from the packaged hand.
     """
     exported = Path(FILE_BY_OPTION[form])
     exported.unlink(missing_ok=True)
@@ -256,7 +256,7 @@ INERTIAL_URDF = (
 
 
 def urdf_of(joint: str, link: str = INERTIAL_URDF, more: str = "") -> str:
-    """Return a URDF text with one joint and one link with a tip."""
+    """Return the text of a URDF with one joint and one link that has a tip."""
     return (
         f'<robot name="r"><link name="base"/><link name="a">{link}</link><joint name="j" {joint}>'
         f'<parent link="base"/><child link="a"/><axis xyz="0 0 1"/>'

@@ -1,4 +1,4 @@
-"""A hand file that ``config init`` writes from a few answers passes `config check`, for all valid answers."""
+"""A hand file that ``config init`` writes from a few valid answers always passes `config check`."""
 
 import itertools
 import json
@@ -100,7 +100,7 @@ def sensor_options(case: tuple[str, str, str, str]) -> list[str]:
 def test_every_choice_of_sensors_and_springs_is_a_valid_hand(
     work_folder: Path, capsys: pytest.CaptureFixture[str], number: int
 ) -> None:
-    """Reproduce a defect: `--cells none` was refused without a robot description."""
+    """Reproduce a defect: `config init` refused `--cells none` without a robot description."""
     tendons, springs, cells, encoders = SENSOR_CASES[number]
     protocol = GUARDED_PROTOCOLS[number % len(GUARDED_PROTOCOLS)]
     links = ("60", "40,30", "50,30,20")[number % 3]
@@ -128,8 +128,8 @@ def test_sensors_springs_and_protocol_are_asked_for(
 ) -> None:
     """Reproduce a defect.
 
-    The dialogue ended after the breaking force, and silently wrote `mit` and a load cell
-    everywhere.
+    The questions ended after the breaking force. The command then silently wrote the protocol `mit`
+    and a load cell for every tendon.
     """
     answers = iter(
         [
@@ -219,7 +219,7 @@ def test_existing_file_is_not_overwritten_by_config_init(
 def test_a_motor_type_is_taken_from_its_option_or_asked_for(
     work_folder: Path, monkeypatch: pytest.MonkeyPatch, protocol: str, motor_type: str
 ) -> None:
-    """Reproduce a defect: `--protocol cubemars` was an invalid choice."""
+    """Reproduce a defect: `--protocol cubemars` was not accepted as a choice."""
     words = ["config", "init", "--protocol", protocol, "--output"]
     assert main([*words, "option.toml", "--yes", "--motor-type", motor_type]) == 0
     asked: list[str] = []

@@ -1,4 +1,4 @@
-"""Test meshes on the command line: one error line for each mistake, the export, and runs whose mesh is missing."""
+"""Test the commands with meshes: one error line for each mistake, the export, and runs whose mesh is missing."""
 
 import shutil
 from pathlib import Path
@@ -47,7 +47,7 @@ def copy_t42_with_meshes(work_folder: Path) -> Path:
 
 
 def replace_once(path: Path, old: str, new: str) -> None:
-    """Replace a text that occurs exactly once in a file."""
+    """In a file, replace a text that occurs exactly once."""
     text = path.read_text()
     assert text.count(old) == 1
     path.write_text(text.replace(old, new))
@@ -101,7 +101,7 @@ def test_each_mistake_is_one_line_that_names_the_key(
     assert copy_t42_with_meshes.read_text() != text
     lines = refusal_lines(capsys, "config", "check", "--hand", "mine/hand.toml")
     assert line in lines[0]
-    # A wrong scale of the links is two mistakes, because both links of the fingers have it.
+    # A wrong scale of the meshes counts as two mistakes, because both links of the fingers have it.
     assert len(lines) == (2 if new == "link_mesh_scale = 1" else 1), lines
 
 
@@ -177,8 +177,8 @@ def test_exported_meshes_come_back_to_their_places(
     assert main(["config", "init", "--yes", form, exported, "--output", "mine/mine.toml"]) == 0
     assert "warning" not in capsys.readouterr().out
     content = hand_content("mine/mine.toml")
-    # The imported file lacks values, so it cannot be loaded. Put its meshes into the packaged hand
-    # and load that.
+    # The imported file has missing values, so it cannot be loaded. Load the packaged hand with the
+    # meshes of the imported file instead.
     known = hand.content
     digits = [
         {key: value for key, value in digit.items() if "mesh" not in key}
@@ -217,8 +217,8 @@ def test_meshes_of_a_package_are_imported(
     assert not notes
     assert described.palm_mesh
     assert described.palm_mesh.file == "ws/gripper/meshes/base.stl"
-    # Compute the poses of the palm and of each link, with all joints at zero, in the frame of the
-    # URDF.
+    # Compute the poses of the palm and of each link in the frame of the URDF, with all joints at
+    # zero.
     model = read_model_file(str(urdf), "urdf")
     palm = described.palm
     (base,) = model["palm_meshes"]

@@ -1,6 +1,6 @@
 """Test typical mistakes in a hand file of schema 2.
 
-Each mistake gives one error line. The line names the key as the file spells it.
+Each mistake gives one error line. The line names the key with the spelling in the file.
 """
 
 import json
@@ -117,7 +117,7 @@ HAND_FILE_MISTAKES = {
 
 
 def write_changed_jamia11(work_folder: Path, *edits: tuple[str, str]) -> None:
-    """Write mine.toml: the hand file of jamia11, in which some texts are replaced."""
+    """Write the file mine.toml: the hand file of jamia11, with some texts replaced."""
     text = hand_path("jamia11").read_text("utf-8")
     for old, new in edits:
         assert text.count(old) == 1, old

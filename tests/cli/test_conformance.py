@@ -49,7 +49,7 @@ def test_a_good_drive_in_another_process_passes(protocol, more):
 @pytest.mark.realtime
 @pytest.mark.parametrize("protocol", ["odrive", "cia402"])
 def test_conformance_leaves_no_error_in_a_drive(protocol):
-    """Reproduce a defect: after the checks a drive had a latched error, and `commission` then refused the hand."""
+    """Reproduce a defect: after the checks, a drive had a latched error, so `commission` refused the hand."""
     more = ENDPOINT_OPTIONS if protocol == "odrive" else []
     with run_simulated_drives("local:c", protocol, "--ids", "33"):
         done = run_handctl(
@@ -86,7 +86,7 @@ def test_a_text_option_needs_no_quotes(words, options):
 
 
 def test_an_odrive_of_firmware_05_needs_no_option(capsys):
-    """Reproduce a defect: by default the command set the option torque_feedback.
+    """Reproduce a defect: the command set the option torque_feedback by default.
 
     Firmware 0.5 refuses this option.
     """
@@ -160,10 +160,10 @@ def test_missing_drive_is_reported(capsys):
 
 
 def test_drive_of_another_host_is_not_commanded(capsys):
-    """The command detects another host that controls the drive.
+    """The command ``conformance`` detects another host that controls the drive.
 
-    A CubeMars motor replies only to commands, so the checks must listen before they send the first
-    command.
+    A CubeMars motor replies only to commands. The command must therefore listen before it sends its
+    first command.
     """
     with run_simulated_drives("local:c", "cubemars", "--ids", "33"):
         other, over = LocalBus("c", 0, int), threading.Event()

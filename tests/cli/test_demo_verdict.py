@@ -1,6 +1,6 @@
-"""Test the conditions under which ``handctl demo`` succeeds.
+"""Test the conditions for the success of ``handctl demo``.
 
-The hands differ slightly from packaged hands.
+The hands of these tests differ slightly from packaged hands.
 """
 
 import json
@@ -36,9 +36,9 @@ def jamia_content():
 
 
 def two_fingers():
-    """Return a hand that has only index and middle finger.
+    """Return a hand that has only an index finger and a middle finger.
 
-    Both fingers close to the same side, so the hand cannot lift objects.
+    Both fingers close in the same direction, so the hand cannot lift objects.
     """
     content = jamia_content()
     for part in ("digit", "tendon", "motor"):
@@ -88,7 +88,10 @@ def test_a_grasp_that_lifts_nothing_is_a_failure(work_folder, capsys):
 
 
 def test_a_demo_overwrites_no_calibration(work_folder, capsys):
-    """Reproduce a defect: ``--log jamia.mcap`` replaced jamia.calibration.toml, with which a real hand is armed."""
+    """Reproduce a defect.
+
+    ``--log jamia.mcap`` replaced the file jamia.calibration.toml, with which a real hand is armed.
+    """
     path = work_folder / "jamia.calibration.toml"
     path.write_text("of the real hand")
     assert main(["demo", "--lockstep", "--log", "jamia.mcap"]) == 2

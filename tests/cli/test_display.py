@@ -13,7 +13,7 @@ RATE_HZ = 500.0
 def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
     """When a drive loses its power during a motion, several faults are latched.
 
-    For each of these faults, the terminal names the remedy once.
+    The terminal shows the remedy for each of these faults once.
     """
     hand = load_hand("jamia")
     with homed_run(hand, RATE_HZ, 1) as simulation:
@@ -44,7 +44,7 @@ def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
 
 
 def test_only_a_fault_has_a_remedy(capfd) -> None:
-    """For an event that is no fault, no remedy is printed, even if its text starts with the id of a fault."""
+    """No remedy is printed for an event that is no fault, even if its text starts with the id of a fault."""
     display = DisplayProcess(("index_tendon",), (80.0,), RATE_HZ, 0.5)
     try:
         fault = next(fault for fault in FAULT_BY_ID.values() if fault.remedy)

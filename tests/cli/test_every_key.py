@@ -2,7 +2,8 @@
 
 For each bad value, the command prints one error line, exits with code 2, and opens no bus.
 
-By day a sample of the cases is tested, at night all cases.
+In an ordinary test run, a sample of the cases is tested. In a nightly test run, all cases are
+tested.
 """
 
 import os
@@ -21,7 +22,7 @@ SAMPLE_STEP = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
 
 
 class UnrepresentableNumber(float):
-    """A number that a TOML file can contain but a float cannot represent."""
+    """A number that may stand in a TOML file, but is too large for a float."""
 
     def __repr__(self):
         return "1e400"
@@ -113,18 +114,18 @@ def _table_lines(name, table):
             yield from _table_lines(f"{name}.{key}", value)
 
 
-def content_without_key(content, path, instead=None):
+def content_without_key(content, path, replacement=None):
     """Return a copy of a content without one key.
 
-    If ``instead`` is given, store it under another name.
+    If ``replacement`` is given, store the value under this other key.
     """
     content = with_value(content, path, None)
     parent = content
     for key in path[:-1]:
         parent = parent[key]
     del parent[path[-1]]
-    if instead:
-        parent[path[-1] + "_x"] = instead
+    if replacement:
+        parent[path[-1] + "_x"] = replacement
     return content
 
 
@@ -173,7 +174,10 @@ def no_bus(monkeypatch):
 
 
 def refusal(capsys, option, file):
-    """Return the error line of `run` for a file, or an empty text if the command accepts the file and opens the bus."""
+    """Return the error line of `run` for a file.
+
+    If the command accepts the file and opens the bus, the text is empty.
+    """
     others = [] if {"--task", "--trajectory"} & {*option} else ["--task", "grasp"]
     try:
         code = main(["run", "--bus", ABSENT_BUS, *option, file, *others])

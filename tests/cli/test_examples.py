@@ -53,7 +53,7 @@ def run_in_shell():
 
 
 def run_example(run_in_shell, words):
-    """Run the example of a command in a shell, and check that it worked."""
+    """Yield a function that runs a command line in an empty folder, with this environment's handctl."""
     how = {"shell": True, "capture_output": True, "text": True, "timeout": 280, "check": False}
     ended = run_in_shell(EXAMPLE_BY_COMMAND[words].command_line, **how)
     assert ended.returncode in ({0, 1} if words in COMMANDS_WITH_FINDINGS else {0}), ended.stderr
@@ -70,7 +70,7 @@ def test_an_example_works_in_one_terminal(run_in_shell, words):
 def start_others(run_in_shell):
     """Yield a function that starts a command in the background, as in another terminal.
 
-    End these commands after the test.
+    End all such commands after the test.
     """
     children = []
 
@@ -106,13 +106,13 @@ def test_examples_work_beside_a_simulator_and_a_running_hand(
     start_others(f"{simulator} --time-scale {TIME_SCALE * repeat_time_scale:g}")
     repeat_until_success(run_in_shell, "handctl fault kinds --bus local:demo")
     for words in EXAMPLES_BESIDE_SIMULATOR:
-        if words != "fault inject":  # the injected fault would disturb the run
+        if words != "fault inject":  # the injected fault would disturb the run of this example
             run_example(run_in_shell, words)
     for words in sorted(EXAMPLES_BESIDE_RUN, key=lambda one: one == "stop"):  # ``stop`` is last
         if words == EXAMPLES_BESIDE_RUN[0]:
             start_others(run)
             repeat_until_success(
                 run_in_shell, "handctl gains set motion.force_N=11 --bus local:demo"
-            )  # the controller refuses this until the hand is commissioned
+            )  # the controller refuses this command until the hand is commissioned
         run_example(run_in_shell, words)
     run_example(run_in_shell, "fault inject")

@@ -1,4 +1,4 @@
-"""On a terminal, texts from files, logs and arguments are escaped and have a bounded length.
+"""On a terminal, texts from files, logs and arguments are escaped, and their length is limited.
 
 JSON output is UTF-8.
 """
@@ -166,7 +166,7 @@ READING_COMMANDS = {
 def test_texts_of_files_are_escaped_and_shortened(work_folder, capsys, what, content):
     (work_folder / "odd.toml").write_text(TEXT_BY_MISTAKE[content])
     lines = refusal_lines(capsys, *READING_COMMANDS[what])
-    assert len(lines) == 1 or what == "hand"  # a hand file may give several lines
+    assert len(lines) == 1 or what == "hand"  # a hand file may cause several error lines
     for line in lines:
         assert line[:-1].isprintable()
         assert len(line) < MAX_MESSAGE_CHARACTERS + 20

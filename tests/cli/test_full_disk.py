@@ -1,6 +1,6 @@
-"""Test a full disk for the files beside the log.
+"""Test commands on a full disk that cannot store the files beside the log.
 
-Each file that cannot be written gives one error line. All other results are complete.
+Each file that cannot be written causes one error line. All other results of the run are complete.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Test ``handctl gains`` with the command lines of a user."""
+"""Test ``handctl gains`` with command lines that a user would type."""
 
 import datetime
 import json
@@ -200,7 +200,7 @@ def test_set_on_a_running_hand_is_in_its_log(work_folder, repeat_time_scale):
             assert run.wait(30.0) == 0
         finally:
             hand.terminate()
-    # During its start, a controller may execute a request late, without a reply to the command.
+    # While a controller starts, it may execute a request late, without a reply to the command.
     assert json.loads(said.stdout)["set"] in ({"motion.force_N": "26.0"}, {})
     with RunLog(log) as record:
         events = [event.event for event in record.events if event.event.name == "gain"]

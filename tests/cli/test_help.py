@@ -34,7 +34,7 @@ def sub_parsers(parser: VerbParser) -> dict[str, VerbParser]:
 
 
 def leaf_parsers() -> dict[str, VerbParser]:
-    """Return the parser of each sub-command, and of each command without sub-commands."""
+    """Return the parser of each sub-command, and of each command that has no sub-commands."""
     found = {}
     for verb in VERB_HELP:
         parser = verb_parser(verb)
@@ -166,8 +166,8 @@ def test_verbose_and_quiet_exclude_each_other(capsys):
 def test_quiet_leaves_the_findings_that_need_a_repair(capsys, monkeypatch):
     from handctl.cli.checks import doctor
 
-    # Use the same finding in both calls. Otherwise each call would measure the lateness of wake-ups
-    # again, with a new result.
+    # Return the same finding in both calls. Otherwise each call would measure again how late a
+    # process wakes up, with another result.
     finding = doctor._check_wakeups()
     monkeypatch.setattr(doctor, "_check_wakeups", lambda: finding)
     main(["doctor"])
@@ -188,7 +188,7 @@ def test_quiet_hides_notices_and_shows_cautions(capsys):
 
 
 def test_a_command_prints_each_caution_once(capsys):
-    """Reproduce a defect: a run that commissions the hand first printed all cautions twice."""
+    """Reproduce a defect: a run that first commissions the hand printed all cautions twice."""
     from handctl.cli.console.plan import print_notice
     from handctl.cli.console.verbosity import use_verbosity
 

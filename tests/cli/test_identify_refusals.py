@@ -1,6 +1,6 @@
-"""With one error line, ``handctl identify`` refuses a hand that lacks necessary sensors or springs.
+"""``handctl identify`` prints one error line and refuses a hand without the necessary sensors or springs.
 
-The refusal comes before a bus is opened.
+The command refuses the hand before it opens a bus.
 """
 
 from pathlib import Path
@@ -28,7 +28,7 @@ def jamia_without_load_cell(folder: Path) -> str:
 def test_hands_without_return_springs_are_not_refused(
     hand: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Reproduce a defect: two hands were refused.
+    """Reproduce a defect: the command refused two hands that it should accept.
 
     One has no springs, and the other has spool pairs without load cells.
     """

@@ -1,6 +1,6 @@
-"""A simulated hand from a hand file of `config init` grasps, holds and releases an object in lockstep.
+"""A hand file that `config init` writes describes a hand that can grasp, hold and release an object in lockstep.
 
-By day only a sample of such hands is tested.
+In an ordinary test run, only a sample of such hands is tested.
 """
 
 import itertools
@@ -48,7 +48,7 @@ MAX_SLIP_MM = 5.0
 
 
 def write_initial_hand(*words: str) -> None:
-    """Run `config init` with the given options, which writes the hand file mine.toml."""
+    """Run `config init` with the given options. The command writes the hand file mine.toml."""
     assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
 
 

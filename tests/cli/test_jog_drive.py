@@ -1,4 +1,4 @@
-"""Test ``handctl jog --mode`` on simulated drives in another process, and refused inputs of the command."""
+"""Test ``handctl jog --mode`` on simulated drives in another process, and the inputs that the command refuses."""
 
 import json
 

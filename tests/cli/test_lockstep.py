@@ -1,7 +1,7 @@
 """Test ``handctl demo`` in virtual time.
 
-Equal demos write files with equal bytes, all checks of a demo pass, and other tools can read its
-log.
+Two equal demos write files with equal bytes, all checks of a demo pass, and other tools can read
+its log.
 """
 
 import json
@@ -29,11 +29,11 @@ RESULT_KEYS = {
 def run_demos(folder, *hands, task=""):
     """Run lockstep demos of hands in parallel processes, and return the folder and the result of each.
 
-    If ``task`` is not empty, it replaces the grasp.
+    If ``task`` is not empty, this task replaces the grasp.
     """
     running = []
     for number, hand in enumerate(hands):
-        time.sleep(1.1 * number)  # the runs start in different seconds of the wall clock
+        time.sleep(1.1 * number)  # the two runs start in different seconds of the wall clock
         place = folder / str(number)
         place.mkdir()
         command = [
@@ -64,7 +64,10 @@ def run_demos(folder, *hands, task=""):
 
 @pytest.fixture(scope="module")
 def equal_demos(tmp_path_factory):
-    """Return the folders and the results of two equal demos: a short motion by day, a grasp at night."""
+    """Return the folders and the results of two equal demos.
+
+    In an ordinary test run, they execute a short motion, and in a nightly run a grasp.
+    """
     return run_demos(
         tmp_path_factory.mktemp("equal_demos"), "jamia", "jamia", task="" if NIGHTLY else SHORT_TASK
     )
@@ -83,7 +86,7 @@ def jamia11_demo(tmp_path_factory):
 
 
 def messages_of(path):
-    """Return the topic, time and data of every message in a log, in the order of the file."""
+    """Return the topic, the time and the data of every message in a log, in the order of the file."""
     with path.open("rb") as file:
         messages = make_reader(file).iter_messages(log_time_order=False)
         return [(channel.topic, message.log_time, message.data) for _, channel, message in messages]
@@ -140,7 +143,7 @@ def meets_requirements(result):
 
 @pytest.mark.nightly
 def test_the_demo_meets_its_requirements(default_demo):
-    """The demo with the default hand meets all limits. tests/cli/test_seeds.py tests the hand jamia11."""
+    """The demo with the default hand stays within all limits. tests/cli/test_seeds.py tests the hand jamia11."""
     result = default_demo[1]
     meets_requirements(result)
     assert result["tension_rmse_n"] < result["tension_raw_rmse_n"]

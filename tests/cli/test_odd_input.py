@@ -117,10 +117,10 @@ def test_invalid_number_is_refused(capsys, words):
 
 
 def test_campaign_of_rows_without_scenarios_is_refused(capsys):
-    """A campaign without scenarios must not count as passed.
+    """A fault campaign without scenarios must not count as passed.
 
-    The row N09 (the temperature of a drive) has no scenario for CiA 402 drives, which report no
-    temperature.
+    The row N09 (the temperature of a drive) has no scenario for CiA 402 drives, because these
+    drives report no temperature.
     """
     words = (
         "fault",

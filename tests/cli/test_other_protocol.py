@@ -1,7 +1,7 @@
 """Test the option --protocol.
 
-The option gives a simulated hand drives of another protocol. The option works in ``handctl demo``,
-and for simulator and controller in separate processes.
+With the option ``--protocol``, a simulated hand has drives of another protocol. The option works in
+``handctl demo``, and for a simulator and a controller in separate processes.
 """
 
 import argparse
@@ -63,7 +63,7 @@ def test_an_unknown_protocol_is_refused(capsys: pytest.CaptureFixture[str]) -> N
 def test_a_simulated_hand_can_have_motors_without_guards(
     work_folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Reproduce a defect: `sim --protocol cubemars` was an invalid choice."""
+    """Reproduce a defect: `cubemars` was not accepted as a choice of `sim --protocol`."""
     monkeypatch.setattr(os, "execv", lambda program, command: 0)
     words = ["sim", "--hand", "jamia", *ABSENT_BUS_OPTION, "--motor-type", "ak60-6"]
     assert main([*words, "--protocol", "cubemars", "--dry-run"]) == 0

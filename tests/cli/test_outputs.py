@@ -1,6 +1,6 @@
-"""A command writes an output file completely or not at all.
+"""A command writes an output file either completely or not at all.
 
-Output never replaces a log, a folder or a device.
+An output file never replaces a log, a folder or a device.
 """
 
 import os
@@ -48,7 +48,7 @@ OUTPUT_COMMANDS = {
 
 @pytest.fixture(autouse=True)
 def existing_files(work_folder):
-    """Create files before the test.
+    """Create some files before the test.
 
     After the test, check that the command has not changed these files.
     """

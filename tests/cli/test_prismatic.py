@@ -1,4 +1,4 @@
-"""Test hands with prismatic joints with the command lines of a user: grasps, re-execution, mistakes, export, import."""
+"""Test commands with prismatic hands: grasps, re-execution, mistakes, export, import."""
 
 import json
 import shutil
@@ -23,7 +23,7 @@ MAX_SLIP_MM = 6.0
 
 @pytest.fixture
 def hands(work_folder: Path) -> Path:
-    """Copy the hand files of the two grippers into the present folder."""
+    """Copy the hand files of the two grippers into the current folder."""
     for name in (GRIPPER, MIXED):
         shutil.copy(FOLDER / name, work_folder)
     return work_folder
@@ -159,7 +159,7 @@ def test_a_mistake_is_one_line(hands: Path, capsys: pytest.CaptureFixture[str], 
     assert main(["config", "check", "--hand", "bad.toml"]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert any(line in one for one in lines), lines
-    # A key that is missing for a joint type, and one that is not needed, are separate mistakes.
+    # A missing key for a joint type and an unnecessary key for a joint type are separate mistakes.
     assert len(lines) <= 1 or name in ("no types", "revolute joints", "a misspelt key"), lines
 
 

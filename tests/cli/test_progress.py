@@ -1,4 +1,4 @@
-"""A command shows its progress on a terminal, and never in output that a program reads."""
+"""A command shows its progress on a terminal, but never in output that a program reads."""
 
 import os
 import pty
@@ -14,7 +14,10 @@ GOLDEN_LOG_TEXT = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-los
 
 
 def at_a_terminal(words: tuple[str, ...], folder: Path) -> tuple[str, str]:
-    """Run a command whose standard error is a terminal. Return its standard output, and the text on the terminal."""
+    """Run a command whose standard error is a terminal.
+
+    Return the standard output of the command, and the text on the terminal.
+    """
     shown, terminal = pty.openpty()
     command = [sys.executable, "-m", "handctl.cli", *words]
     environment = os.environ | {"TERM": "xterm", "COLUMNS": "100"}

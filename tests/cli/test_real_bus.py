@@ -1,6 +1,6 @@
 """Test commands on a bus that may have real motors.
 
-These commands have no default hand, ask for a confirmation before a motion, and list the files that
+Such commands have no default hand, ask for a confirmation before a motion, and list the files that
 they use.
 """
 
@@ -43,7 +43,7 @@ GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 def input_files(work_folder, monkeypatch):
     """Create the files that commands read before they open the bus.
 
-    Replace standard input, so that it is no terminal.
+    Replace standard input by a stream that is no terminal.
     """
     (work_folder / "new.toml").write_text("schema = 1\n[motion]\nforce_N = 25.0\n")
     monkeypatch.setattr("sys.stdin", io.StringIO())
@@ -51,7 +51,10 @@ def input_files(work_folder, monkeypatch):
 
 @pytest.fixture(params=MOVING_COMMANDS)
 def command_words(request, work_folder):
-    """Return the words of a command that moves a hand. For ``replay``, also create the log."""
+    """Return the words of a command that moves a hand.
+
+    If the command is ``replay``, also create the log.
+    """
     if request.param == "replay":
         (work_folder / "before.mcap").symlink_to(GOLDEN_LOG)
     return MOVING_COMMANDS[request.param]
@@ -92,7 +95,11 @@ def test_without_a_terminal_a_hand_moves_only_with_yes(command_words, capsys):
 
 
 def test_the_calibration_of_a_simulated_hand_arms_no_real_hand(work_folder, capsys):
-    """Reproduce a defect: such a file was accepted if its drives have no serial numbers, or the same ones."""
+    """Reproduce a defect.
+
+    A calibration file was accepted if its drives have no serial numbers, or the same serial
+    numbers.
+    """
     hand = load_hand("jamia")
     path = work_folder / "jamia.calibration.toml"
     write_homed_calibration(path, hand)
@@ -111,7 +118,7 @@ def test_the_calibration_of_a_simulated_hand_arms_no_real_hand(work_folder, caps
 
 
 def at_a_terminal(answer: str) -> tuple[int, str]:
-    """Run ``handctl run`` in a terminal and answer its question.
+    """Run ``handctl run`` in a terminal, and answer its question.
 
     Return the exit code and the text on the terminal.
     """

@@ -1,6 +1,7 @@
-"""After bad input, any command prints one line on standard error and exits with code 2, before it opens a bus.
+"""After wrong input, every command prints one line on standard error and exits with code 2, before it opens a bus.
 
-No process serves the bus of these cases. A command that opened this bus would exit with code 1.
+In these cases, no process serves the bus. A command that opened the bus would therefore exit with
+code 1.
 """
 
 import socket
@@ -302,7 +303,11 @@ REQUESTS = (("stop",), ("stop", "--cut"), ("clear",), ("gains", "set", "motion.f
 
 @pytest.mark.parametrize("words", REQUESTS, ids=" ".join)
 def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, words):
-    """Reproduce a defect: exit code 71 asked the user to switch off the power of a simulated hand that does not run."""
+    """Reproduce a defect.
+
+    With exit code 71, the command asked the user to switch off the power of a simulated hand that
+    does not run.
+    """
     assert main([*words, *ABSENT_BUS_OPTION]) == 1
     assert capsys.readouterr() == (
         "",
@@ -314,9 +319,9 @@ def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, words):
 @pytest.mark.parametrize("words", REQUESTS, ids=" ".join)
 @pytest.mark.parametrize("killed", [False, True], ids=["real bus", "killed controller"])
 def test_an_unconfirmed_request_is_reported_as_failed(capsys, words, killed):
-    """Reproduce a defect: the command exited with code 0 as soon as it had sent the request.
+    """Reproduce a defect: the command exited with code 0 as soon as it had sent the request, without a confirmation.
 
-    A killed controller leaves its mailbox.
+    The mailbox file of a killed controller still exists.
     """
     bus = "local:killed" if killed else "socketcan:does-not-exist"
     if killed:

@@ -1,4 +1,4 @@
-"""The advice to slow down time appears only after a run with a simulated hand that the machine simulates too slowly."""
+"""The advice to slow down time appears only if the machine was too slow for a simulated hand."""
 
 import shutil
 from pathlib import Path
@@ -76,9 +76,9 @@ def test_the_advised_pace_is_measured(
 ) -> None:
     """The advised time scale follows from measurements in the run.
 
-    This run has 1000 ticks at 500 Hz.
+    The run in this test has 1000 ticks at 500 Hz.
 
-    Regression: the advised time scale was always 0.5.
+    Earlier defect: the advised time scale was always 0.5.
     """
     answer = {"pace": {"advice": advice, "plant_s_per_cpu_s": capacity}}
     monkeypatch.setattr(
@@ -131,7 +131,7 @@ def test_a_missing_simulator_is_named_with_the_hand_of_the_command(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Reproduce a defect: the message advised the hand jamia for any hand."""
+    """Reproduce a defect: the message recommended the hand jamia, whichever hand was used."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     shutil.copy(hand_path("t42"), "ak hand.toml")

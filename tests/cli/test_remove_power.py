@@ -1,6 +1,6 @@
-"""Test commands when a drive does not confirm that it is disabled.
+"""Test commands after a run in which a drive does not confirm that it is disabled.
 
-In this case every command exits with code 71, even after other errors.
+After such a run, every command exits with code 71, even if other errors occurred.
 """
 
 import pytest
@@ -20,7 +20,7 @@ FAILURE_TEXT = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: ind
 
 
 def outcome_with_enabled_motor(plan, controller, log):
-    """Return the outcome of a run after which a motor may still have torque."""
+    """Return the outcome of a run after which a motor may still make torque."""
     state = controller.initial_state()
     state.decide(failure=FAILURE_TEXT, unconfirmed=("index_motor",))
     return RunOutcome(state, LoopStats(), {}, None, 0)
@@ -47,7 +47,7 @@ def test_a_motor_left_on_by_a_bug_is_reported_after_the_traceback(work_folder, m
 
 
 class SilentBus:
-    """A bus that accepts all sent frames and delivers no frames."""
+    """A bus that accepts all frames for sending, but delivers no frames."""
 
     def send(self, frames):
         return len(frames)

@@ -1,4 +1,4 @@
-"""Test the commands that use recorded runs, with the command lines of a user."""
+"""Test the commands that use recorded runs, with command lines that a user would type."""
 
 import json
 import re
@@ -68,7 +68,8 @@ def test_the_comparison_ends_at_a_fault_that_the_log_does_not_have(
 ) -> None:
     """Reproduce a defect.
 
-    The figures of other gains included the time after such a fault, in which the hand relaxed.
+    In a comparison with other gains, the figures included the time after such a fault, in which the
+    hand relaxed.
     """
     gains = tmp_path / "gains.toml"
     gains.write_text("[motion]\nposition_error_m = 3e-5\nspeed_error_m_s = 3e-3\n")
@@ -191,7 +192,7 @@ def test_result_of_an_incomplete_log_is_marked(
 class HtmlPage(HTMLParser):
     """Parser of a web page.
 
-    The parser collects the addresses from which the page would load content.
+    The parser collects the addresses from which the web page would load content.
     """
 
     def __init__(self) -> None:

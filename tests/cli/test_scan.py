@@ -1,6 +1,6 @@
 """Test ``handctl scan``.
 
-A scan finds the nodes of a bus and moves no motor. It sends no frame that a drive of another
+A scan finds the nodes of a bus and moves no motor. A scan sends no frame that a drive of another
 protocol would execute as a command.
 """
 
@@ -28,7 +28,7 @@ from tests.drives.protocol_bench import hand_file
 
 
 class BenchBus:
-    """A bus with simulated drives. The frames ``talk`` come from another host."""
+    """A bus with simulated drives. The frames ``talk`` on this bus come from another host."""
 
     name = "bench"
 
@@ -207,7 +207,7 @@ def test_scan_only_listens_if_another_host_is_active(talk):
 def test_scan_reports_no_firmware_if_another_host_is_active():
     """While another host is active, a scan sends no requests.
 
-    Regression: an ODrive 0.6 without a reply was reported as firmware 0.5.
+    Earlier defect: an ODrive with firmware 0.6 that did not reply was reported as firmware 0.5.
     """
     request = Frame(3 << 5 | 0x09 | REMOTE_FLAG, b"")
     result, _, bus = scan_bench(("odrive", 3), talk=[request])
@@ -249,10 +249,10 @@ def test_two_motors_that_answer_on_one_identifier_are_found():
 
 
 def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
-    """A DM-J8009 motor reports 54 N m.
+    """A DM-J8009 motor reports a full scale of 54 N m.
 
-    The printed part of a hand file has the largest permitted torque of a hand file, and a comment
-    about the drive.
+    The printed part of a hand file contains the largest torque that a hand file permits, and a
+    comment about the drive.
     """
     result, _, _ = scan_bench(("mit", 1, "dm8009"))
     text = hand_file_snippet({"a": result.found_nodes}, 1_000_000, None)
@@ -290,9 +290,9 @@ def test_unrequested_frames_of_an_odrive_are_no_other_host():
 
 
 def test_no_scan_request_enables_torque():
-    """Send every request of a scan to enabled drives with zero torque.
+    """Send every request of a scan to drives that are enabled with zero torque.
 
-    No drive makes torque afterwards.
+    Afterwards, no drive makes torque.
     """
     bench = SimulatedDriveBench(
         [drive_spec("mit", node) for node in (1, 2)]

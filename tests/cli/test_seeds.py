@@ -1,6 +1,6 @@
 """Test ``handctl demo`` in lockstep with every packaged hand, every drive protocol and 20 seeds.
 
-By day only a sample is tested.
+In an ordinary test run, only a sample of these combinations is tested.
 """
 
 import os
@@ -19,12 +19,12 @@ DEMO_CASES = [
     for seed in range(20)
 ]
 SAMPLE_CASES = [("jamia11", "mit", 7), ("t42", "mit", 3)]
-"""Hand, protocol and seed of the cases that are tested by day.
+"""Hand, protocol and seed of the cases that are tested in ordinary test runs.
 
 Regression: the first case ended in commissioning with the fault of a stuck encoder (N04). The hand
 of the second case has two digits.
 
-CiA 402 drives are tested by day in tests/runtime/test_lockstep_again.py.
+CiA 402 drives are tested in ordinary test runs by tests/runtime/test_lockstep_again.py.
 """
 
 

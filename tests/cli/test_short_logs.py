@@ -15,7 +15,7 @@ GRASP_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 def ticks_of(log: RunLog) -> list[bytes]:
-    """Return the ticks of a log as the records that a recorder receives."""
+    """Return the ticks of a log in the form of the records that a recorder receives."""
     axes = [len(log.header.axis_names(name)) for name in ("joint", "tendon", "motor", "digit")]
     pairs = zip(log.tick_messages(), log.packed_telemetry(), strict=True)
     return [
@@ -25,7 +25,7 @@ def ticks_of(log: RunLog) -> list[bytes]:
 
 
 def write_log(path: Path, log: RunLog, ticks: Sequence[bytes]) -> str:
-    """Write a complete log with the given ticks and the header of another log, and return its path."""
+    """Write a complete log that has the given ticks and the header of another log, and return its path."""
     writer = LogWriter(path, log.header, lambda *what: None, 1)
     for tick in ticks:
         writer.add_tick(tick)
@@ -61,7 +61,7 @@ def test_every_verb_reads_or_refuses_a_short_log(
 
 
 def _shifted_tick(tick: bytes, ticks: int, period_ns: int) -> bytes:
-    """Return a copy of a recorded tick, moved in time by a number of ticks."""
+    """Return a copy of a recorded tick that is shifted in time by a number of ticks."""
     at = TICK_SIZES_STRUCT.size + 4
     k, t_ns = struct.unpack_from("<qq", tick, at)
     return tick[:at] + struct.pack("<qq", k + ticks, t_ns + ticks * period_ns) + tick[at + 16 :]

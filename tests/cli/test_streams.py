@@ -1,4 +1,4 @@
-"""Test commands whose standard streams are a closed pipe, a full disk or missing, and commands that get a signal."""
+"""Test commands with a closed pipe, a full disk or a missing standard stream, and signals to commands."""
 
 import json
 import os
@@ -23,7 +23,10 @@ BUFFERED_ENVIRONMENT = {
 
 
 def run_in_shell(redirected, words=VERSION_COMMAND, **environment):
-    """Run a command in a shell with redirected streams. Return its exit code, output and errors."""
+    """Run a command in a shell with redirected streams.
+
+    Return the exit code, the output and the errors of the command.
+    """
     command = ["sh", "-c", f'exec "$0" "$@" {redirected}', *words]
     ran = subprocess.run(
         command, env=BUFFERED_ENVIRONMENT | environment, capture_output=True, text=True, check=False
@@ -42,7 +45,7 @@ def test_a_full_disk_for_the_output_is_one_line(unbuffered):
 
 @pytest.mark.parametrize(
     "verb", [("config", "list"), ("paper", "--quick")]
-)  # the first command prints plain text, the second one a table of the package rich
+)  # the first command prints plain text, and the second one prints a table of the package rich
 def test_output_without_a_reader_is_no_error(verb):
     read, write = os.pipe()
     os.close(read)

@@ -1,4 +1,4 @@
-"""Test force weights of single tendons in the gains: the file, bounds, design, and changes during a run."""
+"""Test force weights of single tendons in the gains: file, bounds, design, and changes during a run."""
 
 from pathlib import Path
 
@@ -37,7 +37,7 @@ def jamia_model() -> HandModel:
 
 
 def own_force(force: float) -> Gains:
-    """Return gains with a separate force weight for the tendon of jamia's index finger [N]."""
+    """Return gains with a separate force weight [N] for the tendon of jamia's index finger."""
     return with_values(Gains(), {FORCE_KEY: force}, "test")
 
 

@@ -1,4 +1,4 @@
-"""Test ``handctl tune`` and ``handctl identify`` with the command lines of a user or a program.
+"""Test ``handctl tune`` and ``handctl identify`` with command lines that a user or a program would use.
 
 In most tests, fake functions replace the computations.
 """
@@ -33,9 +33,9 @@ CANDIDATE_ARGS = Namespace(candidate="new.toml", hand="jamia")
 
 @pytest.fixture
 def fake_search(monkeypatch):
-    """Replace the search for gains by a fake that returns at once.
+    """Replace the search for gains by a fake search that returns at once.
 
-    Return the list of its trials.
+    Return the list of the trials that the fake search has made.
     """
     trials = []
     monkeypatch.setattr(
@@ -84,7 +84,10 @@ def test_poles_that_are_not_stable_in_simulation_are_not_written(work_folder, ca
 def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
     work_folder, capsys, monkeypatch, words
 ):
-    """Reproduce a defect: the cells of the old gains said "none", and the reason was printed nowhere."""
+    """Reproduce a defect.
+
+    The table showed "none" for the margins of the old gains, and the reason was printed nowhere.
+    """
     swing = "the plant with 0.5 of the friction swings by 2.3 N held"
     reasons = {7e-4: f": {swing}"}
     monkeypatch.setattr(
@@ -152,7 +155,7 @@ def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(capsys, acce
     ],
 )
 def test_the_last_line_of_a_verification_is_its_verdict(capsys, failure, rollback, blocked, reason):
-    """Reproduce a defect: a run that went back to the old gains ended without a verdict."""
+    """Reproduce a defect: a run that returned to the old gains ended without a verdict."""
     from handctl.cli.tuning.tune_verify import _report_verification, _stop_reason
 
     amplitudes = (0.3, 1.0, 0.3, 0.6, 1.0)
@@ -291,7 +294,8 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
 def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffness",)):
     """Return an invented result of the identification of a tendon.
 
-    ``blocked`` and ``met`` are texts about contacts of its digit during the excitation.
+    ``blocked`` and ``met`` are texts about contacts of the digit of this tendon during the
+    excitation.
     """
     from handctl.tune.identify.fit import PARAMETER_NAMES
     from handctl.tune.identify.identify import TendonResult

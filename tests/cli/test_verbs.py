@@ -1,7 +1,7 @@
-"""Every example in the help runs as printed.
+"""Every example in the help text of a command runs as printed.
 
-JSON output is valid, a dry run opens no bus, and the exit codes of log commands depend on the state
-of the log.
+JSON output is valid, a dry run opens no bus, and the exit codes of the log commands depend on the
+state of the log.
 """
 
 import json
@@ -65,7 +65,8 @@ DRY_RUN_WORDS = {
 def test_every_verb_prints_json_without_hardware(capsys, verb):
     dry = ("--dry-run",) if verb == "run" else ()
     code, said = json_output(capsys, *verb.split(), *DRY_RUN_WORDS[verb], *dry)
-    assert code in ((0, 1) if verb == "doctor" else (0,))  # doctor exits with 1 if it has a finding
+    # doctor exits with 1 if it has a bad finding
+    assert code in ((0, 1) if verb == "doctor" else (0,))
     assert said
 
 

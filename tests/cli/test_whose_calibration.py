@@ -1,4 +1,4 @@
-"""A calibration belongs to a single hand, which is identified by the serial numbers of its drives."""
+"""A calibration belongs to a single hand. The serial numbers of its drives identify this hand."""
 
 import datetime
 import json
@@ -74,9 +74,9 @@ def mode_texts(log):
 def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibration(
     work_folder, protocols
 ):
-    """Reproduce a defect: two hands of the same design were used in one folder.
+    """Reproduce a defect: two hands of the same design were used in the same folder.
 
-    The second hand got the tares and zeros of the first one.
+    The second hand got the tares and zeros of the first hand.
     """
     hand = hand_file(work_folder, protocols)
     first, second = (
@@ -158,7 +158,11 @@ def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(work_fold
     ("hours", "reason"), [(-1, ""), (-25, "older than a day"), (1, "from the future")]
 )
 def test_a_calibration_is_used_for_a_day(work_folder, hours, reason):
-    """Reproduce a defect: a calibration from the future, of a computer with a wrong clock, never became too old."""
+    """Reproduce a defect.
+
+    A calibration with a date in the future, from a computer with a wrong clock, never became too
+    old.
+    """
     bench = CalibratedBench(work_folder, "jamia")
     path = work_folder / "c.toml"
     made = datetime.datetime.now(datetime.UTC) + datetime.timedelta(hours=hours)

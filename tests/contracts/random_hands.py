@@ -1,4 +1,7 @@
-"""Run ticks of random hands with synthetic frames, and hash each tick. A hand may have any number of tendons."""
+"""Run ticks of random hands with frames that are generated, and hash each tick.
+
+A hand may have any number of tendons.
+"""
 
 import hashlib
 import json
@@ -46,8 +49,8 @@ RandomGenerator = np.random.Generator
 def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
     """Return a random hand with ``tendons`` tendons.
 
-    A digit has as many tendons as joints, a single tendon, or one tendon more than joints. Some
-    digits are mounted on others.
+    A digit has a single tendon, as many tendons as joints, or one tendon more than joints. Some
+    digits are mounted on other digits.
     """
     raw = hand_content("jamia11")
     finger, tendon, motor = raw["digit"][0], raw["tendon"][0], raw["motor"][0]
@@ -128,7 +131,7 @@ def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
 
 
 def _moment_arm_kinds(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float]]]:
-    """Yield the moment arms of a digit's tendons, once for each kind of digit."""
+    """Yield the moment arms of the tendons of a digit, once for each kind of digit."""
     one = float(radii[0])
     yield [dict.fromkeys(joints, one)]
     each = [
@@ -153,7 +156,7 @@ def _message_payload(
 ) -> bytes:
     """Return the payload of a message with given values.
 
-    If a message has several status signals, the first signal contains the highest bits of the
+    If a message has several status signals, the first of them contains the highest bits of the
     status.
     """
     values, left = (
@@ -196,11 +199,14 @@ class RandomHand:
         self.speed = self.random.normal(0.0, 2.0, tendons)
         self.angle = np.zeros(len(hand.joints))
         self.digits = hand.digit_names
-        # A drive closes its position loop only while its tendon is taut.
+        # A drive of such a hand closes its position loop only while its tendon is taut.
         self.pull = 20.0 if any(motor.holds_position for motor in hand.motor) else 0.0
 
     def received_frames(self, t_ns: int) -> tuple[Frame, ...]:
-        """Return the frames that arrive in a tick. Motors wind, tensions follow, and some frames are disturbed."""
+        """Return the frames that arrive in a tick.
+
+        Motors turn, tensions follow, and some frames are disturbed.
+        """
         rng, period = self.random, 1.0 / RATE_HZ
         self.speed = 0.9 * self.speed + rng.normal(0.0, 1.0, len(self.speed))
         self.position += self.speed * period
@@ -251,7 +257,7 @@ class RandomHand:
         return tuple(out)
 
     def requests_of_tick(self, i: int) -> tuple[str, ...]:
-        """Return the requests that arrive in the i-th tick: a move or a tension of a digit, or none."""
+        """Return the requests that arrive in the i-th tick: a move of a digit, a tension of a digit, or none."""
         if self.pull and i == 2:
             return (
                 json.dumps(
@@ -274,7 +280,7 @@ class RandomHand:
         return (json.dumps({"do": "hold", "tension_N": {name: self.random.uniform(5.0, 60.0)}}),)
 
     def hash_ticks(self) -> Iterator[str]:
-        """Run all ticks, and yield a hash of the state, telemetry, frames and events of each."""
+        """Run all ticks, and yield for each a hash of its state, telemetry, frames and events."""
         k = 0
         for i in range(TICKS_PER_HAND):
             if i < TICKS_PER_HAND - LAST_TICKS_WITH_FAULTS:

@@ -1,4 +1,4 @@
-"""Some stages of `make test` run only tests on the real clock.
+"""Some stages of `make test` run only the tests on the real clock.
 
 These stages import only the files that have such tests.
 """

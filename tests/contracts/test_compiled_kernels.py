@@ -1,7 +1,7 @@
 """Test the kernels.
 
-Compiled and interpreted code give equal bytes, no kernel is compiled in a tick, and no stored code
-is stale.
+Compiled and interpreted code give equal bytes, no kernel is compiled in a tick, and no outdated
+code is loaded.
 """
 
 import ast
@@ -54,7 +54,7 @@ def hash_of_execution(log: Path) -> str:
 
 
 def run_without_compiler(*words: str) -> subprocess.Popen[str]:
-    """Start a Python process in which kernels are interpreted and not compiled."""
+    """Start a Python process in which kernels are interpreted instead of compiled."""
     environment = {
         **os.environ,
         "NUMBA_DISABLE_JIT": "1",
@@ -66,7 +66,7 @@ def run_without_compiler(*words: str) -> subprocess.Popen[str]:
 
 
 DAILY_LOGS = ("jamia-grasp.mcap", "jamia-lost.mcap")
-"""Logs that are executed by day. The random hands below cover faults and other numbers of tendons."""
+"""Logs that are executed in ordinary test runs. The random hands below cover faults and other numbers of tendons."""
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
 
 
 DAILY_RANDOM_HANDS = [(1, 0), (2, 0), (5, 1), (5, 2), (6, 5), (11, 1), (24, 0)]
-"""Number of tendons and seed of each random hand that is tested by day.
+"""Number of tendons and seed of each random hand that is tested in ordinary test runs.
 
 Drives of (5, 2), (6, 5) and (11, 1) close position loops. The drives of (6, 5) are moteus drives.
 """
@@ -102,9 +102,9 @@ Drives of (5, 2), (6, 5) and (11, 1) close position loops. The drives of (6, 5) 
 def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
     hands: list[tuple[int, int]],
 ) -> None:
-    """State, numbers, frames and events of every tick agree.
+    """The state, the numbers, the frames and the events of every tick are equal with both kinds of code.
 
-    Received frames may be lost, duplicate, late or corrupt.
+    Received frames may be lost, duplicated, late or corrupt.
     """
     with run_without_compiler(
         "-m", "tests.contracts.random_hands", *[f"{n}:{seed}" for n, seed in hands]
@@ -118,7 +118,7 @@ def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
 
 
 def hash_of_segments() -> str:
-    """Begin random motions to streamed targets, and return one hash of all resulting state blocks."""
+    """Begin random motions to streamed targets, and return one hash of all state blocks that result."""
     digest = hashlib.blake2b(digest_size=16)
     draw = np.random.default_rng(0)
     axes = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run")
@@ -148,9 +148,9 @@ def test_interpreted_kernels_begin_the_same_motions() -> None:
 
 
 def test_a_prepared_kernel_refuses_other_argument_types() -> None:
-    """An array of another type raises an exception.
+    """An argument of another array type raises an exception.
 
-    Compiling the kernel for this type would take a second in the middle of a tick.
+    If the kernel were compiled for this type, this would take a second in the middle of a tick.
     """
 
     @kernel("vector", "real")
@@ -165,7 +165,7 @@ def test_a_prepared_kernel_refuses_other_argument_types() -> None:
 
 
 def test_only_a_contiguous_array_can_be_borrowed() -> None:
-    """An array with gaps is refused, because a kernel would read the elements in the gaps."""
+    """A kernel refuses an array with gaps between its elements, because it would also read the gaps."""
 
     @njit
     def third_value(values: np.ndarray) -> float:
@@ -209,7 +209,10 @@ print(bool(misses(block, layout.places)), len(before), folder is not None)
 
 @pytest.fixture
 def package_copy(tmp_path: Path) -> Path:
-    """Copy the package and add the kernel ``PROBE_KERNEL_CODE``, which detects a node that misses every second tick."""
+    """Copy the package, and add the kernel ``PROBE_KERNEL_CODE``.
+
+    This kernel detects a node that misses every second tick.
+    """
     package = tmp_path / "handctl"
     shutil.copytree(PACKAGE_FOLDER, package, ignore=shutil.ignore_patterns("__pycache__"))
     (package / "core" / "probe.py").write_text(PROBE_KERNEL_CODE, encoding="utf-8")
@@ -217,7 +220,7 @@ def package_copy(tmp_path: Path) -> Path:
 
 
 def run_copied_kernel(package: Path, cache: Path) -> tuple[bool, bool, bool]:
-    """Run the added kernel of a copied package in a process.
+    """Run the added kernel of a copied package in another process.
 
     Returns: The result of the kernel, whether its stored code was used, and whether code can be
     stored.
@@ -235,9 +238,9 @@ def run_copied_kernel(package: Path, cache: Path) -> tuple[bool, bool, bool]:
 def test_a_constant_changed_in_another_file_compiles_again(
     package_copy: Path, tmp_path: Path
 ) -> None:
-    """The kernel is compiled again if a constant changes in another file.
+    """The kernel is compiled again if a constant in another file changes.
 
-    numba itself checks only the kernel's own file.
+    numba itself checks only the file of the kernel.
     """
     cache = tmp_path / "cache"
     assert run_copied_kernel(package_copy, cache) == (True, False, True)
@@ -260,7 +263,7 @@ def test_a_constant_changed_in_another_file_compiles_again(
 def test_two_installations_of_one_version_store_their_code_apart(
     package_copy: Path, tmp_path: Path
 ) -> None:
-    """If both used one folder, an installation could load the stored code of the other."""
+    """If two installations used one folder, each could load the stored code of the other."""
     cache, other = tmp_path / "cache", tmp_path / "other" / package_copy.name
     shutil.copytree(package_copy, other)
     for package in (package_copy, other):
@@ -287,9 +290,9 @@ def test_without_a_writable_cache_each_process_compiles(
 
 
 class KernelSources:
-    """Modules of handctl whose text can change a kernel.
+    """Modules of handctl whose source text can change a kernel.
 
-    These modules define names that the kernel uses, directly or indirectly.
+    These modules define the names that the kernel uses, directly or indirectly.
     """
 
     def __init__(self) -> None:
@@ -299,7 +302,7 @@ class KernelSources:
         self._trees: dict[str, ast.Module] = {}
 
     def follow_name(self, module: str, name: str) -> None:
-        """Add the module that defines a name, and the modules of all names in its definition."""
+        """Add the module that defines a name, and the modules of all names in this definition."""
         if (module, name) in self._seen:
             return
         self._seen.add((module, name))
@@ -347,7 +350,7 @@ def defined_names(node: ast.stmt) -> set[str]:
 
 
 def is_source(module: str) -> bool:
-    """Return True if the cache folder depends on the text of a module."""
+    """Return True if the name of the cache folder depends on the source text of a module."""
     inside = tuple(
         "handctl." + name.removesuffix(".py").replace("/", ".") + "." for name in KERNEL_SOURCES
     )
@@ -355,7 +358,7 @@ def is_source(module: str) -> bool:
 
 
 def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:
-    """The name of the cache folder depends on the text of every module that can change a kernel."""
+    """The name of the cache folder depends on the source text of every module that can change a kernel."""
     kernels = [
         function for function in KERNEL_FUNCTIONS if function.__module__.startswith("handctl.")
     ]

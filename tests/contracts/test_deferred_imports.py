@@ -1,4 +1,4 @@
-"""Test names of a package whose modules are imported only when the name is used."""
+"""Test packages whose modules are imported only when one of their names is used."""
 
 import subprocess
 import sys

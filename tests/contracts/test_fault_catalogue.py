@@ -1,6 +1,6 @@
-"""The fault catalogue, the fault table, the campaign, tests and pages agree.
+"""The fault catalogue, the fault table, the campaign, the tests and the documents agree.
 
-Each fault in the lists of two other projects has its counterpart in the catalogue.
+Each fault in the lists of two other projects has a counterpart in the catalogue.
 """
 
 from pathlib import Path
@@ -103,7 +103,7 @@ def test_every_fault_is_injected_or_has_a_reason() -> None:
 def test_the_campaign_allows_no_more_time_than_the_catalogue() -> None:
     for row in FAULT_MATRIX:
         entry = ENTRY_BY_ID[row.id]
-        if row.accepted_faults[:1] == ("B11b",):  # second stage of B11, after ten ticks
+        if row.accepted_faults[:1] == ("B11b",):  # second stage of the fault B11, after ten ticks
             assert row.max_ticks == 11
             continue
         assert row.max_ticks * 2.0 + row.max_extra_ms <= entry.latest_ms(500.0), row

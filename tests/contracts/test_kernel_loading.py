@@ -27,7 +27,7 @@ pytestmark = pytest.mark.skipif(
 
 
 def printed_lines(code: str) -> list[str]:
-    """Run a program text in Python, and return the lines that it prints."""
+    """Run the text of a Python program, and return the lines that it prints."""
     ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     return ran.stdout.splitlines()
 

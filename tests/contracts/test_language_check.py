@@ -1,4 +1,4 @@
-"""Test that the language check counts as its documentation says.
+"""Test that the language check counts as its documentation describes.
 
 The limits of the check can only be lowered.
 """
@@ -54,7 +54,7 @@ def test_the_script_counts_names_docstrings_and_shape(
     tally = language_check.count_all(source_tree)["src"]
     counted = {count: tally.counts[count] for count in language_check.QUANTITY_PER_COUNT}
     assert counted == {
-        "names": 5,  # told twice, most, Wishes twice
+        "names": 5,  # the words are: told twice, most, Wishes twice
         "openers": 1,
         "what": 1,
         "semicolons": 1,

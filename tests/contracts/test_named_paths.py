@@ -30,7 +30,7 @@ def missing_paths(text: str) -> list[str]:
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_every_named_file_exists(document: Path) -> None:
-    """Reproduce a defect: the settings of mutation testing named two files that had been renamed."""
+    """Reproduce a defect: the settings of mutation testing named two files whose names had changed."""
     if document.name != HISTORY:
         assert missing_paths(document.read_text()) == []
 

@@ -1,4 +1,4 @@
-"""No module imports itself through other modules, neither at its top nor in a function."""
+"""No module imports itself through other modules, neither at its top nor within a function."""
 
 import ast
 from pathlib import Path
@@ -10,7 +10,7 @@ ImportGraph = dict[str, set[str]]
 
 
 def module_files() -> dict[str, Path]:
-    """Return every module of handctl and firmware_sim with its file.
+    """Return every module of handctl and firmware_sim, with its file.
 
     The file of a package is its `__init__.py`, which contains no code.
     """
@@ -36,7 +36,7 @@ def imported_modules(source: str, modules_known: set[str]) -> set[str]:
 
 
 def import_cycles(graph: ImportGraph) -> list[set[str]]:
-    """Return the groups of modules that import each other, directly or through others."""
+    """Return the groups of modules that import each other, directly or through other modules."""
     reach = {name: set(targets) for name, targets in graph.items()}
     for middle in graph:
         for targets in reach.values():

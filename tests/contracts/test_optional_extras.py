@@ -1,4 +1,4 @@
-"""A command that needs a missing optional package reports this in one line before any work."""
+"""If a command needs an optional package that is missing, it reports this in one line before it does any work."""
 
 import ast
 import json

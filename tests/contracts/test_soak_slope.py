@@ -1,7 +1,7 @@
 """Test the long soak run.
 
-The run reports a leak, but not memory that is freed and allocated again. The run can start a
-controller.
+The soak run reports a leak, but does not report memory that is freed and allocated again. The soak
+run can start a controller.
 """
 
 import random
@@ -31,9 +31,9 @@ def memory_samples(
 def test_a_controller_gets_a_calibration_of_its_hand(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Reproduce a defect: the soak run wrote a hand file in place of the calibration.
+    """Reproduce a defect: the soak run wrote a hand file to the path of the calibration.
 
-    The soak run therefore ended before it started a controller.
+    The run therefore ended before it started a controller.
     """
     monkeypatch.chdir(tmp_path)
     done = subprocess.Popen([sys.executable, "-c", ""])
@@ -59,9 +59,9 @@ def test_growth_is_reported_in_mebibytes_per_hour() -> None:
 
 
 def test_memory_that_is_freed_and_allocated_again_is_no_growth() -> None:
-    """Reproduce a defect: in some samples a recorder had 1.5 MiB more than in others.
+    """Reproduce a defect: in some samples, the memory of a recorder was 1.5 MiB larger than in others.
 
-    This was reported as growth of 3 MiB per hour.
+    The soak run reported this as a growth of 3 MiB per hour.
     """
     falling_back = memory_samples(2400.0)
     low = [

@@ -26,7 +26,7 @@ def source_files(*folders: str) -> list[Path]:
 
 
 def broad_handlers(source: str) -> Iterator[int]:
-    """Yield the lines of a source with handlers or ``suppress`` that catch all exceptions, in any spelling."""
+    """Yield the lines of a source text that catch all exceptions, with a handler or ``suppress``, in any spelling."""
     for node in ast.walk(ast.parse(source)):
         match node:
             case ast.ExceptHandler(type=None):
@@ -72,9 +72,9 @@ def test_only_the_loop_catches_all_exceptions_and_once() -> None:
 
 
 def test_only_one_module_builds_the_simulated_hand() -> None:
-    """Only ``session.simulate`` builds a simulated hand in lockstep.
+    """Only the module ``session.simulate`` builds a simulated hand in lockstep.
 
-    The parts of this simulated hand are defined in the module of the lockstep clock.
+    The module of the lockstep clock defines the parts of this simulated hand.
     """
     builders = {
         str(path.relative_to(REPOSITORY))

@@ -1,4 +1,7 @@
-"""A stall of the machine is detected. A test on the real clock is repeated only after a stall."""
+"""Test that a stall of the machine is detected.
+
+A test on the real clock is repeated only after a stall.
+"""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""``handctl --help`` replies at once, because a command's libraries are imported only when the command is called."""
+"""``handctl --help`` replies at once, because the libraries of a command are imported only when the command runs."""
 
 import importlib.util
 import subprocess

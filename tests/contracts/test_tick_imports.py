@@ -1,6 +1,7 @@
-"""No tick imports a module.
+"""No module is imported during a tick.
 
-An import takes up to 0.3 s. The run would then end with the fault H03 (the host stalled).
+An import takes up to 0.3 s. After a tick of this length, the run would end with the fault H03 (the
+host stalled).
 """
 
 import subprocess
@@ -67,7 +68,7 @@ def run_code(code: str, hand: str) -> list[str]:
 def test_no_tick_imports_a_module(hand: str) -> None:
     """Reproduce a defect.
 
-    The first task with a phase ``follow`` imported 202 modules of scipy in a tick, which took 0.3
+    In a tick, the first task with a phase ``follow`` imported 202 modules of scipy. This took 0.3
     s.
     """
     assert run_code(RUN_CODE, hand) == []

@@ -1,7 +1,7 @@
-"""The wheel, installed into a fresh environment outside the repository, runs the demo.
+"""The wheel runs the demo after it was installed into a new environment outside of the repository.
 
-The packages of the controller are installed before the extras. The test of the controller therefore
-cannot use a package of an extra.
+The packages that the controller needs are installed before the extras. So the test of the
+controller cannot use a package of an extra.
 """
 
 import os
@@ -26,10 +26,10 @@ pytestmark = [pytest.mark.nightly, pytest.mark.timeout(1800)]
 
 
 class WheelEnvironment:
-    """A Python environment with the wheel, without access to the repository.
+    """A Python environment in which the wheel is installed, without access to the repository.
 
     Args:
-        folder: folder in which the environment is made and its programs run.
+        folder: folder that contains the environment, and in which its programs run.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -87,7 +87,7 @@ class WheelEnvironment:
         )
 
     def installed_megabytes(self) -> float:
-        """Return the size of the installed packages without pip and setuptools [MB]."""
+        """Return the size of the installed packages, except pip and setuptools [MB]."""
         where = self.run("python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))")
         packages = Path(where.stdout.strip())
         tools = {"pip", "setuptools", "pkg_resources"}

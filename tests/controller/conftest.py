@@ -24,7 +24,10 @@ def jamia() -> HandModel:
 
 @pytest.fixture(scope="session")
 def jamia11() -> HandModel:
-    """Return the model of ``jamia11``, which has a tendon and an encoder at each joint, at its default rate."""
+    """Return the model of ``jamia11`` at its default rate.
+
+    This hand has a tendon and an encoder at each joint.
+    """
     return HandModel.from_hand(load_hand("jamia11"), Gains(), DEFAULT_RATES["jamia11"])
 
 
@@ -32,7 +35,7 @@ def jamia11() -> HandModel:
 def model(request: pytest.FixtureRequest) -> HandModel:
     """Return the model of one of the two packaged Jamia hands.
 
-    A test with this fixture runs once with each hand.
+    A test that uses this fixture runs once with each of the two hands.
     """
     found: HandModel = request.getfixturevalue(request.param)
     return found

@@ -1,8 +1,8 @@
-"""A hand with scripted motors, tendons and load cells, and a bench that runs a controller with it.
+"""A hand with scripted motors, tendons and load cells, and a bench in which a controller runs with this hand.
 
-This hand models much less than the simulator, and is therefore fast. Every digit rests on the
-mechanical stop of its open posture, and a rotor winds an elastic tendon against this stop. A test
-can drop, change or add frames from and to the controller.
+The scripted hand models much less than the simulator. It is therefore fast. Every digit rests at
+the stop of its open end, and a rotor winds an elastic tendon against this stop. A test can drop,
+change or add frames on their way from and to the controller.
 """
 
 from collections.abc import Callable
@@ -27,15 +27,15 @@ INITIAL_SLACK_M = 0.3e-3
 
 
 class ToyHand:
-    """The simulated hand. A controller in lockstep calls its ``step`` once in each tick.
+    """The simulated hand. A controller in lockstep calls ``step`` of this hand once in each tick.
 
     Attributes:
         motors: the scripted motors, one per tendon.
         tension: (N,) true tension of each tendon [N].
         cell_bias: (N,) error that each load cell adds to the tension [N].
-        tendon_of_channel: index of the tendon that each load-cell channel measures.
-        silent_sensors: whether the sensor node sends no frames.
-        locked_when_disabled: whether the rotor of a disabled motor stands still.
+        tendon_of_channel: index of the tendon whose tension each load-cell channel measures.
+        silent_sensors: True if the sensor node sends no frames.
+        locked_when_disabled: True if the rotor of a disabled motor cannot turn.
     """
 
     def __init__(self, hand: Hand, period_ns: int) -> None:
@@ -85,12 +85,12 @@ class ToyHand:
     def tear_tendon(self, i: int) -> None:
         """Tear tendon i.
 
-        From then on the tension of this tendon is zero, at any speed of its spool.
+        From then on the tension of this tendon is zero, whatever the speed of its spool is.
         """
         self.tendon_stiffness[i] = self.tendon_damping[i] = 0.0
 
     def close(self) -> None:
-        """Do nothing, because the simulated hand has no file or connection to close."""
+        """Do nothing, because the scripted hand has no file or connection to close."""
 
     def _feedback_codes(self, i: int) -> tuple[int, int, int]:
         angle, speed = (
@@ -145,7 +145,8 @@ class ToyHand:
 def _pack_channels(base: int, counter: int, values: list[int]) -> list[Frame]:
     """Pack load-cell channels into frames.
 
-    Each frame has a counter of 4 bits and up to five channels of 12 bits, from the lowest bit.
+    Each frame contains a counter of 4 bits and up to five channels of 12 bits, beginning with the
+    lowest bit.
     """
     frames = []
     for group, start in enumerate(range(0, len(values), 5)):
@@ -167,13 +168,15 @@ def uncommissioned_controller(model: HandModel, program: Program, arm: bool = Tr
 
 @dataclass
 class ControllerBench:
-    """Bench that runs a controller and the simulated hand tick by tick.
+    """Bench in which a controller and the scripted hand run tick by tick.
 
     Attributes:
         controller: the controller under test.
-        peer: the simulated hand that replies to the controller.
-        to_host, to_nodes: functions that change the frames of a tick on their way to the host or to the nodes.
-        tick_history: input and output of every tick so far, with the controller's state before the tick.
+        peer: the scripted hand, which replies to the controller.
+        to_host, to_nodes: functions that change the frames of a tick on their way to the host and
+            to the nodes.
+        tick_history: for every tick so far, its input, its output, and the state of the controller
+            before the tick.
     """
 
     controller: Controller
@@ -194,7 +197,7 @@ class ControllerBench:
         missed_ticks: int = 0,
         extra_frames: tuple[Frame, ...] = (),
     ) -> TickOut:
-        """Run one tick of the controller, after it has missed ``missed_ticks`` ticks."""
+        """Run one tick of the controller, after the controller has missed ``missed_ticks`` ticks."""
         for _ in range(missed_ticks):
             self.frames_on_bus += self.peer.step(self.k * self.period_ns, [])
             self.k += 1
@@ -225,7 +228,7 @@ class ControllerBench:
         )
 
     def run(self, seconds: float) -> TickOut:
-        """Run ticks for a duration."""
+        """Run ticks for a given duration."""
         for _ in range(round(seconds / self.controller.model.period)):
             out = self.tick()
         return out
@@ -246,7 +249,7 @@ class ControllerBench:
 
 
 def make_controller_bench(model: HandModel, program: Program, arm: bool = True) -> ControllerBench:
-    """Return a bench that connects a controller with a simulated hand that has no faults."""
+    """Return a bench that connects a controller with a scripted hand without faults."""
     return ControllerBench(
         uncommissioned_controller(model, program, arm),
         ToyHand(model.hand, round(model.period * 1e9)),

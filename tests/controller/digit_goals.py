@@ -18,7 +18,7 @@ def moving_goals(
 ) -> tuple[DigitGoal, ...]:
     """Return goals that move every digit from ``start`` to ``end`` [rad].
 
-    ``duration`` [s] is one number for all digits, or a tuple with one number per digit.
+    ``duration`` [s] is one number for all digits, or a tuple that has one number for each digit.
     """
     durations = duration if isinstance(duration, tuple) else (duration,) * len(model.digits)
     sizes = [digit.coupling.shape[1] for digit in model.digits]

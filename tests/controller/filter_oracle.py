@@ -1,4 +1,4 @@
-"""Second, independent implementation of a tendon's differential equations and of a steady-state Kalman gain."""
+"""Second, independent implementation of the differential equations of a tendon and of the steady-state Kalman gain."""
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -37,7 +37,7 @@ def rates_of_change(
 
 
 def unknown_motor_force(model: HandModel, regime: TendonRegime) -> tuple[float, float, float]:
-    """Return the deviation [N], time constant [s] and noise [N] of the unknown force on a motor."""
+    """Return the standard deviation [N], the time constant [s] and the noise [N] of the unknown force on a motor."""
     kind = "held" if regime == TendonRegime.HELD else "motor"
     names = ("disturbance_N", "disturbance_time_s", "acceleration_noise_N")
     return tuple(getattr(model.gains.filter, f"{kind}_{name}") for name in names)
@@ -46,7 +46,7 @@ def unknown_motor_force(model: HandModel, regime: TendonRegime) -> tuple[float, 
 def differential_equation_matrices(
     model: HandModel, i: int, regime: TendonRegime
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Determine the matrices A and B of a tendon's linear differential equations by columns."""
+    """Determine the matrices A and B of the linear differential equations of a tendon, column by column."""
     zero = np.zeros(STATE_COUNT)
     A = np.column_stack(
         [rates_of_change(model, i, regime, one, 0.0, 0.0) for one in np.eye(STATE_COUNT)]
@@ -61,7 +61,7 @@ def process_noise_density(model: HandModel, i: int, regime: TendonRegime) -> np.
 
     The density of a Gauss-Markov state with standard deviation sigma and time constant tau is 2
     sigma^2 / tau. The density of a random walk is sigma^2 / tau. A free digit follows its spool, so
-    the noise on the speed of the spool also acts on the digit.
+    the noise of the spool speed also acts on the digit.
     """
     space, gains = model.space, model.gains.filter
     disturbance, lasts, shaking = unknown_motor_force(model, regime)
@@ -87,7 +87,7 @@ def process_noise_density(model: HandModel, i: int, regime: TendonRegime) -> np.
 def integrate_one_period(
     model: HandModel, i: int, regime: TendonRegime
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return F, B and the noise covariance of one control period in scaled units.
+    """Return F, B and the noise covariance for one control period, in scaled units.
 
     A Runge-Kutta method integrates the differential equations over the period.
     """
@@ -138,7 +138,7 @@ def covariance_by_doubling(
 def assumed_measurements(block: FilterBlock, regime: TendonRegime) -> np.ndarray:
     """Return the measurement matrix H (2, 7) of the gain design.
 
-    H contains the load cell's error only if the tendon is slack.
+    H contains the error of the load cell only if the tendon is slack.
     """
     H = block.H[:2].copy()
     H[1, E] = float(regime == TendonRegime.SLACK)
@@ -148,12 +148,12 @@ def assumed_measurements(block: FilterBlock, regime: TendonRegime) -> np.ndarray
 def joseph_update(
     block: FilterBlock, P: np.ndarray, missing: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the gain (7, 2) and the covariance after an update by encoder and load cell.
+    """Return the gain (7, 2), and the covariance after an update by encoder and load cell.
 
     ``missing`` (2,) marks absent measurements.
 
-    Only in a slack tendon can the load cell's error be distinguished from tension. In other regimes
-    the filter does not correct this error, but its variance still counts.
+    The error of the load cell can be distinguished from tension only in a slack tendon. In other
+    regimes, the filter does not correct this error, but takes its variance into account.
     """
     H, R = block.H[:2].copy(), np.diag(block.R * np.where(missing, 1e12, 1.0))
     H[1, E] = float(block.cell_error_observable)
@@ -166,7 +166,7 @@ def joseph_update(
 def assert_same_covariance(found: np.ndarray, expected: np.ndarray) -> None:
     """Assert that covariances (..., n, n) agree.
 
-    An element may differ by 1e-9 of the product of the standard deviations of its two states.
+    An element may differ by 1e-9 times the product of the standard deviations of its two states.
     """
     sigma = np.sqrt(np.diagonal(expected, axis1=-2, axis2=-1))
     size = sigma[..., :, None] * sigma[..., None, :]

@@ -1,7 +1,7 @@
-"""States, sensors and single ticks for tests of the tension filter.
+"""States, sensor readings and single ticks for tests of the tension filter.
 
-``FilterState`` is the part of a controller's state that belongs to the filter. ``run_unplanned_filter_tick`` runs the
-stages of one tick on such a state.
+``FilterState`` is the part of the controller's state that belongs to the filter.
+``run_unplanned_filter_tick`` runs the stages of one tick on such a state.
 """
 
 from typing import NamedTuple
@@ -31,16 +31,17 @@ class FilterState(NamedTuple):
     Attributes:
         filter_states: (7N,) the seven filter states of each tendon, tendon after tendon.
         regimes: members of ``TendonRegime``.
-        stopped: whether the digit rests on the mechanical stop of its open posture.
-        turning_evidence: evidence that a slack tendon becomes taut, or a taut tendon slack.
-        length_known: whether the tendon's length is known.
+        stopped: True if the digit rests at the stop of its open end.
+        turning_evidence: evidence that a slack tendon becomes taut, or that a taut tendon becomes
+            slack.
+        length_known: True if the length of the tendon is known.
         cell_surprise: last load-cell innovation, divided by its standard deviation.
-        nis_mean, nis_lately: two averages of the normalised innovation squared.
-        doubtful: whether the filter doubts its model.
+        nis_mean, nis_lately: slow and fast average of the normalised innovation squared.
+        doubtful: True if the filter doubts its model.
         doubt_time_s: remaining time for which the filter doubts its model [s].
-        covariance: (N, 7, 7) covariance of the filter states while measurements are missing. None
-            stands for the steady-state covariance.
-        started: whether every sensor has been read once.
+        covariance: (N, 7, 7) covariance of the filter states while measurements are missing. The
+            value is None if the covariance is the steady-state covariance.
+        started: True if every sensor has been read once.
     """
 
     filter_states: np.ndarray
@@ -101,7 +102,7 @@ def write_filter_state(state: ControllerState, filtered: FilterState) -> None:
 
 
 def filter_state_of(state: ControllerState) -> FilterState:
-    """Return the filter's part of a controller's state."""
+    """Return the part of a controller's state that belongs to the filter."""
     booleans = ("stopped", "length_known", "doubtful")
     found = {
         name: tuple(map(bool if name in booleans else int, state.view(row)))
@@ -134,17 +135,19 @@ def run_filter_tick(
     friction_state: np.ndarray | None = None,
     missed: int = 0,
 ) -> tuple[FilterState, SyntheticEstimate]:
-    """Correct the filter with the measurements of one tick and predict the present state, by the stages of a real tick.
+    """Correct the filter with the measurements of one tick, and predict the present state.
+
+    The function calls the stages of a real tick.
 
     Args:
         model: the hand. state: state of the filter after the last tick. measured: readings that the
             sensors took at the last tick.
         force: (N,) motor force on each tendon since the last tick, with motor friction already subtracted [N].
-        rate: (N,) rate at which the tension of each tendon is planned to change [N/s].
-        contact: for each digit, whether it is known to touch an object.
-        friction_state: (N,) development of each tendon's friction, from 1 (winding) to -1 (paying
-            out), NaN if unknown.
-        missed: number of ticks that were skipped since the last tick.
+        rate: (N,) planned rate of change of the tension of each tendon [N/s].
+        contact: for each digit, True if the digit is known to touch an object.
+        friction_state: (N,) development of the friction of each tendon, from 1 (winding up) to -1
+            (paying out). The value is NaN if it is unknown.
+        missed: number of ticks that were missed since the last tick.
     """
     controller_state = state_of(model, state)
     write_readings(controller_state, measured)
@@ -167,7 +170,7 @@ def run_filter_tick(
 def state_at_rest(
     model: HandModel, tension: float, joint_angle: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the states (N, 7) and motor forces (N,) of a hand that rests with all joints at ``joint_angle`` [rad]."""
+    """Return the states (N, 7) and the motor forces (N,) of a hand at rest with all joints at ``joint_angle`` [rad]."""
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), joint_angle)
     x[:, X] = x[:, S] + tension / model.space.stiffness
@@ -188,9 +191,9 @@ def run_unplanned_filter_tick(
 def noiseless_readings(
     model: HandModel, x: np.ndarray, tension: np.ndarray, excursion: bool = False
 ) -> SensorReadings:
-    """Return noiseless readings of a hand with given filter states (N, 7) and tensions (N,) [N].
+    """Return readings without noise, for a hand with given filter states (N, 7) and tensions (N,) [N].
 
-    With ``excursion``, the readings include those of the joint encoders.
+    If ``excursion`` is True, the readings include those of the joint encoders.
     """
     return empty_readings(model)._replace(
         travel=x[:, X].copy(),
@@ -200,15 +203,15 @@ def noiseless_readings(
 
 
 def all_in_regime(model: HandModel, regime: TendonRegime, x: np.ndarray) -> FilterState:
-    """Return a filter state with every tendon in the same regime.
+    """Return a filter state in which every tendon has the same regime.
 
-    No digit rests on its open stop.
+    In this state, no digit rests at its open stop.
     """
     return FilterState.in_regime(x.ravel(), regime, stopped=False)
 
 
 def no_contact(model: HandModel) -> tuple[bool, ...]:
-    """Return the contact flags of a hand whose digits touch no object, one False per digit."""
+    """Return the contact flags of a hand whose digits touch no object: one False for each digit."""
     return (False,) * len(model.digits)
 
 
@@ -217,7 +220,7 @@ def state_after_first_readings(
 ) -> FilterState:
     """Return the filter state after the first encoder readings ``travel`` [m].
 
-    With ``cells``, the load cells have also been read.
+    If ``cells`` is True, the load cells have also been read.
     """
     controller_state = state_of(model, state)
     controller_state.mode = HandMode.SILENT
@@ -232,9 +235,9 @@ def state_after_first_readings(
 def corrected_state(
     model: HandModel, state: FilterState, measured: SensorReadings
 ) -> ControllerState:
-    """Return a controller's state between the filter's measurement update and its prediction.
+    """Return a controller's state between the correction and the prediction of the filter.
 
-    No digit is in contact.
+    In this state, no digit is in contact.
     """
     controller_state = state_of(model, state)
     write_readings(controller_state, measured)
@@ -249,13 +252,13 @@ def state_of(model: HandModel, filtered: FilterState) -> ControllerState:
     controller_state = active_state(model)
     controller_state.mode = (
         HandMode.ARMING
-    )  # in this mode the filter takes contacts from the plan, and detects none
+    )  # in this mode, the filter takes contacts from the plan, and detects none itself
     write_filter_state(controller_state, filtered)
     return controller_state
 
 
 def design_arrays_by_tendon(model: HandModel, kinds: tuple[int, ...], name: str) -> np.ndarray:
-    """Return one array of the filter design for each tendon (N, ...), selected by the tendon's regime."""
+    """Return one array of the filter design for each tendon (N, ...), selected by the regime of the tendon."""
     return np.array(
         [getattr(own[kind], name) for own, kind in zip(model.filter.blocks, kinds, strict=True)]
     )

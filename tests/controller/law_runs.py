@@ -1,6 +1,6 @@
 """Run single ticks of the control law in tests.
 
-Read the state and the commands of the law from the controller's state.
+Read the state of the control law and its commands from the controller's state.
 """
 
 from dataclasses import replace
@@ -34,15 +34,15 @@ class LawState(NamedTuple):
     """State of the control law between two ticks. Each attribute has one value per tendon (N,).
 
     Attributes:
-        setpoint: set-point of the tension loop [N]. integral: integral part of the tension loop
-            [N]. force: commanded motor force, without friction [N].
+        setpoint: setpoint of the tension loop [N]. integral: integral part of the tension loop [N].
+            force: commanded motor force, without friction [N].
         planned: tension that is planned for the next tick, for tendons of moving digits [N]. rate:
-            planned rate of change of the tension until then [N/s].
-        trim: force that compensates the step of the command when gains change [N]. None after it
-            has decayed.
-        held: limit of the tension while safety holds the hand [N]. None at other times.
-        friction_state: development of each tendon's friction, from 1 (winding) to -1 (paying out).
-            NaN where it is not known, None before the first command.
+            planned rate of change of the tension until the next tick [N/s].
+        trim: force that compensates the step of the command at a change of gains [N]. The value is
+            None after it has decayed.
+        held: tension limit while the safety monitor holds the hand [N]. None at other times.
+        friction_state: development of the friction of each tendon, from 1 (winding up) to -1
+            (paying out). The value is NaN if it is unknown, and None before the first command.
     """
 
     setpoint: np.ndarray
@@ -61,15 +61,15 @@ class LawState(NamedTuple):
 
     @staticmethod
     def idle_at_tensions(tension: np.ndarray) -> "LawState":
-        """Return the state of the control law before its first command, with set-points at given tensions (N,) [N]."""
+        """Return the state of the control law before its first command, with given tensions (N,) [N] as setpoints."""
         return LawState(tension, *np.zeros((4, len(tension))))
 
 
 class LawCommand(NamedTuple):
     """Output of the control law.
 
-    Each tendon (N,) has a motor torque [N m] and a tension goal [N]. Each joint (J,) has a torque
-    [N m], and goals of its angle [rad] and its rate [rad/s].
+    For each tendon (N,), it has a motor torque [N m] and a tension goal [N]. For each joint (J,),
+    it has a torque [N m], and goals of the angle [rad] and the rate [rad/s].
     """
 
     torque: np.ndarray
@@ -80,9 +80,9 @@ class LawCommand(NamedTuple):
 
 
 def temperatures_for_limits(model: HandModel, limit: np.ndarray) -> np.ndarray:
-    """Return the drive temperatures (N,) [degC] at which tensions have the limits ``limit`` [N].
+    """Return the drive temperatures (N,) [degC] at which the tension limits are ``limit`` [N].
 
-    The limits must lie between the floor and the ceiling of the tensions.
+    The values must be between the floor and the ceiling of the tensions.
     """
     limits = controller_of(model).derived.limits
     fraction = (limit - model.floor) / (model.ceiling - model.floor)
@@ -96,7 +96,7 @@ def run_control_law(
     t: float,
     action: SafetyAction,
 ) -> None:
-    """Run the control law of one tick on a controller's state, with given goals at time t [s]."""
+    """Run the control law of one tick on a controller's state, with goals for time t [s]."""
     write_goals(model, state.layout, state.block, goals)
     state.decide(progress=replace(state.progress, goals=goals))
     state.goal_time = t
@@ -118,7 +118,7 @@ def run_law_tick(
         model: the hand. law: state of the control law after the last tick. estimate: estimate of
             the hand at time t. goals: one per digit. t: time [s].
         temperature_limit_N: (N,) tension limit that the temperature of each drive causes [N].
-        held_limit_N: (N,) limit of the tension while safety holds the hand [N].
+        held_limit_N: (N,) tension limit while the safety monitor holds the hand [N].
     """
     state = state_with_estimate(model, estimate)
     for name in ("setpoint", "integral", "force", "planned", "rate"):
@@ -165,7 +165,9 @@ def _tension_limits(
 
 
 def tension_limits_of(model: HandModel, state: ControllerState) -> np.ndarray:
-    """Return the tension limits (N,) [N] in a controller's state, infinite where there is none.
+    """Return the tension limits (N,) [N] that a controller's state contains.
+
+    A tendon without a limit has infinity.
 
     The limits of the hand file are not included.
     """

@@ -1,4 +1,4 @@
-"""Run a program on the simulated hand inside the test's process, without a bus, a clock or a log."""
+"""Run a program on the simulated hand inside the process of the test, without a bus, a clock or a log."""
 
 import math
 from dataclasses import dataclass, field
@@ -22,17 +22,17 @@ OBJECT_LOST_M = 0.05
 def model_of(hand: str) -> HandModel:
     """Return the model of a packaged hand.
 
-    The gains of each model are designed once for all calls.
+    The gains of each model are designed once, for all calls.
     """
     return HandModel.from_hand(load_hand(hand), Gains(), CONTROL_RATE_HZ)
 
 
 @dataclass
 class PlantRun:
-    """Record of a run, with a row for each tick and all events.
+    """Record of a run: a row for each tick, and all events.
 
-    A row has the time [s], the position of the object [m], the contact force on each digit [N], and
-    the estimated, measured and true tension of each tendon [N].
+    A row contains the time [s], the position of the object [m], the contact force on each digit
+    [N], and the estimated, measured and true tension of each tendon [N].
     """
 
     time_s: list[float] = field(default_factory=list)
@@ -44,7 +44,7 @@ class PlantRun:
     events: list[tuple[float, TickEvent]] = field(default_factory=list)
 
     def events_named(self, name: str) -> list[tuple[float, str]]:
-        """Return the time [s] and the place, such as a digit, of each event with a given name."""
+        """Return the time [s] and the place (for example the digit) of each event with a given name."""
         return [(time_s, event.where) for time_s, event in self.events if event.name == name]
 
 
@@ -61,7 +61,7 @@ def run_on_plant(
 
     Args:
         hand: name of a packaged hand. program: the program to run. scene: text of a scene file.
-            folder: folder in which that file is written.
+            folder: folder in which the scene file is written.
         seconds: simulated time [s]. The run ends earlier if the object is lost. seed: seed of the
             simulator.
         plant_factors: factors on parameters of the plant. The controller does not know these

@@ -1,9 +1,8 @@
-"""Synthetic estimates, measurements and states of a hand, for tests of the code that uses the filter.
+"""Generated estimates, measurements and states of a hand, for tests of the code that uses the filter.
 
-``ControllerState`` holds all numbers of a tick. ``SyntheticEstimate`` and ``SensorReadings`` are the
-parts of
-a state that tests make up. ``state_with_estimate`` writes an estimate into a state, and
-``estimate_of`` reads it from a state.
+``ControllerState`` contains all numbers of a tick. ``SyntheticEstimate`` and ``SensorReadings`` are
+the parts of a state that a test generates. ``state_with_estimate`` writes an estimate into a state,
+and ``estimate_of`` reads the estimate from a state.
 """
 
 import functools
@@ -32,7 +31,7 @@ SLACK_REGIME = 2
 
 
 class SensorReadings(NamedTuple):
-    """Measurements of one tick, one value per tendon (N,). A missing measurement is NaN.
+    """Measurements of one tick, with one value for each tendon (N,). A missing measurement is NaN.
 
     Attributes:
         travel: spool travel, read by the motor encoder [m]. tension: tension, read by the load cell
@@ -105,9 +104,9 @@ def _active_state_template(model: HandModel) -> ControllerState:
 
 
 def uncompiled_function(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the Python function that a kernel was compiled from.
+    """Return the Python function from which a kernel was compiled.
 
-    Tests call this function directly. The compiled kernel can only be called by other kernels.
+    Tests call this function directly. Only other kernels can call the compiled kernel.
     """
     return getattr(function, "py_func", function)
 
@@ -115,7 +114,7 @@ def uncompiled_function(function: Callable[..., Any]) -> Callable[..., Any]:
 def active_state(model: HandModel) -> ControllerState:
     """Return the state of an active hand with a running filter.
 
-    Every tendon is taut. Every digit is free and does not rest on its stop.
+    Every tendon is taut. Every digit is free, and no digit rests at its stop.
     """
     return _active_state_template(model).copy()
 
@@ -154,14 +153,14 @@ def estimate_of(state: ControllerState) -> SyntheticEstimate:
 
 
 class LoadStatics(NamedTuple):
-    """Known forces along each tendon (N,) [N]: the load of springs and gravity, and the tension that friction leaves.
+    """Known forces along each tendon (N,) [N]: load of springs and gravity, and tension after friction.
 
     Attributes:
         resistance: tension that balances springs and gravity.
-        eager: tension minus friction. The direction of friction always follows from the speed at
-            the spool.
-        pull: tension minus friction. The known development of friction is used, or the speed at the
-            spool if it is unknown.
+        eager: tension minus friction. The direction of friction always follows from the tendon
+            speed at the spool.
+        pull: tension minus friction. If the development of friction is known, it is used. Otherwise
+            the speed at the spool is used.
     """
 
     resistance: np.ndarray
@@ -184,7 +183,7 @@ def load_statics(
 ) -> LoadStatics:
     """Return the known forces that the filter assumes for states (N, 7) with given tensions [N].
 
-    The stretch offset of each tendon is chosen such that the tendon has its given tension.
+    The stretch offset of each tendon is chosen so that the tendon has its given tension.
     """
     state, space = active_state(model), model.space
     state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = table.T
@@ -208,7 +207,10 @@ def _winding_efficiency(
 
 
 def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
-    """Return the fraction of each tension (N,) that reaches the joints at angles (J,) [rad] while the motor winds."""
+    """Return the fraction of each tension (N,) that reaches the joints at angles (J,) [rad].
+
+    The result is the fraction while the motor winds the tendon up.
+    """
     return np.asarray(
         _winding_efficiency(
             *stage_constants(model), np.asarray(q, dtype=np.float64), model.tendon_count
@@ -217,7 +219,10 @@ def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
 
 
 def exact_estimate(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
-    """Return an estimate that equals filter states (N, 7) exactly. All tendons are taut and all digits free."""
+    """Return an estimate that corresponds exactly to filter states (N, 7).
+
+    In this estimate, all tendons are taut and all digits are free.
+    """
     n = model.tendon_count
     q, dq = np.zeros(len(model.hand.joints)), np.zeros(len(model.hand.joints))
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
@@ -250,7 +255,10 @@ def exact_estimate(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
 
 
 def balanced_state(model: HandModel, joint_angle: float) -> np.ndarray:
-    """Return filter states (N, 7) that balance springs and weight, with all coordinates at ``joint_angle`` [rad]."""
+    """Return filter states (N, 7) whose tensions balance springs and weight.
+
+    All coordinates are at ``joint_angle`` [rad].
+    """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
         x[tendons, S] = digit.reduced_moment_arms @ np.full(digit.coupling.shape[1], joint_angle)
@@ -287,10 +295,11 @@ def detect_contacts(
 ) -> SyntheticEstimate:
     """Detect contacts, write them into the state, and return the estimate with the contact forces.
 
-    The closing digits are also written into the state.
+    The function also writes the closing digits into the state.
 
     Args:
-        model: the hand. state: state of the last tick. The present tick is written into it.
+        model: the hand. state: state of the last tick. The function writes the present tick into
+            it.
             estimate: estimate of the present tick.
     """
     for name, value in estimate._asdict().items():

@@ -1,4 +1,7 @@
-"""Test the tensions that are allocated for joint torques, and compare them with a bounded least-squares solver."""
+"""Test the tensions that are allocated for joint torques.
+
+Compare them with those of a bounded least-squares solver.
+"""
 
 import numpy as np
 import pytest
@@ -61,7 +64,7 @@ def test_feasible_torques_are_made_exactly(case: str) -> None:
 def allocation_cost(
     arms: np.ndarray, torque: np.ndarray, floor: np.ndarray, tension: np.ndarray
 ) -> float:
-    """Return the cost of tensions, as the docstring of the allocation module defines it."""
+    """Return the cost of tensions, which the docstring of the allocation module defines."""
     r = np.abs(arms).mean()
     return float(
         ((arms.T @ tension - torque) ** 2).sum() / r**2
@@ -71,7 +74,7 @@ def allocation_cost(
 
 @pytest.mark.parametrize("case", DIGIT_CASES)
 def test_bounded_solution_has_the_smallest_error(case: str) -> None:
-    """Allocated tensions cost at most as much as those of scipy's bounded least-squares solver."""
+    """The cost of allocated tensions is at most that of the tensions from scipy's bounded least-squares solver."""
     arms, rng = arms_of(case), np.random.default_rng(2)
     n, r = len(arms), np.abs(arms).mean()
     outside = 0

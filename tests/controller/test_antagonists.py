@@ -1,6 +1,6 @@
 """Test hands without return springs in the simulator: commissioning, tracking, grasp and release.
 
-A digit with n joints has n + 1 tendons, one kind of thumb has 2 n.
+A digit with n joints has n + 1 tendons. One kind of thumb has 2 n tendons.
 """
 
 import os
@@ -41,7 +41,7 @@ def n_plus_1_hand() -> Hand:
 
 @cache
 def hand_without_encoders() -> Hand:
-    """Return the hand with n + 1 tendons per digit, but without joint encoders.
+    """In this hand, the motor zeros are relative to the lower joint limits.
 
     Its motor zeros refer to the lower joint limits.
     """
@@ -55,7 +55,7 @@ def hand_without_encoders() -> Hand:
 def two_n_hand() -> Hand:
     """Return the hand with n + 1 tendons per finger, but with another thumb.
 
-    Each joint of this thumb has two tendons, a flexor and an extensor.
+    At each joint of this thumb, there are two tendons: a flexor and an extensor.
     """
     content = hand_content("n_plus_1")
     base = content["tendon"][-1]
@@ -87,9 +87,9 @@ def antagonist_model() -> HandModel:
 
 
 def task_of_moves(*angles: tuple[float, float]) -> Task:
-    """Return a task with one move per pair.
+    """Return a task with one move for each pair.
 
-    A pair has the angle of all joints [deg] and the duration of the move [s].
+    A pair consists of the angle of all joints [deg] and the duration of the move [s].
     """
     phases = [
         {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
@@ -107,7 +107,7 @@ def begin_run(
     first_tick: int,
     hand: Hand | None = None,
 ) -> tuple[SimulatedRun, Iterator[None]]:
-    """Begin a run of a program at tick ``first_tick``. The simulated hand may have run before."""
+    """Begin a run of a program at tick ``first_tick``. The simulated hand may already have run."""
     controller = make_controller(
         hand or n_plus_1_hand(), Gains(), RATE_HZ, program, calibration, arm_at_once=True
     )
@@ -135,7 +135,7 @@ HAND_BY_KIND = {
 def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
     kind: str, seed: int
 ) -> None:
-    """The motor zeros that commissioning finds are those of the simulator.
+    """Commissioning finds the motor zeros that the simulator has.
 
     The joints follow their goals within a degree.
     """
@@ -152,8 +152,8 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         )
         for row in calibration.tendon.values():
             assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.8)
-        # At the offset of the motor encoder, the tendon is just taut and the digit is open. An
-        # error of 0.1 mm turns the joints of a finger by one degree.
+        # At the measured offset of the motor encoder, the tendon is just taut and the digit is
+        # open. An error of the offset by 0.1 mm turns the joints of a finger by one degree.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         found = (calibration.zero(hand) - offset) * run.controller.model.space.spool
         np.testing.assert_allclose(found, 0.0, atol=5e-5)

@@ -1,4 +1,4 @@
-"""Test a hand that rests at its target for a short or a long time and is then touched."""
+"""Test a hand that rests at its target for a short or a long time, and is then touched."""
 
 import math
 
@@ -16,7 +16,7 @@ from tests.controller.synthetic_states import active_state, stage_constants
 def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float) -> None:
     """Reproduce a defect.
 
-    After a move to 40 deg, a motor at rest was taken for a stuck motor when its digit was touched.
+    When a digit was touched after a move to 40 deg, its motor at rest was regarded as stuck.
     """
     state, period = active_state(jamia), jamia.period
     far = np.full(len(jamia.hand.joints), math.radians(40.0))

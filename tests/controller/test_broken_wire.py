@@ -14,7 +14,7 @@ from tests.controller.controller_bench import ControllerBench, make_controller_b
 
 @pytest.mark.parametrize("tare", [-3.0, 0.0, 5.0])
 def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: float) -> None:
-    """A broken wire of a load cell is detected with any tare of this load cell."""
+    """A broken wire of a load cell is detected, whatever the tare of this load cell is."""
     model, n = jamia, jamia.tendon_count
     run = make_controller_bench(model, LiveProgram())
     run.controller = replace(run.controller, tare=np.full(n, tare))
@@ -32,12 +32,12 @@ def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: f
 def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
     """Return a bench whose hand has just started to relax.
 
-    A load cell reads the upper end of its range.
+    In this test, a load cell reads the upper end of its range.
     """
     run = make_controller_bench(model, LiveProgram())
     run.run_until_mode(HandMode.ACTIVE)
     run.peer.cell_bias[:] = (
-        60.0  # all load cells keep reading a high tension, so RELAX does not end
+        60.0  # all load cells continue to read a high tension, so RELAX does not end
     )
     run.peer.cell_bias[1] = 300.0
     run.run_until_mode(HandMode.RELAX)

@@ -1,4 +1,4 @@
-"""Test the first run after a controller died and the watchdogs of its drives latched a fault.
+"""Test the first run after a controller has died and the watchdogs of its drives have latched a fault.
 
 Only a request of the operator enables the drives again.
 """

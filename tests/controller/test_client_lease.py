@@ -1,7 +1,7 @@
 """Test the lease of a client that commands a hand in lockstep.
 
-If the client is silent, the digits that it commands come to rest first. If it stays silent, the
-hand then relaxes.
+If the client is silent, the digits that it commands come to rest first. If the client stays silent,
+the hand then relaxes.
 """
 
 import json
@@ -25,21 +25,21 @@ LEASE_S = 0.5
 
 
 def lease_events(client: StreamClient) -> list[str]:
-    """Return the texts of all events about a client's lease so far."""
+    """Return the texts of all events so far about the lease of a client."""
     return [
         event.text for out in client.tick_outputs for event in out.events if event.name == "lease"
     ]
 
 
 def run_with_signs_of_life(client: StreamClient, seconds: float, every_s: float = 0.1) -> None:
-    """Run ticks for some seconds, while the client sends a sign of life every ``every_s``."""
+    """Run ticks for some seconds. The client sends a sign of life every ``every_s``."""
     for _ in range(round(seconds / every_s)):
         client.tick(alive_request_text(client.name))
         client.wait(every_s - client.model.period)
 
 
 def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -> None:
-    """Reproduce a defect: after a hold the hand kept pulling without a time limit."""
+    """Reproduce a defect: after a hold, the hand continued to pull without a time limit."""
     with live_client(jamia) as client:
         client.send_command("hold", tension_N={"index": 30.0}, rate_N_per_s=500.0, lease_s=LEASE_S)
         run_with_signs_of_life(client, 3.0 * LEASE_S)
@@ -93,7 +93,7 @@ def test_targets_of_a_stream_are_signs_of_life(jamia: HandModel) -> None:
 
 @pytest.mark.parametrize("after", ["no lease", "leave", "another"])
 def test_a_lease_ends(jamia: HandModel, after: str) -> None:
-    """A lease ends with a command of its client that has no lease.
+    """A lease ends when its client sends a command without a lease.
 
     A lease also ends when this client gives up the right to command, or another client takes over
     this right.
@@ -136,9 +136,10 @@ def test_a_task_goes_on_to_its_hold_before_the_hand_relaxes(jamia: HandModel) ->
 
 
 def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> None:
-    """Recorded ticks that are executed again give equal results.
+    """Recorded ticks give equal results when they are executed again.
 
-    The test executes the ticks from the start, and from a snapshot in the middle of the run.
+    The test executes the ticks from the start of the run, and from a snapshot in the middle of the
+    run.
     """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": 50.0}, duration_s=1.0, lease_s=LEASE_S)

@@ -1,4 +1,4 @@
-"""Test the commissioning of a synthetic hand: its results, and its response to each fault of a tendon."""
+"""Test the commissioning of a scripted hand: its results, and its response to each fault of a tendon."""
 
 import os
 import re
@@ -37,8 +37,8 @@ from tests.hand.many_motors import fifteen_motors
 def jamia() -> HandModel:
     """Return the model of ``jamia`` at a low control rate.
 
-    The low rate makes the tests fast. All times of the program are in seconds, and do not depend on
-    the rate.
+    The low rate makes the tests fast. All times in the commissioning program are in seconds, and do
+    not depend on the rate.
     """
     return HandModel.from_hand(load_hand("jamia"), Gains(), 50.0)
 
@@ -73,7 +73,8 @@ def run_commissioning(
 ) -> ProgramProgress:
     """Run the commissioning program.
 
-    Tendon ``slack_tendon`` does not become taut. A fraction ``lost_fraction`` of the ticks has no frames.
+    The tendon ``slack_tendon`` does not become taut. In a fraction ``lost_fraction`` of the ticks,
+    no frames arrive.
 
     The zero of each load cell drifts as a random walk of ``cell_drift_N`` [N] rms in 100 s.
     """
@@ -141,9 +142,9 @@ def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
 
 
 def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> None:
-    """Tension in the second tendon changes the reading of the first load cell.
+    """Tension in the second tendon also changes the reading of the first load cell.
 
-    Possible causes are tendons that touch, or a load cell on two channels.
+    Possible causes are two tendons that touch, or one load cell that is connected to two channels.
     """
 
     def tension_by_pull(i: int) -> np.ndarray:
@@ -168,9 +169,10 @@ def fifteen_motor_model() -> HandModel:
 def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
     fifteen_motor_model: HandModel, seed: int
 ) -> None:
-    """The load cells drift twice as fast as those of packaged hands.
+    """In this test, the load cells drift twice as fast as those of packaged hands.
 
-    At the end, their drift of 0.9 N rms is as large as the crosstalk that commissioning accepts.
+    At the end, their drift of 0.9 N rms is as large as the largest crosstalk that commissioning
+    accepts.
     """
     progress = run_commissioning(
         fifteen_motor_model,
@@ -185,7 +187,7 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
 
 
 def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
-    """The tare of a tendon is the zero of its load cell just before its pull.
+    """The tare of a tendon is the zero of its load cell just before the pull of this tendon.
 
     In this test, all zeros drift by 0.1 N/s from the first tick.
     """
@@ -219,9 +221,10 @@ def test_crosstalk_is_found_while_load_cells_drift(fifteen_motor_model: HandMode
 
 
 def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandModel) -> None:
-    """After a pull, the tension of the tendon falls by 2 N/s.
+    """In this test, the tension of a tendon falls by 2 N/s after its pull.
 
-    Its load cell still reads 1.4 N at rest before the next pull, and 0 N during the next pull.
+    The load cell of a relaxing tendon still reads 1.4 N at rest before the next pull, and 0 N
+    during the next pull.
     """
     held = np.zeros(jamia.tendon_count)
 
@@ -238,7 +241,7 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
 
 
 def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia: HandModel) -> None:
-    """A relaxing tendon cannot lose more tension than its last pull has left in it."""
+    """A relaxing tendon cannot lose more tension than its last pull has left."""
 
     def tension_by_pull(i: int) -> np.ndarray:
         return tensions_without_fault(jamia)(i) - 0.5 * PULL_TENSION_N * (i == 2) * (
@@ -273,9 +276,9 @@ def commissioning_bench(fast_rate_jamia: HandModel) -> ControllerBench:
 def test_load_cells_that_were_never_tared_are_no_hindrance(
     commissioning_bench: ControllerBench, bias: float
 ) -> None:
-    """After the tare, the tension loop uses load-cell readings minus their tares.
+    """After the tare, the tension loop uses load-cell readings from which the tares are subtracted.
 
-    Raw readings would add the bias of the load cell to the pull.
+    With raw readings, the bias of the load cell would be added to the pull.
     """
     commissioning_bench.peer.cell_bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
     commissioning_bench.run_until_mode(HandMode.DONE, 30.0)
@@ -305,7 +308,7 @@ def test_a_load_cell_beyond_taring_is_named(commissioning_bench: ControllerBench
 def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
     model: HandModel, tare: float, refused: bool
 ) -> None:
-    """The message names the load cell that is nearest to an end of its range, even if another cell reads more."""
+    """The message names the load cell that is nearest to an end of its range, even if another load cell reads more."""
 
     def tension_by_pull(i: int) -> np.ndarray:
         tension = tensions_without_fault(model)(i) - CELL_BIAS_N

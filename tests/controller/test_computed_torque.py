@@ -1,8 +1,8 @@
 """Test the control law.
 
-The torque of the law is bounded for any input. The law switches between its motion loop and its
-tension loop without a step. With an exact model and estimate, the hand follows the commanded motion
-and tension.
+The torque of the control law is bounded for any input. The control law switches between its motion
+loop and its tension loop without a step. With an exact model and estimate, the hand follows the
+commanded motion and tension.
 """
 
 import math
@@ -35,9 +35,9 @@ from tests.controller.synthetic_states import (
 
 @pytest.mark.parametrize("gain", [None, 0.5, 1.0, 1.7])
 def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(gain: float | None) -> None:
-    """The limit is divided by spool radius and gain and then multiplied again.
+    """The limit is divided by the spool radius and the gain, and then multiplied by both.
 
-    Without a correction, the rounded result could exceed the limit by one bit.
+    Without a correction, rounding could make the result exceed the limit by one bit.
     """
     hand = load_hand("jamia")
     gains = None if gain is None else np.full(len(hand.tendon), gain)
@@ -215,11 +215,11 @@ def test_tension_goals_stay_below_the_ceiling(model: HandModel) -> None:
 class ClosedLoopPlant:
     """Simulation of rotors, tendons and digits in small time steps.
 
-    A control law gets their exact state.
+    The control law in the test gets the exact state of this simulation.
 
     Attributes:
         tendon_states: (N, 7) true states of the tendons.
-        digits_fixed: whether the digits are fixed where they are.
+        digits_fixed: True if the digits cannot move.
     """
 
     STEPS_PER_TICK = 40
@@ -265,9 +265,9 @@ class ClosedLoopPlant:
 def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> None:
     """The force that the filter gets is the motor force minus the mean friction over the period.
 
-    The expected friction is found by integrating the rotor in small steps. At a slow control rate,
-    friction stops the rotor within a period. A prediction with the friction at the start of the
-    period would turn the rotor back.
+    To find the expected friction, the test integrates the motion of the rotor in small steps. At a
+    slow control rate, friction stops the rotor within a period. A prediction with the friction at
+    the start of the period would reverse the motion of the rotor.
     """
     rng, n, steps = np.random.default_rng(8), model.tendon_count, 400
     space, dt = model.space, model.period / 400
@@ -308,7 +308,7 @@ def test_with_perfect_knowledge_the_digit_follows(jamia: HandModel) -> None:
 
 
 def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
-    """The digits are fixed, and the control law gets the exact estimate of the tensions."""
+    """In this test, the digits cannot move, and the control law gets the exact tensions as its estimate."""
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, X] = 10.0 / model.space.stiffness
     plant = ClosedLoopPlant(model, x, held=True)
@@ -351,9 +351,10 @@ def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, kind: Goa
 
 
 def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
-    """The law has no feedforward of digit torque, inertia and friction.
+    """The control law has no feedforward of digit torque, inertia and friction.
 
-    Without feedback of tension too, the law commands only the feedback of motion.
+    If the feedback of tension is also switched off, the control law commands only the feedback of
+    motion.
     """
     none = {
         "inertia_share": 0.0,
@@ -380,10 +381,10 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
 
 
 def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None:
-    """While a tendon is wound and its friction is fully developed, its tension changes as planned.
+    """While a tendon is wound up and its friction is fully developed, its tension changes as planned.
 
-    The direction of friction follows from the measured speed of the tendon, not from the planned
-    speed.
+    The direction of friction follows from the measured speed of the tendon, and not from the
+    planned speed.
     """
     x = balanced_state(model, 0.5)
     x[:, V] = x[:, W] = 0.1

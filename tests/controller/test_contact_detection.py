@@ -1,4 +1,4 @@
-"""Test contact detection in the simulator.
+"""Test the detection of contacts in the simulator.
 
 A contact is detected soon after its force has become large enough. In free motion, no contact is
 reported.
@@ -59,7 +59,7 @@ def task_program(*phases: dict[str, Any]) -> TaskProgram:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_a_tip_without_lever_has_no_tip_force(hand: str) -> None:
-    """Reproduce a defect: 0/0 made the smoothed tip force NaN for ever, so that no contact was found."""
+    """Reproduce a defect: a division 0/0 made the smoothed tip force NaN for ever, so that no contact was detected."""
     model = model_of(hand)
     state = active_state(model)
     tables = uncompiled_function(state_tables)(state.block, state.layout.places)
@@ -70,7 +70,7 @@ def test_a_tip_without_lever_has_no_tip_force(hand: str) -> None:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_path: Path) -> None:
-    """The contact may also be detected below 1 N.
+    """The contact may also be detected at a force below 1 N.
 
     A benchmark tests other closing speeds and other positions of the object.
     """
@@ -103,7 +103,7 @@ def count_contacts_in_free_motion(hand: str, seconds: float, seed: int, folder: 
     while planned < seconds:
         speed, goal = chance.uniform(20.0, 100.0), {"index": chance.uniform(25, 50)}
         # The thumb and the fingers close in different phases, because the middle finger and the
-        # thumb would touch.
+        # thumb would otherwise touch.
         if chance.random() < 0.6:
             goal |= {"middle": chance.uniform(12, 25), "ring": chance.uniform(25, 50)}
         else:
@@ -134,7 +134,7 @@ def test_ten_minutes_of_free_motion_have_no_contact(hand: str, tmp_path: Path) -
 def closing_hand(
     model: HandModel, force: float, ticks: int = 1, closing: int = 1, **remembered: float
 ) -> ControllerState:
-    """Return the state of a hand whose first ``closing`` digits close with a force at the tips [N].
+    """Return the state of a hand whose first ``closing`` digits close, with the given forces at the tips [N].
 
     ``remembered`` sets other fields of the state, which earlier ticks would have written.
     """
@@ -156,9 +156,10 @@ def closing_hand(
 
 
 def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) -> None:
-    """The force estimate of the free thumb is -0.35 N near the end of its motion.
+    """In free motion, the force estimate of the thumb is -0.35 N near the end.
 
-    In contact the estimate rises to 0.2 N only. Contact detection therefore counts the increase.
+    In contact, this estimate rises only to 0.2 N. The detection of contacts therefore uses the
+    increase of the estimate.
     """
     for usual, counts in ((-0.35, 0.55), (0.1, 0.2), (np.nan, 0.2)):
         state = closing_hand(jamia, 0.2, felt=0.2, usual=usual, drift=np.nan)
@@ -166,7 +167,7 @@ def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) 
 
 
 def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> None:
-    """A force estimate that stays positive for a long time shows a drift of a load cell.
+    """If a force estimate stays positive for a long time, a load cell drifts.
 
     A load cell drifts, for example, by 0.5 N in half a minute.
     """
@@ -176,9 +177,9 @@ def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> No
 
 
 def test_means_of_a_closing_digit_follow_with_their_time_constants(jamia: HandModel) -> None:
-    """The mean tip force of a closing digit and its drift follow with their time constants.
+    """The mean tip force of a closing digit and its drift are averages with given time constants.
 
-    Digits that do not close have no mean.
+    A digit that does not close has no mean tip force.
     """
     state = closing_hand(
         jamia,

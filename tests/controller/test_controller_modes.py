@@ -1,4 +1,4 @@
-"""Test the modes of the controller, from the start to a motion and back to a confirmed stop.
+"""Test the modes of the controller, from the start through a motion to a confirmed stop.
 
 The motors of the hand are scripted.
 """
@@ -38,9 +38,10 @@ ENABLE_PAYLOAD, DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
 
 @pytest.fixture(scope="module")
 def low_rate_jamia() -> HandModel:
-    """Return a model at a low control rate.
+    """Return a hand model at a low control rate.
 
-    The low rate makes the tests fast. All times are in seconds, and do not depend on the rate.
+    The low rate makes the tests fast. All times in this test are in seconds, and do not depend on
+    the rate.
     """
     return HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
 
@@ -55,7 +56,7 @@ def duration_in_mode(run: ControllerBench, mode: HandMode) -> float:
 
 
 def ids_sent(run: ControllerBench, data: bytes) -> list[int]:
-    """Return the identifiers of all sent frames that consist of the bytes ``data``, in the order of sending."""
+    """Return the identifiers of all sent frames whose payload is ``data``, in the order of sending."""
     return [
         frame.can_id for _, _, out in run.tick_history for frame in out.frames if frame.data == data
     ]
@@ -186,7 +187,10 @@ def test_a_second_stop_does_not_lengthen_the_first(hand_bench: ControllerBench) 
 
 
 def foreign_command(hand_bench: ControllerBench) -> Frame:
-    """Return a torque command to the first motor. Such a frame on the bus can only come from a second controller."""
+    """Return a torque command to the first motor.
+
+    If such a frame is on the bus, it must come from a second controller.
+    """
     return Frame(
         hand_bench.peer.motors[0].node_id, bytes(8), t_ns=hand_bench.k * hand_bench.period_ns
     )
@@ -302,7 +306,7 @@ def test_a_motor_that_does_not_confirm_disabling_needs_its_power_removed(
     hand_bench.peer.motors[3].ignored_commands.add(0xFD)
     hand_bench.tick(STOP_REQUEST)
     hand_bench.run_until_mode(HandMode.DISARM)
-    hand_bench.peer.motor_force[3] = 0.0  # it stays enabled, but makes no torque
+    hand_bench.peer.motor_force[3] = 0.0  # the motor stays enabled, but makes no torque
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.state.unconfirmed == ("thumb_motor",)
     assert hand_bench.state.failure == "REMOVE POWER: not confirmed disabled: thumb_motor"
@@ -314,7 +318,7 @@ def test_a_motor_that_does_not_confirm_disabling_needs_its_power_removed(
 def test_a_motor_that_keeps_its_torque_needs_its_power_removed_at_once(
     hand_bench: ControllerBench,
 ) -> None:
-    """The torque that the motor reports shows after 0.1 s that it still pulls (N16)."""
+    """After 0.1 s, the torque that the motor reports shows that it still pulls (N16)."""
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.peer.motors[3].ignored_commands.add(0xFD)
     hand_bench.tick(STOP_REQUEST)
@@ -329,13 +333,15 @@ def test_a_motor_that_reports_disabled_and_pulls_needs_its_power_removed(
 ) -> None:
     """Reproduce a defect.
 
-    After an ordinary stop, a run ended as soon as all drives reported that they were disabled.
+    Earlier defect: after an ordinary stop, a run ended as soon as all drives reported that they
+    were disabled.
     """
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)
     hand_bench.tick(STOP_REQUEST)
     hand_bench.run_until_mode(HandMode.DISARM)
-    hand_bench.peer.cell_bias[3] = 30.0  # The motor is disabled, and its tendon has this tension.
+    # The motor in this test is disabled, but its tendon has this tension.
+    hand_bench.peer.cell_bias[3] = 30.0
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.state.failure == "REMOVE POWER: still pulling after the cut: thumb_motor"
 

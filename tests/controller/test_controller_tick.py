@@ -1,6 +1,6 @@
-"""Test that the tick is a pure function.
+"""Test that a tick is a pure function.
 
-Equal inputs give equal outputs and inputs stay unchanged, for any received frames.
+Equal inputs give equal outputs, and the inputs stay unchanged, whatever frames were received.
 """
 
 import random
@@ -22,10 +22,10 @@ from tests.controller.controller_bench import ControllerBench, make_controller_b
 
 
 def run_session(name: str) -> ControllerBench:
-    """Return a bench after a whole live session.
+    """Return a bench after a whole run.
 
-    The hand was armed, moved, held a tension and relaxed. Meanwhile a frame was lost and a fault
-    occurred.
+    In this run, the hand was armed, moved, held a tension and relaxed. During the run, a frame was
+    lost and a fault occurred.
     """
     rate = {"jamia": 200.0, "jamia11": 200.0}[name]
     run = make_controller_bench(HandModel.from_hand(load_hand(name), Gains(), rate), LiveProgram())
@@ -57,9 +57,9 @@ def comparable_outputs(out: TickOut) -> tuple[object, ...]:
 
 
 def test_equal_inputs_give_equal_outputs(session_bench: ControllerBench) -> None:
-    """A tick that is executed again from the state before it gives equal outputs.
+    """If a tick is executed again from its previous state, its outputs are equal.
 
-    The outputs are equal in every byte, for any tick of the session.
+    The outputs are equal in every byte, for each tick of the run.
     """
     for before, entry, out in session_bench.tick_history[::3]:
         digest = before.digest()
@@ -115,9 +115,9 @@ def test_frames_with_unknown_identifiers_change_no_decision(session_bench: Contr
 
 
 def test_the_origin_of_time_does_not_matter() -> None:
-    """A run that starts 2560 ticks later has equal modes, phases, actions and events.
+    """A run that starts 2560 ticks later has the same modes, phases, actions and events.
 
-    Only the SYNC counter and the order of register reads may differ.
+    Only the SYNC counter and the order in which registers are read may differ.
     """
     model = HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
     runs = []
@@ -170,9 +170,9 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(
 
 
 def test_old_values_have_no_new_time_stamp() -> None:
-    """In a tick without frames the telemetry shows NaN for every measurement.
+    """In a tick without frames, the telemetry contains NaN for every measurement.
 
-    The age of the last measurement grows.
+    The age of the last measurement grows in such a tick.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
@@ -215,9 +215,10 @@ def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
 
 
 def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
-    """The sensor node has its channels in reverse order.
+    """The channels of the sensor node are in reverse order in this test.
 
-    When its second frame is lost, the fault names those tendons whose channels are in this frame.
+    When the second frame of the sensor node is lost, the fault names the tendons whose channels are
+    in this frame.
     """
     content = hand_content("jamia11")
     content["sensor_node"]["tendons"] = content["sensor_node"]["tendons"][::-1]
@@ -260,7 +261,7 @@ random_frames = st.builds(
 def test_no_frame_can_stop_the_tick(
     active_bench: ControllerBench, burst: list[list[Frame]]
 ) -> None:
-    """With any received frames, the ticks of an active hand raise no exception.
+    """Whatever frames are received, the ticks of an active hand raise no exception.
 
     All torques are finite and within their limits.
     """
@@ -300,7 +301,7 @@ def test_no_request_event_or_delay_can_stop_the_tick(
 def test_a_hand_armed_under_tension_is_not_jerked() -> None:
     """The tension loop starts at the tension that the tendons have when the hand is armed.
 
-    A held object, for example, causes such a tension.
+    For example, a held object causes such a tension.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()

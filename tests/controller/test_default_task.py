@@ -1,6 +1,7 @@
-"""Test the default task of a new hand.
+"""Test the default task of a hand.
 
-The task opens and closes the hand, holds, and releases. The task suits hands with any digits.
+The task opens and closes the hand, holds, and releases. The task suits any hand, whatever digits it
+has.
 """
 
 from pathlib import Path
@@ -83,7 +84,7 @@ def test_a_digit_that_carries_others_keeps_its_angle() -> None:
 
 
 def hand_around_a_circle() -> Hand:
-    """Return a hand with the fingers of jamia as three equal fingers around a circle, without a thumb."""
+    """Return a hand with three equal fingers of jamia around a circle, and without a thumb."""
     content = hand_content("jamia")
     for part in ("digit", "tendon", "motor"):
         content[part] = content[part][:3]

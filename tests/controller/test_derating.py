@@ -1,7 +1,7 @@
 """Test limits of tension.
 
-The limit of a warm drive falls linearly with the temperature of the drive. While the safety monitor
-holds the hand (HOLD), no tension grows and no goal moves.
+The tension limit of a warm drive falls linearly with its temperature. While the safety monitor
+holds the hand (HOLD), no tension rises and no goal moves.
 """
 
 import math
@@ -24,9 +24,9 @@ from tests.controller.synthetic_states import active_state, estimate_under_tensi
 
 
 def limit_at(model: HandModel, temperatures: tuple[float, ...]) -> np.ndarray:
-    """Return the tension limits (N,) [N] of drives at given temperatures [degC].
+    """Return the tension limits (N,) [N] of drives that have given temperatures [degC].
 
-    The limits are infinite if no drive is warm.
+    If no drive is warm, the limits are infinite.
     """
     state = active_state(model)
     state.view("temperature")[...] = temperatures
@@ -106,7 +106,7 @@ def warm_grasp():
 def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
     """The tension limit falls while the drive warms from 70 to 85 degC.
 
-    At 84 degC one fifteenth of the range is left, which gives a limit of 14 N instead of 24 N.
+    At 84 degC, one fifteenth of this range is left. The limit is then 14 N instead of 24 N.
     """
     before = warm_grasp.simulated_hand.truth()["tension"]
     warm_grasp.simulated_hand.inject("hot node=index_motor size=84 for=800ms")
@@ -122,9 +122,9 @@ def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
 
 
 def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
-    """While safety holds the hand (HOLD), each tension is limited to its value at the start.
+    """While the safety monitor holds the hand (HOLD), each tension is limited to its value at the start of the HOLD.
 
-    The limit ends with the HOLD.
+    The limit ends when the HOLD ends.
     """
     state, controller = warm_grasp.state.copy(), warm_grasp.controller
     tension = np.array(warm_grasp.simulated_hand.truth()["tension"])
@@ -159,7 +159,7 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
 def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
     """The safety monitor holds the hand while more than 20 of the last 100 replies are lost.
 
-    The state of the control law shows the HOLD.
+    The state of the control law then contains the HOLD.
     """
     warm_grasp.simulated_hand.inject("drop node=thumb_motor p=0.25 seed=3 for=700ms")
     before, seen = warm_grasp.simulated_hand.truth()["tension"], []

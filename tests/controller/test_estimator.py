@@ -94,7 +94,7 @@ def readings_of(model: HandModel, travel: np.ndarray, cell: np.ndarray) -> Senso
 
 
 def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandModel) -> None:
-    """At the start, load cells may reply before encoders.
+    """At the start of a run, load cells may reply before encoders.
 
     A drive reports its position only after its registers were read.
     """
@@ -116,9 +116,9 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
 
 
 def regimes_of_readings(model: HandModel, cells: list[float]) -> list[set[int]]:
-    """Return the set of tendon regimes in each tick.
+    """Return the set of the regimes of all tendons, for each tick.
 
-    In each tick, all load cells read the next tension of ``cells``.
+    In each tick, all load cells read the next tension in ``cells``.
 
     The motors are at rest.
     """
@@ -151,9 +151,9 @@ def test_slack_ends_by_tension_and_not_by_noise(model: HandModel) -> None:
 
 
 def test_a_small_tension_ends_slack_after_a_few_ticks(model: HandModel) -> None:
-    """A slowly wound tendon counts as taut before its tension is five standard deviations.
+    """If a tendon is wound up slowly, it counts as taut before its tension is five standard deviations.
 
-    The standard deviation is that of the load-cell noise.
+    This means the standard deviation of the load-cell noise.
     """
     met = regimes_of_readings(model, [0.2, 0.9, 1.2, 1.6, 1.7, 1.7])
     assert met[2] == {TendonRegime.SLACK}
@@ -190,7 +190,7 @@ def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) ->
 
 
 def test_a_stretch_offset_is_kept(model: HandModel) -> None:
-    """In a hand that was not commissioned, tendons have stretch offsets of several millimetres.
+    """In a hand that was not commissioned, the tendons have stretch offsets of several millimetres.
 
     These offsets must not change the estimated excursions.
     """
@@ -237,7 +237,7 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
 
 
 def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
-    """The part of a held digit's tension that its springs do not explain is external tension."""
+    """External tension is the part of the tension of a held digit that its springs do not explain."""
     x, _ = state_at_rest(model, 20.0, 0.7)
     n = model.tendon_count
     asked = load_statics(model, x, np.zeros(n)).resistance
@@ -290,7 +290,10 @@ def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) ->
 
 
 def excursion_of(model: HandModel, joints: np.ndarray) -> np.ndarray:
-    """Return tendon excursions (N,) from joint encoder readings (J,) [rad], NaN where a reading is missing."""
+    """Return tendon excursions (N,), computed from joint encoder readings (J,) [rad].
+
+    A missing reading gives NaN.
+    """
     state = active_state(model)
     state.mode = HandMode.SILENT
     state.view("joint_fresh")[...] = ~np.isnan(joints)
@@ -331,10 +334,10 @@ def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None
 
 
 def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None:
-    """Friction holds a digit just before the mechanical stop of its open posture.
+    """In this test, friction holds a digit just before the stop of its open end.
 
-    If the filter took this digit for stopped, each return to the stop would add an error to its
-    angle.
+    If the filter assumed that the digit is at its stop, each return to the stop would add an error
+    to its angle.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = 1e-5
@@ -351,9 +354,9 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
 
 
 def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandModel) -> None:
-    """When a digit comes to rest on its open stop, its excursion becomes zero.
+    """When a digit comes to rest at its open stop, its excursion becomes zero.
 
-    The filter adds the excursion that it had estimated to the stretch offset of the tendon.
+    The filter adds the excursion that it had estimated before to the stretch offset of the tendon.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S], x[:, O], x[:, W] = 1.5e-5, -4e-5, 1e-3

@@ -1,6 +1,6 @@
-"""Test the tension filter on data from its own model.
+"""Test the tension filter with data from its own model.
 
-The covariance of the filter is right, also while measurements are missing.
+The covariance of the filter is right, even while measurements are missing.
 """
 
 from collections.abc import Callable
@@ -80,7 +80,7 @@ MissingMeasurements = Callable[[int, np.random.Generator], np.ndarray]
 
 
 class FilterRun(NamedTuple):
-    """Errors and standard deviations of a filter's estimates, after the filter has settled.
+    """Errors and standard deviations of the estimates of a filter, after the filter has settled.
 
     Each array has the shape (ticks, N).
     """
@@ -99,10 +99,10 @@ def run_monte_carlo(
     seed: int,
     missing: MissingMeasurements | None = None,
 ) -> FilterRun:
-    """Draw a true trajectory from the filter's own model in one regime, and run the filter on it.
+    """Draw a random true trajectory from the filter's model in one regime, and run the filter on it.
 
     ``missing`` is a function that returns a mask (2, N) for each tick. The first row marks missing
-    encoder readings, the second row missing load-cell readings.
+    encoder readings, and the second row marks missing load-cell readings.
     """
     rng, n = np.random.default_rng(seed), model.tendon_count
     design_arrays_by_tendon = [integrate_one_period(model, i, regime) for i in range(n)]
@@ -126,8 +126,8 @@ def run_monte_carlo(
     regimes = set()
     tension_rows = np.array([blocks[regime].tension_row for blocks in model.filter.blocks])
     for k in range(ticks):
-        # The motor holds the tendon as a controller would. The planned rate keeps the tension from
-        # drifting.
+        # In this test, the motor holds the tendon as a controller would do. The planned rate of
+        # change prevents a drift of the tension.
         tension = (tension_rows * truth).sum(axis=1)
         away = (
             truth[:, X] - 40.0 / model.space.stiffness - model.hand.moment_arms.sum(axis=1) * closed
@@ -184,7 +184,7 @@ SPARSE_MEASUREMENTS: dict[str, MissingMeasurements] = {
 def test_consistent_with_its_own_model_though_measurements_are_missing(
     frictionless_model: HandModel, regime: TendonRegime, missing_pattern: str
 ) -> None:
-    """The filter's error has the size that its covariance predicts, within the uncertainty of the sample."""
+    """The error of the filter has the size that its covariance predicts, within the uncertainty of the sample."""
     missing = SPARSE_MEASUREMENTS[missing_pattern]
     course = run_monte_carlo(
         frictionless_model,
@@ -249,7 +249,7 @@ def test_missing_measurement_is_detected_in_each_regime(
 def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: HandModel) -> None:
     """In a tick without encoder readings, the first digit comes into contact.
 
-    The last digit stays free.
+    The last digit of the hand stays free.
     """
     x, force = state_at_rest(model, 25.0, 0.6)
     state, touched = all_in_regime(model, TendonRegime.FREE, x), (True, *no_contact(model)[1:])
@@ -295,9 +295,9 @@ MISSING_SAMPLES: dict[str, MissingMeasurements] = {
 def test_the_covariance_is_that_of_a_plain_joseph_update(
     model: HandModel, regime: TendonRegime, missing_pattern: str
 ) -> None:
-    """The filter agrees with numpy as long as it updates the covariances.
+    """While the filter updates the covariances, it agrees with a computation with numpy.
 
-    For a slack tendon, the filter updates them only while encoder readings are missing.
+    For a slack tendon, it updates them only while encoder readings are missing.
     """
     rng, n = np.random.default_rng(9), model.tendon_count
     slack = regime == TendonRegime.SLACK
@@ -332,7 +332,10 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
 def test_covariance_grows_over_skipped_ticks(
     model: HandModel, missed: int, predicted_s: float | None
 ) -> None:
-    """The covariance grows over the skipped ticks, but at most over the time for which motors hold the last command."""
+    """In missed ticks, the covariance grows.
+
+    The covariance grows at most for the time for which motors hold the last command.
+    """
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, none = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
     state = all_in_regime(model, TendonRegime.FREE, x)
@@ -355,9 +358,9 @@ def test_covariance_grows_over_skipped_ticks(
 
 
 def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
-    """A second filter computes each tendon in plain loops.
+    """A second filter computes each tendon with plain loops.
 
-    The update of the second filter has no rows for missing measurements.
+    If measurements are missing, the update of this filter has no rows for them.
     """
     rng, n = np.random.default_rng(3), model.tendon_count
     x, force = state_at_rest(model, 25.0, 0.6)

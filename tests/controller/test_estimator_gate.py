@@ -1,4 +1,4 @@
-"""Test the tension filter with outliers, missing samples and a drifting load cell, and while it doubts its model."""
+"""Test the tension filter with outliers, missing readings and load-cell drift, and in doubt of its model."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ HELD_TENSION_N = 20.0
 class HeldHand:
     """A hand whose tendons have a constant tension.
 
-    The filter of the hand gets one sample per call.
+    The filter of this hand gets one reading in each call.
     """
 
     def __init__(self, model: HandModel, regime: TendonRegime = TendonRegime.HELD) -> None:
@@ -48,7 +48,7 @@ class HeldHand:
         return estimate
 
     def settle(self) -> "HeldHand":
-        """Return the hand after 200 samples without errors."""
+        """Return the hand after 200 readings without errors."""
         for _ in range(200):
             self.run_sample(HELD_TENSION_N)
         return self
@@ -67,9 +67,9 @@ def test_single_outlier_is_rejected(model: HandModel) -> None:
 
 @pytest.mark.parametrize("jump", [-8.0, 6.0, 30.0])
 def test_two_outliers_in_a_row_are_accepted(model: HandModel, jump: float) -> None:
-    """Two equal outliers in a row show an impact and not an error.
+    """If two equal outliers come in a row, they show an impact, and no error.
 
-    The filter therefore follows the second sample at once.
+    So the filter follows the second reading at once.
     """
     hand = HeldHand(model).settle()
     hand.run_sample(HELD_TENSION_N + jump)
@@ -99,7 +99,7 @@ def slack_state(
 ) -> SyntheticEstimate:
     """Return the estimate of slack tendons.
 
-    The load cell of tendon 0 reads ``error`` [N], although the tendon has no tension.
+    The load cell of tendon 0 reads ``error`` [N] although the tendon has no tension.
     """
     model = hand.model
     x = np.zeros((model.tendon_count, STATE_COUNT))
@@ -170,7 +170,7 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
 ) -> None:
     """The filter predicts with a constant motor force for up to 50 ms.
 
-    The planned change of tension acts for one period.
+    The planned change of the tension acts for only one period.
     """
     state, force = winding_state(model)
     rate, nowhere = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)
@@ -191,9 +191,9 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
 
 
 def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
-    """Return the filter state of half closed digits whose rotors wind, and balancing forces [N].
+    """Return the filter state of half-closed digits whose rotors turn, and the forces that balance them [N].
 
-    The tendons are at 20 N.
+    The tension of all tendons is 20 N.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
@@ -207,7 +207,7 @@ def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
 def test_occasional_positions_do_not_make_the_filter_oscillate(
     jamia: HandModel, every: int
 ) -> None:
-    """The filter's gains assume a position in every tick.
+    """The gains of the filter assume a measured position in every tick.
 
     After a reset, a drive sent its position only in every 11th tick.
     """

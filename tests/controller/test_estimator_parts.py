@@ -1,4 +1,4 @@
-"""Test small functions of the tension filter at their limits and with both signs of their arguments."""
+"""Test small functions of the tension filter at their limits, and with both signs of their arguments."""
 
 import numpy as np
 import pytest
@@ -62,9 +62,9 @@ def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was: bool) -> N
 
 
 def filter_state(model: HandModel, regime: TendonRegime, **columns: float) -> FilterState:
-    """Return a filter state with every tendon in the same regime and no digit on its stop.
+    """Return a filter state in which every tendon has the same regime and no digit is at its stop.
 
-    Keyword arguments set columns of the states by name.
+    Keyword arguments set columns of the tendon states by name.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     for name, value in columns.items():
@@ -73,9 +73,9 @@ def filter_state(model: HandModel, regime: TendonRegime, **columns: float) -> Fi
 
 
 def explained_by_contact(model: HandModel, regime: TendonRegime, rate: float) -> np.ndarray:
-    """Return the tensions that contact explains if all tendons have 20 N and move at a rate [m/s].
+    """Return the tensions that a contact explains if all tendons have 20 N and move with a given speed [m/s].
 
-    The filter gets no readings.
+    In this test, the filter gets no readings.
     """
     stretch = (20.0 + model.space.damping * rate) / model.space.stiffness
     state = filter_state(model, regime, S=2e-3, W=rate)
@@ -97,7 +97,10 @@ def test_a_slack_tendon_bears_no_contact_wherever_its_digit_is(model: HandModel)
 
 
 def used_measurements(model: HandModel, state: FilterState, measured: SensorReadings) -> np.ndarray:
-    """Return the measurements (N, 3) that the filter uses in a state, NaN where it uses none."""
+    """Return the measurements (N, 3) that the filter uses in a given state.
+
+    The values are NaN where it uses none.
+    """
     run = state_of(model, state)
     write_readings(run, measured)
     return uncompiled_function(_usable_measurements)(
@@ -111,7 +114,10 @@ def used_measurements(model: HandModel, state: FilterState, measured: SensorRead
 def test_slack_length_is_digit_excursion_minus_spool_travel(
     model: HandModel, x: float, s: float, o: float
 ) -> None:
-    """The spool lags behind the digit by the slack. The load cell of a slack tendon reads only its own error."""
+    """The spool is behind the digit by the slack.
+
+    The load cell of a slack tendon reads only its own error.
+    """
     n = model.tendon_count
     measured = empty_readings(model)._replace(travel=np.zeros(n), tension=np.full(n, 0.3))
     for more, usable in ((0.0, True), (SLACK_LENGTH_M + 1e-5, False)):
@@ -141,9 +147,9 @@ def regimes_after_sample(model: HandModel, state: FilterState, cell: float) -> F
 def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     model: HandModel, hangs_m: float, known: bool, turns: bool
 ) -> None:
-    """The encoder shows this only if the length of the tendon is known from an earlier take-up.
+    """The encoder shows this only if the length of the tendon is known, because the tendon was taut before.
 
-    When the tendon has become taut, the count of evidence starts again at zero.
+    When the tendon has become taut, the counter of the evidence starts again at zero.
     """
     n = model.tendon_count
     above = next(

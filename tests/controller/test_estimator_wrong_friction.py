@@ -1,4 +1,4 @@
-"""With wrong friction in the hand file, the tension estimate is no worse than the raw load cell."""
+"""With a wrong friction in the hand file, the tension estimate is no worse than the raw load-cell reading."""
 
 from pathlib import Path
 
@@ -55,13 +55,19 @@ with_each_seed = pytest.mark.parametrize(
 
 
 def run_with_friction(hand: str, friction: float, seed: int, folder: Path) -> PlantRun:
-    """Run a simulated hand that closes and opens. Its friction is ``friction`` times that of the hand file."""
+    """Run a simulated hand that closes and opens.
+
+    The friction of the simulated hand is ``friction`` times the friction in the hand file.
+    """
     program = TaskProgram(validate_content(BACK_AND_FORTH_TASK, Task, "moves"))
     return run_on_plant(hand, program, None, folder, 3.0, seed, friction=friction)
 
 
 def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
-    """Return the tension RMSE [N] of the estimate and of the raw load cell, over taut tendons while the hand moves."""
+    """Return the tension RMSE [N] of the estimate and of the raw load cell.
+
+    Only taut tendons count, while the hand moves.
+    """
     real, later = np.array(run.true_tension), np.array(run.time_s) > EVALUATED_AFTER_S
     raw = np.array(run.measured_tension)
     kept = later[:, None] & (real > TAUT_N) & np.isfinite(raw)
@@ -79,7 +85,7 @@ def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
 def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
     hand: str, friction: float, seed: int, tmp_path: Path
 ) -> None:
-    """The hand moves freely to and fro.
+    """In this test, the hand moves freely to and fro.
 
     The simulated friction is the friction of the hand file times a factor.
     """
@@ -89,7 +95,7 @@ def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
 
 @pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
-    """A filter in doubt explains its innovations better.
+    """When the filter doubts its model, it explains its innovations better.
 
     Warning and doubt are therefore decided with the original model.
     """
@@ -130,9 +136,9 @@ def _judge_innovations(
 def averages_and_doubts(
     model: HandModel, lately: np.ndarray, wary: np.ndarray, nis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the filter's averages (N,) and remaining times of doubt (N,) [s] after one tick.
+    """Return the averages (N,) of the filter and the remaining times of its doubt (N,) [s] after one tick.
 
-    The averages are those of the normalised innovation squared.
+    These are averages of the normalised innovation squared.
     """
     state, n = active_state(model), model.tendon_count
     state.view("nis_lately")[...], state.view("wary")[...] = lately, wary
@@ -152,9 +158,10 @@ def test_a_slow_loop_does_not_adapt() -> None:
 
 
 def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
-    """A large innovation of one tendon raises doubt of this tendon.
+    """If one tendon has a large innovation, the filter doubts the model of this tendon.
 
-    Smaller innovations of all tendons raise doubt of all. A single sample raises none.
+    If all tendons have smaller innovations, the filter doubts the models of all. A single reading
+    causes no doubt.
     """
     period, usual, none = jamia11.period, np.full(11, 2.0), np.zeros(11)
     for odd, all_of_them in (
@@ -171,9 +178,9 @@ def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
 
 
 def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> None:
-    """The remaining time of doubt decreases in each tick.
+    """The remaining time of the doubt decreases in each tick.
 
-    A missing sample (NaN) does not change the average of innovations.
+    A missing reading (NaN) does not change the average of the innovations.
     """
     n = jamia11.tendon_count
     lately, wary = averages_and_doubts(

@@ -1,4 +1,4 @@
-"""Test the exercise program: the goals of each digit in each stage."""
+"""Test the exercise program: the goals of each digit in each of its stages."""
 
 import pytest
 
@@ -15,7 +15,7 @@ StageRecord = tuple[str, tuple[DigitGoal, ...], tuple[bool, ...]]
 
 
 def stages_of_exercise(model: HandModel) -> list[StageRecord]:
-    """Run the exercise on a taut hand at rest, and return its stages in the order of execution."""
+    """Run the exercise with a taut hand at rest, and return its stages in the order of execution."""
     program, t = ExerciseProgram(), 0.0
     progress = program.initial_progress(model)
     taut, readings = estimate_under_tension(model, 5.0), empty_readings(model)
@@ -31,10 +31,10 @@ def stages_of_exercise(model: HandModel) -> list[StageRecord]:
 
 @pytest.mark.parametrize("name", ["jamia", "jamia11", "orca_like"])
 def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(name: str) -> None:
-    """Reproduce a defect: a wrist followed the fast moves, and then closed under a constant tension.
+    """Reproduce a defect: in the exercise, a wrist made the fast moves, and then closed with a constant tension.
 
-    A heavy wrist moved by 9 deg in 0.1 s, which ended the step test of `tune design` with fault
-    T01.
+    The heavy wrist moved by 9 deg in 0.1 s. This ended the step test of `tune design` with fault
+    T01 (a tendon snapped).
     """
     hand = load_hand(name) if name == "orca_like" else mount_on_wrist(name)
     model = HandModel.from_hand(hand, packaged_gains(name), 400.0)

@@ -1,4 +1,4 @@
-"""Compare the discrete filter model with a tendon's differential equations, and its gains with a second solver."""
+"""Compare the discrete filter model with the differential equations of a tendon, and its gains with a second solver."""
 
 import itertools
 import weakref
@@ -50,7 +50,7 @@ def filter_designs(jamia: HandModel, jamia11: HandModel) -> FilterDesigns:
 
 
 def first_and_last_tendon(model: HandModel) -> list[int]:
-    """Return the indices of the first finger's first tendon and of the thumb's last tendon."""
+    """Return the index of the first tendon of the first finger, and the index of the last tendon of the thumb."""
     return [0, model.tendon_count - 1]
 
 
@@ -157,7 +157,7 @@ def test_the_transition_of_all_tendons_is_that_of_its_blocks(
 
 
 def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
-    """The kernels get all parts of the filter design, and the variances that are derived from them."""
+    """The kernels get all parts of the filter design, and the variances that are computed from them."""
     design = constant_tables_of(model).design
     assert design.shape == (model.tendon_count, h.FILTER_DESIGN_COUNT, h.DESIGN_ELEMENT_COUNT)
     parts = {
@@ -219,7 +219,7 @@ def rng() -> np.random.Generator:
 def test_tendons_that_are_alike_share_a_design(jamia11: HandModel) -> None:
     """Tendons of equal fingers share one design.
 
-    The tendons of the thumb have other designs, because their loads differ.
+    The tendons of the thumb have other designs, because their load masses differ.
     """
     blocks = dict(zip(jamia11.hand.tendon_names, jamia11.filter.blocks, strict=True))
     assert blocks["index_t1"] is blocks["ring_t1"]

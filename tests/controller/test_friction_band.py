@@ -1,6 +1,7 @@
 """Test how friction changes a tension when a digit reverses its motion.
 
-One part tests the computation of the friction band alone, another part runs the simulator.
+One part of the tests checks the computation of the friction band alone, and another part runs the
+simulator.
 """
 
 from pathlib import Path
@@ -23,9 +24,9 @@ TIME_AROUND_REVERSAL_S = 0.05
 
 
 def tensions_at_speeds(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
-    """Return the tensions (ticks, N) expected at given winding speeds.
+    """Return the expected tensions (ticks, N) at given winding speeds.
 
-    The command is 12 N, and friction takes 20 %.
+    In this test, the command is 12 N, and friction takes 20 % of the tension.
     """
     n = model.tendon_count
     now, found, crept = [begin] * n, [], MIN_SLIDING_SPEED_M_S * model.period

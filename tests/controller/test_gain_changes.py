@@ -1,6 +1,7 @@
-"""Test gains that change during a run.
+"""Test changes of gains during a run.
 
-The gains stay within bounds, cause no step in torque, and are part of the hashed state.
+The gains stay within their bounds, cause no step of the torque, and are part of the state that is
+hashed.
 """
 
 import json
@@ -47,7 +48,7 @@ def gain_request(values: Mapping[str, float]) -> str:
 
 
 def noiseless_hand(model: HandModel) -> ControllerBench:
-    """Return a bench with the simulated hand, which has noiseless load cells.
+    """Return a bench with a simulated hand whose load cells have no noise.
 
     The tendons of the hand are taut, and the hand waits for requests.
     """
@@ -109,7 +110,7 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
 
 
 def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
-    """A change of gains is refused while a hand is commissioned, because the next run would not have the new gains."""
+    """A change of gains is refused during the commissioning, because the next run would not have the new gains."""
     desk = ControllerBench(
         uncommissioned_controller(jamia, CommissionProgram()),
         load_simulator(
@@ -141,9 +142,9 @@ LawCall = tuple[Controller, ControllerState, ControllerState, SafetyAction, int]
 
 
 def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[LawCall]:
-    """Return a list that records calls of the control law.
+    """Return a list that records each call of the control law.
 
-    Each entry has the controller, its states before and after the call, the action of the safety
+    An entry contains the controller, its states before and after the call, the action of the safety
     monitor, and the number of ticks.
     """
     calls, real = list[LawCall](), Controller._compute_torques
@@ -172,7 +173,7 @@ def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[LawCall]:
 def test_a_change_makes_no_step_in_torque(
     jamia: HandModel, monkeypatch: pytest.MonkeyPatch, request_: str, values: dict[str, float]
 ) -> None:
-    """A trim force keeps the command unchanged in the tick in which the gains change."""
+    """Because of a trim force, the command stays the same in the tick in which the gains change."""
     desk = noiseless_hand(jamia)
     desk.tick(request_)
     desk.run(0.1)
@@ -196,9 +197,9 @@ def test_a_change_makes_no_step_in_torque(
 def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     jamia: HandModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The commands of old and new gains are limited in the same way.
+    """The commands with old and with new gains are limited in the same way.
 
-    Otherwise their difference would become a trim force that makes the tendon slack.
+    Otherwise the difference of both would become a trim force that makes the tendon slack.
     """
     desk = noiseless_hand(jamia)
     desk.tick(MOVE_REQUEST)
@@ -299,9 +300,10 @@ def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> Non
 
 @pytest.mark.parametrize("high", [False, True])
 def test_every_corner_of_the_live_bounds_can_be_designed(jamia: HandModel, high: bool) -> None:
-    """One gain at a time is set to its bound, and the others keep their defaults.
+    """The test sets one gain at a time to its bound. The other gains keep their defaults.
 
-    If a gain must exceed its lower bound, the test adds one hundredth of its default to the bound.
+    If a gain must be above its lower bound, the test adds one hundredth of the default to the
+    bound.
     """
     for key, bound in gain_bounds().items():
         if bound.live:

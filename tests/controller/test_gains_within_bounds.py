@@ -1,4 +1,4 @@
-"""Gains within their bounds give either a controller or one error line with the reason."""
+"""Any gains within their bounds lead either to a controller or to one error line with the reason."""
 
 import math
 from contextlib import suppress

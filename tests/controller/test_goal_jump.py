@@ -1,4 +1,4 @@
-"""Test targets that jump. A motor that rests because it has not yet reacted is not stuck."""
+"""Test targets that jump. A motor that rests because it has not reacted yet is not stuck."""
 
 import numpy as np
 import pytest
@@ -15,9 +15,9 @@ def arms_of(model: HandModel) -> np.ndarray:
 
 
 def hand_with_equal_readings(model: HandModel, goal: float | Vector, ticks: int) -> ControllerState:
-    """Return the state of a hand with the targets ``goal`` [m].
+    """Return the state of a hand whose tendons have the targets ``goal`` [m].
 
-    The readings of its motors have not changed for some ticks.
+    In this state, the readings of the motors have not changed for some ticks.
     """
     state = active_state(model)
     state.view("followed")[...] = goal
@@ -30,7 +30,7 @@ def targets_after_command(
 ) -> ControllerState:
     """Return the state after a command of one angle for all joints [rad].
 
-    The tendons are at the excursions ``at_goal`` [m].
+    In this state, the tendons are at the excursions ``at_goal`` [m].
     """
     state = before.copy()
     state.view("q_goal")[...] = angle
@@ -80,9 +80,9 @@ def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
 def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(
     jamia: HandModel,
 ) -> None:
-    """Friction stops a motor short of its target.
+    """In this test, friction stops a motor before its target.
 
-    The motor is stuck only if the target has moved since that stop.
+    The motor is stuck only if the target has moved since this stop.
     """
     arms = arms_of(jamia)
     then = targets_after_command(
@@ -98,7 +98,7 @@ def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(
 def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:
     """After a quick motion, the filtered target lags behind the motor.
 
-    The filtered target must not move on while the motor already rests at its goal.
+    The filtered target must not move on after the motor has come to rest at its goal.
     """
     arms = arms_of(jamia)
     at_goal, lagging = arms * 0.4, hand_with_equal_readings(jamia, arms * 0.2, 0)

@@ -67,7 +67,7 @@ GRASP_TASK = {
 
 
 class ProgramRun:
-    """A program that runs tick by tick on synthetic estimates.
+    """A program that runs tick by tick with generated estimates.
 
     Attributes:
         progress: progress of the program after the last tick.
@@ -92,7 +92,7 @@ class ProgramRun:
         return events
 
     def run_until_contact(self, estimate: SyntheticEstimate) -> None:
-        """Run enough ticks with the same estimate for contact detection to find a contact."""
+        """Run ticks with the same estimate, until there are enough of them to detect a contact."""
         for _ in range(
             round(5 * TIP_FORCE_TIME_CONSTANT_S / self.model.period)
             + self.model.gains.contact.ticks
@@ -102,7 +102,7 @@ class ProgramRun:
     def run_until_phase(
         self, phase: str, estimate: SyntheticEstimate, timeout: float = 20.0
     ) -> float:
-        """Run ticks until a phase begins, and return the time until then [s]."""
+        """Run ticks until a phase begins. Return the time until then [s]."""
         began = self.t
         while self.progress.phase != phase:
             assert self.t - began < timeout, f"{phase} does not begin: {self.progress}"
@@ -126,7 +126,7 @@ def hand_in_contact(
 ) -> SyntheticEstimate:
     """Return the estimate of a taut hand.
 
-    ``external`` gives the unexplained tension [N] of each digit that touches an object.
+    ``external`` is the unexplained tension [N] of each digit that touches an object.
     """
     estimate = estimate_under_tension(model, tension, 0.5)
     force = np.zeros(model.tendon_count)
@@ -177,7 +177,7 @@ def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) 
 
 
 def test_tightening_must_last(model: HandModel, taut_estimate: SyntheticEstimate) -> None:
-    """A slack tendon delays the end of tightening, but only up to a time limit."""
+    """A slack tendon delays the end of the phase that tightens the tendons, but only up to a time limit."""
     run = ProgramRun(model)
     run.run_until_phase("tighten", taut_estimate)
     for seconds, estimate in (
@@ -251,7 +251,7 @@ def begin_closing(model: HandModel, taut_estimate: SyntheticEstimate) -> Program
 
 
 def tip_forces_while_closing(model: HandModel, estimate: SyntheticEstimate) -> np.ndarray:
-    """Return the forces at the tips of all digits (D,) [N] while they close, before these forces are filtered."""
+    """Return the unfiltered forces at the tips of all digits (D,) [N] while they close."""
     state = active_state(model)
     state.view("closing")[...] = 1
     detect_contacts(model, state, estimate)
@@ -259,7 +259,7 @@ def tip_forces_while_closing(model: HandModel, estimate: SyntheticEstimate) -> n
 
 
 def tension_for_tip_force(model: HandModel, newtons: float) -> float:
-    """Return the unexplained tension [N] of each index tendon under a given tip force [N]."""
+    """Return the unexplained tension [N] of each index tendon under a given force at the tip [N]."""
     found = tip_forces_while_closing(
         model,
         estimate_under_tension(model, 15.0, 0.5)._replace(
@@ -301,9 +301,9 @@ def test_contact_is_a_force_at_the_tip_that_lasts(
 
 
 def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
-    """Contact detection computes the force at a tip from the tensions that balance this force.
+    """The detection of contacts computes the force at a tip from the tensions that balance this force.
 
-    This works at any pose of the digit.
+    This is right at any pose of the digit.
     """
     q, balance, forces = np.empty(len(model.hand.joints)), np.empty(model.tendon_count), []
     for d, digit in enumerate(model.digits):
@@ -346,10 +346,10 @@ def test_a_digit_that_touches_later_joins_the_grasp(
     ("name", "wrist_force"), [("jamia", -40.0), ("jamia11", -40.0), ("orca_like", 40.0)]
 )
 def test_a_wrist_never_touches_and_keeps_its_motion(name: str, wrist_force: float) -> None:
-    """Reproduce a defect: a heavy wrist was taken for a digit in contact.
+    """Reproduce a defect: a heavy wrist counted as a digit in contact.
 
-    It then had a constant tension in place of its motion, and left its angle. The force along the
-    tendon of the wrist has the sign of its moment arm.
+    The wrist then had a constant tension instead of its motion, and left its angle. The force along
+    the tendon of the wrist has the same sign as its moment arm.
     """
     hand = load_hand(name) if name == "orca_like" else mount_on_wrist(name)
     model = HandModel.from_hand(hand, Gains(), 500.0)
@@ -408,7 +408,10 @@ def test_release_waits_for_the_tension_to_fall(
 def run_release(
     model: HandModel, taut_estimate: SyntheticEstimate, tension: float, **release: float
 ) -> tuple[ProgramRun, float]:
-    """Return a run after its release phase, and the duration of this phase [s]. All tendons keep ``tension`` [N]."""
+    """Return a run after its release phase, and the duration of this phase [s].
+
+    In this run, all tendons keep the tension ``tension`` [N].
+    """
     task = {
         **GRASP_TASK,
         "phase": [{**p, **release} if p["kind"] == "release" else p for p in GRASP_TASK["phase"]],
@@ -421,7 +424,7 @@ def run_release(
 
 
 @pytest.mark.parametrize(("tension", "settle", "took", "is_reported"), [
-    (50.0, 0.1, RELEASE_TIMEOUT_S, True),      # the release ends at its timeout
+    (50.0, 0.1, RELEASE_TIMEOUT_S, True),      # the release phase ends at its timeout
     (8.0 + RELEASED_WITHIN_N, 0.1, RELEASE_TIMEOUT_S, True),
     (7.9 + RELEASED_WITHIN_N, 0.1, 0.1, False),
     (9.0, 12.0, 12.0, False),                  # a longer settling time replaces the timeout
@@ -463,7 +466,10 @@ def test_released_digit_needs_a_new_contact_to_hold(
 def test_a_digit_that_is_held_stays_so_while_others_close(
     model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
-    """A digit in contact keeps its hold during a second close phase. Only a release or a move ends a hold."""
+    """A digit in contact continues its hold during a second close phase.
+
+    Only a release or a move ends a hold.
+    """
     close, hold = GRASP_TASK["phase"][2:4]
     run = ProgramRun(model, {**GRASP_TASK, "phase": [close, hold, {**close, "name": "again"}]})
     run.run_until_phase("close", taut_estimate)

@@ -1,4 +1,7 @@
-"""Test thresholds that depend on the hand. A value above the limit of one hand is normal for another hand."""
+"""Test those thresholds that depend on the hand.
+
+A value that is above the limit of one hand may be normal for another hand.
+"""
 
 from pathlib import Path
 

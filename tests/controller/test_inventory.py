@@ -1,4 +1,4 @@
-"""Test the start of a run.
+"""Test the beginning of a run.
 
 The controller waits until every drive and every load cell has replied with a first reading.
 """
@@ -28,7 +28,10 @@ def hand_bench(jamia: HandModel) -> ControllerBench:
 
 
 def test_motors_that_reply_in_alternate_ticks_are_armed(hand_bench: ControllerBench) -> None:
-    """Some drives reply only in every fourth tick. The filter starts when each drive has been read once."""
+    """In this test, some drives reply only in every fourth tick.
+
+    The filter starts as soon as each drive has been read once.
+    """
     motors = range(0x11, 0x15)
 
     def replies_in_this_tick(frame: Frame) -> bool:
@@ -61,9 +64,9 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
 
 
 def hand_in_inventory(hand_bench: ControllerBench, seconds: float) -> ControllerState:
-    """Return the state of a hand some time after its inventory started.
+    """Return the state of a hand some time after the beginning of its inventory.
 
-    The state has readings of all nodes, some of which tests remove.
+    The state contains readings of all nodes. Some tests remove a part of them.
     """
     hand_bench.run_until_mode(HandMode.READY)
     state = hand_bench.state.copy()
@@ -90,9 +93,9 @@ def mode_after_inventory(
 def test_a_ready_drive_that_never_reports_its_position_is_named(
     hand_bench: ControllerBench,
 ) -> None:
-    """A drive may report that it is ready and yet send no position.
+    """A drive may report that it is ready, but send no position.
 
-    An ODrive, for example, sends heartbeats even if its encoder messages are disabled.
+    An ODrive, for example, sends heartbeats even if its encoder messages are switched off.
     """
     known = hand_in_inventory(hand_bench, INVENTORY_TIMEOUT_S + 0.1)
     blind, unread = known.drives[1]._replace(position=math.nan), known.copy()

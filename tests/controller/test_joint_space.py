@@ -1,6 +1,6 @@
 """Test tasks and trajectories that name single joints.
 
-Other joints stay where they are, and coupled joints need the same angle.
+The other joints keep their angles, and coupled joints need the same angle.
 """
 
 from typing import Any

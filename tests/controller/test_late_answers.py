@@ -1,6 +1,6 @@
-"""After a pause of the host or of the simulator, several replies of a node arrive in one tick.
+"""After a pause of the host or the simulator, several replies of a node arrive in one tick.
 
-Late replies must not be taken for those of a second node with the same identifier.
+The controller must not regard late replies as those of a second node with the same identifier.
 """
 
 import pytest
@@ -16,7 +16,7 @@ from tests.controller.controller_bench import ControllerBench, make_controller_b
 
 
 def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
-    """The host reads the replies of one tick two ticks later, together with replies of the following ticks."""
+    """In this test, the host reads the replies of one tick two ticks later, together with later replies."""
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram()
     )
@@ -42,7 +42,7 @@ def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
 
 
 def test_late_replies_without_time_stamps_are_no_second_node() -> None:
-    """On this bus a frame gets the time at which it is read.
+    """On this bus, the time of a frame is the time at which the host reads it.
 
     After a pause, the simulator replies to two ticks at once.
     """
@@ -90,7 +90,7 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(be
 def active_on_a_bus_without_stamps() -> ControllerBench:
     """Return a bench whose hand is active.
 
-    Frames on the bus of this bench get their time stamps only when the host reads them.
+    On the bus of this bench, a frame gets its time stamp only when the host reads it.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram()
@@ -114,7 +114,7 @@ def second_node_reports(out: TickOut) -> list[str]:
 
 
 def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
-    """A node may reply just after each deadline.
+    """In this test, a node replies just after each deadline.
 
     When the node becomes faster, two of its replies arrive in the same tick.
     """

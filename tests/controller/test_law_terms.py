@@ -1,4 +1,4 @@
-"""Test each term of the control law: how a change of the estimate or of the trajectory changes the motor force."""
+"""Test each term of the control law: the effect of estimate and trajectory on the motor force."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ EVALUATION_TIME_S = 0.25
 def motor_force_of(
     model: HandModel, estimate: SyntheticEstimate, goals: tuple[DigitGoal, ...]
 ) -> np.ndarray:
-    """Return the motor force (N,) [N] that the control law commands for an estimate and goals."""
+    """Return the motor force (N,) [N] that the control law commands for an estimate and for goals."""
     state = LawState.idle_at_tensions(estimate.tension)
     return (
         run_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque / model.space.spool
@@ -69,7 +69,7 @@ def test_motion_feedback_applies_each_gain(
 def test_the_planned_acceleration_is_fed_forward(
     model: HandModel, motion_goals: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
-    """Without the feedforward of rotor inertia, the commanded force decreases by inertia times planned acceleration."""
+    """Without inertia feedforward, the force is smaller by the inertia times the planned acceleration."""
     without = model.gains.motion.model_copy(update={"inertia_share": 0.0})
     other = replace(model, gains=model.gains.model_copy(update={"motion": without}))
     acceleration = np.zeros(model.tendon_count)
@@ -96,9 +96,9 @@ def test_the_disturbance_estimate_is_subtracted_in_a_hold(model: HandModel) -> N
 
 
 def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
-    """After an idle tick, the tension loop starts at the present tension.
+    """After a tick without torque, the tension loop starts at the present tension.
 
-    Earlier commands have no effect on this start.
+    Commands of earlier ticks have no effect on this start.
     """
     state, tension = active_state(model), np.linspace(3.0, 4.0, model.tendon_count)
     for name in (
@@ -147,7 +147,7 @@ def test_a_holding_hand_has_no_goal_angles(model: HandModel) -> None:
 
 
 def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
-    """A digit that holds a tension opposes tension errors and damps motions of its motor."""
+    """In a digit that holds a tension, the control law opposes tension errors and damps the motion of the motor."""
     estimate, goals, design = (
         estimate_under_tension(model, 20.0),
         holding_goals(model, 20.0),

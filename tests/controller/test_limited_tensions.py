@@ -1,7 +1,7 @@
-"""Test the control law with limited tensions.
+"""Test the control law with limits on the tensions.
 
 Tensions are limited while a drive is warm and while the safety monitor holds the hand (HOLD). The
-tests also cover the trim force after a change of gains.
+tests also check the trim force after a change of gains.
 """
 
 import numpy as np

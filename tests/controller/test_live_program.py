@@ -1,4 +1,4 @@
-"""Test live targets and jogging: the requests that are accepted or refused, and the end of a motion."""
+"""Test live targets and jogging: requests that are accepted or refused, and the end of a motion."""
 
 import math
 from dataclasses import replace

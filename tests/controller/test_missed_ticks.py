@@ -1,7 +1,7 @@
-"""Test ticks that the controller skips.
+"""Test ticks that the controller has missed.
 
-Planned motions continue in the meantime. The module test_estimator_gate tests the effect on the
-filter.
+Planned motions continue during these ticks. The module test_estimator_gate tests the effect of
+missed ticks on the filter.
 """
 
 import pytest

@@ -1,6 +1,6 @@
 """The LQR gains make both control loops stable.
 
-The loops have the margins of an LQR, but sampling may reduce them.
+The control loops have the margins of an LQR, but sampling may reduce these margins.
 """
 
 import numpy as np
@@ -15,9 +15,9 @@ CONTROL_RATES_HZ = [200.0, 500.0, 1000.0]
 
 
 def motion_plant(mass: float, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the discrete model of a mass that a force moves.
+    """Return the discrete model of a mass on which a force acts.
 
-    Its states are the excursion [m] and its rate [m/s].
+    The states of the model are the excursion [m] and its rate [m/s].
     """
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0 / mass]])
     F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), period)
@@ -27,7 +27,7 @@ def motion_plant(mass: float, period: float) -> tuple[np.ndarray, np.ndarray]:
 def tension_plant(model: HandModel, i: int, period: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the discrete model of a rotor on a tendon whose end is fixed.
 
-    Its states are tension [N] and speed [m/s].
+    The states of the model are tension [N] and speed [m/s].
     """
     space = model.space
     m, k, c = space.motor_mass[i], space.stiffness[i], space.damping[i] + space.motor_damping[i]
@@ -39,7 +39,7 @@ def tension_plant(model: HandModel, i: int, period: float) -> tuple[np.ndarray, 
 def control_loops(
     model: HandModel, gains: Gains, period: float
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return (F, G, K) of both control loops of the first and of the last tendon, with force = -K state."""
+    """Return (F, G, K) of both control loops of the first and the last tendon, where the force is -K state."""
     design, found = design_motion(model.space, gains, period), []
     for i in (0, model.tendon_count - 1):
         mass = model.space.motor_mass[i] + model.space.load_mass[i]
@@ -60,7 +60,7 @@ def spectral_radius(matrix: np.ndarray) -> float:
 
 @pytest.mark.parametrize("rate_hz", CONTROL_RATES_HZ)
 def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) -> None:
-    """The loops are stable with 0.5 and 1.5 times their gain.
+    """The control loops are stable with 0.5 and with 1.5 times their gain.
 
     The phase margin at each gain crossover is above 30 degrees.
     """
@@ -79,16 +79,16 @@ def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) ->
 
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0])
 def test_slow_rates_are_stable_too(model: HandModel, rate_hz: float) -> None:
-    """At a control rate near a tendon's natural frequency, the loops lose the LQR margins but stay stable."""
+    """If the control rate is near the natural frequency of a tendon, the loops lose the LQR margins but stay stable."""
     for F, G, K in control_loops(model, Gains(), 1.0 / rate_hz):
         assert spectral_radius(F - G @ K) < 1.0
 
 
 @pytest.mark.parametrize("rate_hz", CONTROL_RATES_HZ)
 def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
-    """From each of several initial states, gains close to the designed gains have no lower cost.
+    """From several initial states, gains that are close to the designed gains have no lower cost.
 
-    The cost of a motion is summed over its ticks.
+    The cost of a motion is a sum over its ticks.
     """
     gains, full = Gains(), min(1.0, (rate_hz / 500.0) ** 0.5)
     weights = [

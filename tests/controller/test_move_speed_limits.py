@@ -1,6 +1,6 @@
-"""Test that moves of a task which are too fast for a rotor are refused.
+"""Test that a task is refused if one of its moves is too fast for a rotor.
 
-A sudden stop at such a speed tears a tendon.
+A sudden stop from such a speed would tear a tendon.
 """
 
 from typing import Any

@@ -1,6 +1,6 @@
 """Test control rates whose period is no multiple of the simulator's time step.
 
-Samples have no jitter, and the innovations of the filter are consistent.
+Even at such rates, the readings have no jitter, and the innovations of the filter are consistent.
 """
 
 from functools import cache
@@ -43,7 +43,7 @@ def controller_at(hand: str, rate_hz: float) -> Controller:
 def mean_nis_and_events(hand: str, rate_hz: float, seed: int) -> tuple[float, list[TickEvent]]:
     """Return the mean NIS per degree of freedom in a free motion, and the events about estimates and faults.
 
-    NIS is the normalised innovation squared. The mean is over tendons and ticks.
+    NIS is the normalised innovation squared. The mean is computed over all tendons and ticks.
     """
     nis: list[np.ndarray] = []
     events: list[TickEvent] = []
@@ -62,7 +62,7 @@ def mean_nis_and_events(hand: str, rate_hz: float, seed: int) -> tuple[float, li
     ("hand", "rate_hz"), HANDS_AND_RATES if NIGHTLY else SAMPLED_HANDS_AND_RATES
 )
 def test_innovations_have_their_predicted_variance_at_any_rate(hand: str, rate_hz: float) -> None:
-    """Reproduce a defect: sensors were sampled up to 0.5 ms early.
+    """Reproduce a defect: the simulator sampled its sensors up to 0.5 ms early.
 
     At 300, 450 and 640 Hz, the mean normalised innovation squared was then 3 to 5.
     """

@@ -1,4 +1,7 @@
-"""Test the control of hands on a wrist. The tendons of the digits pass the wrist at a distance from its axis."""
+"""Test the control of hands on a wrist.
+
+The tendons of the digits pass the wrist at a distance from the axis of the wrist.
+"""
 
 from typing import NamedTuple
 
@@ -31,9 +34,10 @@ class ControlErrors(NamedTuple):
     """Errors of the controller in a simulated run.
 
     Attributes:
-        tracking_deg: RMSE of true against commanded angles of the digits, as a mean angle along each tendon [deg].
-        wrist_deg: RMSE of the true against the commanded angle of the wrist [deg].
-        external_N: mean unexplained tension of the wrist's tendon [N].
+        tracking_deg: RMSE of the digit angles against their commands, as a mean angle along each
+            tendon [deg].
+        wrist_deg: RMSE of the angle of the wrist against its command [deg].
+        external_N: mean unexplained tension of the tendon of the wrist [N].
     """
 
     tracking_error_deg: float
@@ -53,7 +57,7 @@ def waving_task(hand: Hand) -> Task:
 
 
 def simulate_control_errors(known: Hand, hand: Hand, seed: int) -> ControlErrors | None:
-    """Simulate ``hand`` under a controller that is made for the hand ``known``.
+    """Simulate the hand ``hand`` with a controller for the hand ``known``.
 
     Return the control errors.
 
@@ -89,7 +93,7 @@ def simulate_control_errors(known: Hand, hand: Hand, seed: int) -> ControlErrors
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 @pytest.mark.parametrize("name", TESTED_HANDS)
 def test_a_digit_follows_while_the_wrist_turns(name: str, seed: int) -> None:
-    """A digit follows its goal while the wrist turns.
+    """A digit follows its goal even while the wrist turns.
 
     The tracking error is more than four times as large if the controller assumes that tendons pass
     through the axis of the wrist.
@@ -104,10 +108,9 @@ def test_a_digit_follows_while_the_wrist_turns(name: str, seed: int) -> None:
 
 
 def test_the_wrist_bears_the_tendons_that_pass_it() -> None:
-    """The wrist carries the torque of the tendons that pass it.
+    """The controller includes the torque of the passing tendons on the wrist.
 
-    If the controller neglected this torque, the tension of bent fingers would look like an object
-    at the wrist.
+    If it neglected this torque, the tension of bent fingers would look like an object at the wrist.
     """
     hand = mount_on_wrist("jamia")
     aware = simulate_control_errors(hand, hand, 0)

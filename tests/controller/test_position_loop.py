@@ -1,4 +1,4 @@
-"""Test drives that close the position loop of a digit themselves: their commands, tracking, tensions and faults.
+"""Test drives that close the position loop of a digit themselves: their commands, tracking errors, tensions and faults.
 
 ``python -m tests.controller.test_position_loop moteus 10`` prints the tracking errors of ten seeds.
 """
@@ -67,7 +67,10 @@ def with_position_loop(hand: Hand, **changes: Any) -> Hand:
 def hand_with_position_loop(
     name: str = "jamia", protocol: str = "mit", kp: float | None = STIFF_KP
 ) -> Hand:
-    """Return a packaged hand whose drives close the position loop. A moteus gets both gains from the hand file."""
+    """Return a packaged hand whose drives close the position loop.
+
+    For a moteus, the hand file contains both gains.
+    """
     hand = with_position_loop(hand_with_protocol(name, protocol), kp_N_m_per_rad=kp)
     if protocol != "moteus":
         return hand
@@ -99,7 +102,10 @@ def to_and_fro_program(hand: Hand, moves: int, duration_s: float) -> TaskProgram
 def begin_to_and_fro(
     hand: Hand, seed: int = 0, rate_hz: float = RATE_HZ, moves: int = 6
 ) -> Iterator[SimulatedRun]:
-    """Yield the run of a simulated hand that moves to and fro. The run is at the start of its first move."""
+    """Yield the run of a simulated hand that moves to and fro.
+
+    This run has reached the start of the first move.
+    """
     controller = make_controller(
         hand,
         packaged_gains(hand.name),
@@ -120,8 +126,8 @@ def sent_stiffness(run: SimulatedRun) -> np.ndarray:
 def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
     """Return the RMS error along each tendon (N,) [deg] while a hand moves, and the largest true tension [N].
 
-    The error is that of the mean joint angle along a tendon. The springs of ``jamia`` determine how
-    the single joints share this error.
+    The error is the error of the mean joint angle along a tendon. In ``jamia``, the springs
+    determine how the single joints share this error.
     """
     errors, peak = list[np.ndarray](), 0.0
     with begin_to_and_fro(hand, seed, moves=2) as run:
@@ -138,7 +144,11 @@ def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
 
 
 def moteus_command(data: bytes) -> tuple[float, ...]:
-    """Return position [rad], velocity [rad/s], torque [N m], fractions of kp and kd, and limit [N m] of a command."""
+    """Return the values in a command.
+
+    The values are position [rad], velocity [rad/s], torque [N m], fractions of kp and kd, and limit
+    [N m].
+    """
     assert len(data) == 48
     assert (data[:5], data[17:19], data[31:36]) == (
         b"\1\0\x0a\x0f\x20",
@@ -151,7 +161,7 @@ def moteus_command(data: bytes) -> tuple[float, ...]:
 
 @pytest.mark.parametrize("direction", [1, -1])
 def test_a_moteus_command_makes_the_predicted_torque(direction: int) -> None:
-    """The drive moves its target on with the commanded velocity.
+    """In this protocol, the drive moves its target on with the commanded velocity.
 
     On average, the target is therefore ahead of the command by the motion of half a period.
     """
@@ -213,8 +223,8 @@ def test_a_position_command_makes_the_predicted_torque() -> None:
                     + given.kd * (given.velocity - v)
                     + given.torque
                 )
-                # The tolerance is the torque of one count of position at this stiffness, plus that
-                # of one count of velocity, plus one count of torque.
+                # The tolerance is the sum of three torques: one count of position at this
+                # stiffness, one count of velocity, and one count of torque.
                 assert torque == pytest.approx(run.state.view("torque")[n], abs=2.0e-3)
                 sent += given.kp > 0.0
                 assert given.kp == pytest.approx(run.state.view("servo_kp")[n], abs=1e-9)
@@ -297,7 +307,8 @@ def test_an_obstacle_bounds_the_tension(kp: float | None, protocol: str, seed: i
                 blocked = True
                 assert sent_stiffness(run)[0] == 0.0
         assert blocked
-        # A blocked digit presses with up to 30 N more than its motion needs, see touch.MAX_PRESS_N.
+        # A blocked digit presses with up to 30 N more than its motion requires, see
+        # touch.MAX_PRESS_N.
         assert peak < 60.0, f"{peak} N"
 
 
@@ -306,9 +317,9 @@ def test_an_obstacle_bounds_the_tension(kp: float | None, protocol: str, seed: i
 def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
     ahead_ms: int, seed: int
 ) -> None:
-    """Without a host, a moteus drive moves its target on until its watchdog fires after 50 ms.
+    """When the host dies, a moteus drive moves its target on until its watchdog fires after 50 ms.
 
-    Without the limit in its command, the drive would pull 70 N in this test.
+    Without the torque limit in its command, the drive would pull with 70 N in this test.
     """
     with begin_to_and_fro(hand_with_position_loop(protocol="moteus"), seed) as run:
         for _ in range(round((0.1 + 0.06 * seed) * RATE_HZ)):
@@ -366,7 +377,7 @@ def test_relaxing_from_a_position_loop_raises_no_command(
 
 
 def lose_gains(run: SimulatedRun, name: str) -> None:
-    """Let a drive make only the torque of its commands, as if it ignored the gains kp and kd in them."""
+    """Let a drive make only the torque in its commands, as if it ignored the gains kp and kd."""
     motor: Any = run.simulated_hand.world.plant.motors[name]  # type: ignore[attr-defined]
     motor.power_stage_fault = lambda _: float(
         np.clip(motor.servo.torque, -motor.servo.limit, motor.servo.limit)
@@ -377,7 +388,7 @@ EXPECTED_FAULTS = {
     "stuck encoder=index_motor": {"N04"},
     "swap node=index_motor with=thumb_motor": {"N05b", "N14", "N17"},
     "cross node=index_motor with=thumb_motor": {"N14", "N17", "N04", "T04b", "N05b"},
-    # Replayed replies of a moteus drive may arrive in addition to its genuine replies.
+    # Replayed replies of a moteus drive may arrive in addition to its real replies.
     "replay node=index_motor size=16": {"N05b", "N14", "N17", "N04", "B06", "N13"},
     "disobey node=index_motor size=0.4": {"N14", "N17"},
     "offset encoder=index_motor size=-0.5": {"N05b", "T02a", "T03", "N14"},
@@ -413,9 +424,9 @@ def test_a_drive_that_ignores_kp_is_found(protocol: str, seed: int) -> None:
     ("protocol", "sigma"), [("mit", 0.3), ("robstride", 0.3), ("moteus", 0.12)]
 )
 def test_a_healthy_drive_reports_what_is_predicted(protocol: str, sigma: float) -> None:
-    """The reported force of a drive agrees with the predicted force.
+    """The force that a drive reports agrees with the force that the controller has predicted.
 
-    Detectors of drives that do not obey compare these two forces.
+    Detectors compare these two forces to find drives that do not obey.
     """
     with begin_to_and_fro(hand_with_position_loop("jamia", protocol)) as run:
         apart = []
@@ -468,7 +479,7 @@ def test_a_moteus_without_gains_is_refused(key: str) -> None:
 def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(gain: float, rate_hz: float) -> None:
     """The fractions of kp and kd in a command are limited to 1.
 
-    An identified torque per command below 1 would require larger fractions.
+    If the identified torque per command is below 1, larger fractions would be needed.
     """
     hand = hand_with_position_loop(protocol="moteus")
     model = HandModel.from_hand(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain))
@@ -533,7 +544,7 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
 
 
 def print_tracking(protocol: str, seeds: int) -> None:
-    """Print the mean tracking error of each hand in each mode, its range over the seeds, and the largest tension."""
+    """Print the mean tracking error of each hand and mode, its range over the seeds, and the largest tension."""
     for name in LARGEST_ERROR_RATIO:
         hands = {
             "torque commands": hand_with_protocol(name, protocol),

@@ -1,6 +1,6 @@
-"""Compare estimated joint angles and their standard deviations with the simulator in grasps.
+"""Compare estimated joint angles and their standard deviations with the true values of simulated grasps.
 
-Compare their equations with plain linear algebra.
+Also compare the equations of the estimate with plain linear algebra.
 """
 
 import os
@@ -48,10 +48,11 @@ HELD_PHASES, FREE_PHASES = ("close", "hold", "release"), ("tighten", "home")
 
 
 class PostureTick(NamedTuple):
-    """Values of a tick of a grasp.
+    """Values of one tick of a grasp.
 
-    A tick has the phase, the true and estimated joint angles, the deviation of the estimate, the
-    angles that a free digit would have (J,) [rad], and the contact force on each digit [N].
+    The values are the phase, the true and the estimated joint angles, the standard deviation of the
+    estimate, the angles that a free digit would have (J,) [rad], and the contact force on each
+    digit [N].
     """
 
     phase: str
@@ -67,7 +68,7 @@ def packaged_task(name: str) -> Path:
 
 
 def hand_file_with_encoders(folder: Path, joints: int | None = None) -> Path:
-    """Return the file of a jamia hand with joint encoders at all joints, or at the first ``joints`` ones."""
+    """Return the file of a jamia hand that has joint encoders at all joints, or at the first ``joints`` joints."""
     text = packaged_task("jamia").read_text(encoding="utf-8")
     read = load_hand("jamia").joints[:joints]
     path = folder / "encoders.toml"
@@ -104,9 +105,9 @@ def root_mean_square(values: np.ndarray) -> float:
     GRASPS_AND_OBJECTS if os.environ.get("HANDCTL_NIGHTLY") else GRASPS_AND_OBJECTS[:2],
 )
 def test_the_truth_is_within_two_sigma_in_a_grasp(task: str, scene: str, seed: int) -> None:
-    """The true joint angle is within two standard deviations for at least 95 % of joints and ticks.
+    """For at least 95 % of the joints and ticks, the true joint angle is within two standard deviations.
 
-    During the hold, angles that are computed as for free digits are further from the truth.
+    During the hold, angles that are computed as for free digits have larger errors.
     """
     seen = list(run_grasp(packaged_task("jamia"), task, scene, seed))
     held = [one for one in seen if one.phase in HELD_PHASES]
@@ -149,7 +150,7 @@ def angles_of_tick(
 ) -> JointAngles:
     """Return the joint angles that are estimated in tick k with unexplained tensions (D,) [N].
 
-    The function writes this tick into the state.
+    The function also writes this tick into the state.
     """
     state.view("touch")[...] = touched
     state.set_run_integer(s.K, k)
@@ -218,7 +219,10 @@ def _fuse_encoders(
 def state_after_fusion(
     model: HandModel, state: ControllerState, columns: np.ndarray, spread: np.ndarray, t_ns: int
 ) -> ControllerState:
-    """Return a state after joint encoders were fused. Columns (C, J) and spread (J, N) give the prior covariance."""
+    """Return a state after the readings of joint encoders were fused with the estimate.
+
+    Columns (C, J) and spread (J, N) determine the covariance before this.
+    """
     after = state.copy()
     _fuse_encoders(
         after.block,
@@ -232,10 +236,10 @@ def state_after_fusion(
 
 
 def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
-    """Only one joint has an encoder.
+    """In this test, only one joint has an encoder.
 
-    Covariances weight the prior and the reading of this joint. The angles of other joints follow by
-    their correlation.
+    The covariances weight the estimate and the reading of this joint. The angles of the other
+    joints follow from their correlation with it.
     """
     model = HandModel.from_hand(
         load_hand(str(hand_file_with_encoders(tmp_path, joints=1))), Gains(), RATE_HZ
@@ -265,10 +269,10 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed: int) -> None:
-    """Encoders are fused one after the other.
+    """The function fuses one encoder after the other.
 
-    The result equals that of one update in matrix form. Readings from frames that are too old are
-    left out of both.
+    The result equals that of one update in matrix form. Both leave out readings from frames that
+    are too old.
     """
     model = HandModel.from_hand(load_hand(str(hand_file_with_encoders(tmp_path))), Gains(), RATE_HZ)
     rng, constants, state = (

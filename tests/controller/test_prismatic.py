@@ -1,4 +1,4 @@
-"""Commission and move hands with prismatic joints on the simulated plant."""
+"""Commission and move hands with prismatic joints in the simulator."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -99,7 +99,7 @@ def test_the_mean_of_a_sliding_digit_is_its_position() -> None:
     q = np.array([[0.01, 0.02]])
     np.testing.assert_allclose(mean_angles(gripper, q), q)
     mixed = load_hand(FOLDER / "mixed_gripper.toml")
-    # 10 mm of the prismatic joint count like 1 rad.
+    # A motion of the prismatic joint by 10 mm counts like 1 rad.
     mean = mean_angles(mixed, np.array([[0.005, 0.01, 1.0]]))
     np.testing.assert_allclose(mean, [[0.005, 1.0]])
     assert mixed.display_units.names == ("mm", "mm", "deg")
@@ -124,7 +124,7 @@ def test_thresholds_count_10_mm_as_1_rad() -> None:
         for name in ("joint_scale", "arms_sum", "encoder_variance")
     }
     np.testing.assert_allclose(view["joint_scale"], [0.01, 0.01, 1.0])
-    # The tendons jaw_close, jaw_open, finger_slide, and finger_bend with an arm of 10 mm.
+    # The tendons jaw_close, jaw_open and finger_slide, and finger_bend with a moment arm of 10 mm.
     np.testing.assert_allclose(view["arms_sum"], [0.01, 0.01, 0.01, 0.015])
     np.testing.assert_allclose(view["encoder_variance"][0], 4e-10 + 25e-10 / 12.0)
 

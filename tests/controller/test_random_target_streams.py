@@ -1,9 +1,9 @@
 """Random streamed targets cause no fault that stops the hand.
 
-The targets are within their ranges, reach both ends, and change at any speed. Streams of tensions
-go to one digit of each packaged hand with springs. Streams of angles go to all digits of each
-packaged hand. The digits then touch each other. A warning of a slack tendon (T02a) is no failure of
-the test.
+The targets are within their ranges, reach both ends of the ranges, and change at any speed. In one
+test, streams of tensions go to one digit of each packaged hand with springs. In another test,
+streams of angles go to all digits of each packaged hand. The digits then touch each other. The
+warning T02a (a tendon is slack) is no failure of the test.
 """
 
 import os
@@ -32,7 +32,7 @@ STREAM_RATE_HZ = 100.0
 
 @cache
 def model_of(name: str) -> HandModel:
-    """Return the model of a packaged hand at its own rate."""
+    """Return the model of a packaged hand at its default rate."""
     hand = load_hand(name)
     return HandModel.from_hand(hand, Gains(), min(default_rate(hand), 500.0))
 
@@ -59,7 +59,10 @@ def sine_targets(rng: np.random.Generator, low: Array, high: Array, t: Array) ->
 
 
 def random_walk_targets(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
-    """Return targets that walk at random within the limits. A walk takes 50 steps a second."""
+    """Return targets that walk at random within the limits.
+
+    The random walk takes 50 steps a second.
+    """
     steps_of_walk = (
         rng.normal(0.0, 0.125, (len(t), len(low))) * (np.arange(len(t)) % 2 == 0)[:, None]
     )
@@ -72,7 +75,7 @@ def random_walk_targets(rng: np.random.Generator, low: Array, high: Array, t: Ar
 
 
 def target_limits(name: str, space: str, digit: str) -> tuple[tuple[str, ...], Array, Array]:
-    """Return the names of a stream's values, and the lowest and highest target of each [deg or N]."""
+    """Return the names of the values of a stream, with the lowest and the highest target of each [deg or N]."""
     hand = load_hand(name)
     if space == "tension":
         tendons = hand.tendon[hand.digit_tendons[digit]]
@@ -128,7 +131,7 @@ def test_random_targets_cause_no_fault(
 ) -> None:
     """Reproduce a defect: random streams ended within 45 ms with the fault T01 (a tendon snapped).
 
-    The tension set-point ran ahead of a free digit, or the reference angle ran ahead of a held
+    The tension setpoint went ahead of a free digit, or the reference angle went ahead of a held
     digit.
     """
     model = model_of(hand)

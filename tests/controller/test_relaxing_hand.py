@@ -1,4 +1,4 @@
-"""While a hand relaxes, no request and no fault can increase a tension."""
+"""While a hand relaxes, no request and no fault can raise a tension."""
 
 import numpy as np
 import pytest
@@ -85,7 +85,7 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(low_rate_jamia: HandM
 
 
 def fastest_setpoint_fall(run: ControllerBench, index: int = 0) -> float:
-    """Return the fastest fall of a tendon's set-point while the hand relaxes [N/s]."""
+    """Return the fastest fall of the setpoint of a tendon while the hand relaxes [N/s]."""
     goals = [
         out.telemetry.tension_goal[index]
         for _, _, out in run.tick_history
@@ -96,7 +96,7 @@ def fastest_setpoint_fall(run: ControllerBench, index: int = 0) -> float:
 
 @pytest.mark.parametrize("late", [False, True])
 def test_over_tension_is_relaxed_four_times_as_fast(low_rate_jamia: HandModel, late: bool) -> None:
-    """The faster ramp starts in the tick in which a load cell reads too much, even if the hand already relaxes."""
+    """The faster ramp starts in the tick in which a load cell reads too much, even if the hand is already relaxing."""
     run = holding_bench(low_rate_jamia)
     run.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
     run.run(0.5)
@@ -154,9 +154,9 @@ def test_after_a_fault_during_arming_no_further_drive_is_enabled(low_rate_jamia:
 def test_a_run_with_its_own_goals_refuses_goals_of_clients(
     low_rate_jamia: HandModel, request_: str
 ) -> None:
-    """Goals of a client are refused while a hand is commissioned.
+    """The goals of a client are refused while the hand is commissioned.
 
-    A tare under tension would shift readings of later runs.
+    If a load cell were tared under tension, all readings of later runs would be wrong.
     """
     run = make_controller_bench(low_rate_jamia, CommissionProgram())
     run.run_until_mode(HandMode.ACTIVE)

@@ -1,4 +1,4 @@
-"""Test the positions of digits on their trajectories, and the tensions that each digit needs for its motion."""
+"""Test the positions of digits on their trajectories, and the tensions that each digit requires for its motion."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ def motion_goals(
 def test_a_motion_depends_on_the_time_since_its_start_only(
     hand: str, durations: tuple[float, ...], request: pytest.FixtureRequest
 ) -> None:
-    """All digits move for the same duration in one case, for different durations in another."""
+    """In one case, all digits move for the same duration. In another case, the durations differ."""
     model: HandModel = request.getfixturevalue(hand)
     first, later = (motion_goals(model, since, durations) for since in (0.0, 2.0))
     motion = joint_motion_at(model, first, 0.1)
@@ -33,7 +33,7 @@ def test_a_motion_depends_on_the_time_since_its_start_only(
 
 
 def required_tensions_by_digit(model: HandModel, motion: np.ndarray) -> np.ndarray:
-    """Compute the tensions (N,) of a motion [N] for each digit separately, without the shortcuts of the control law."""
+    """Compute the tensions (N,) [N] of a motion for each digit separately, without the shortcuts of the control law."""
     found = np.zeros(model.tendon_count)
     q, dq, ddq = motion.tolist()
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
@@ -48,9 +48,9 @@ def required_tensions_by_digit(model: HandModel, motion: np.ndarray) -> np.ndarr
 def test_the_load_of_each_digit_is_limited_separately(
     hand: str, request: pytest.FixtureRequest
 ) -> None:
-    """Some digits have all tensions within their bounds, and others have tensions at a bound.
+    """Some digits in this test have all tensions within their bounds, and others have tensions at a bound.
 
-    A bound of one digit does not change the tensions of other digits.
+    If a tension of one digit is at its bound, the tensions of other digits do not change.
     """
     model: HandModel = request.getfixturevalue(hand)
     goals, rng = motion_goals(model, 0.0, (0.5, 0.4, 0.5, 0.6)), np.random.default_rng(4)

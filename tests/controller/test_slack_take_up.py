@@ -1,4 +1,4 @@
-"""Test the time that passes until a tendon counts as taut again."""
+"""Test the time until a tendon counts as taut again."""
 
 import pytest
 
@@ -22,7 +22,7 @@ def test_a_tendon_whose_length_is_known_is_taut_at_the_first_clear_sample(
 ) -> None:
     """At 200 Hz the tension of a tendon grows by 1 N from one sample to the next.
 
-    The filter must therefore use the first clear sample.
+    The filter must therefore use the first reading that clearly shows tension.
     """
     points, taken = 0, 0
     while not uncompiled_function(is_regime_over)(SLACK_REGIME, points, False):

@@ -1,7 +1,7 @@
-"""Test slip of a grasped object.
+"""Test the slip of an object that a hand holds.
 
-Slip is detected when the object pushes a digit open. The grasp then raises its force up to the
-limit of the task.
+Slip is detected when the object pushes a digit open. The grasp program then raises the force up to
+the limit of the task.
 """
 
 import json
@@ -32,7 +32,7 @@ HELD_TENSION_N = 20.0
 class GraspRun:
     """A grasp with all digits except the last.
 
-    The grasp runs tick by tick on synthetic estimates.
+    The grasp runs tick by tick with generated estimates.
     """
 
     def __init__(self, model: HandModel, limit: float = np.nan, stiffness: float = 0.0) -> None:
@@ -65,7 +65,7 @@ class GraspRun:
             self.events += events
 
     def estimate_after_winding(self, metres: float, digit: int = 0) -> SyntheticEstimate:
-        """Return the estimate after the tendons of a digit were wound further by ``metres``."""
+        """Return the estimate after the tendons of a digit were wound up by a further ``metres``."""
         travel = self.resting_estimate.travel.copy()
         travel[self.model.digit_tendons[digit]] += metres
         return self.resting_estimate._replace(travel=travel)
@@ -167,7 +167,10 @@ def grasp_program(limit: str) -> TaskProgram:
 def test_a_growing_load_removes_the_object_only_without_slip_reaction(
     hand: str, friction: float, rate: float, tmp_path: Path
 ) -> None:
-    """Both runs have equal loads, hands and seeds. Only the task key that permits more force differs."""
+    """Both runs have the same load, hand and seed.
+
+    The two runs differ only in the key of the task that permits more force.
+    """
     scene, motion, tension = PULLED_CYLINDER_SCENE.format(friction=friction, rate=rate), {}, {}
     for limit in ("", "limit"):
         run = run_on_plant(hand, grasp_program(limit), scene, tmp_path, 5.6)

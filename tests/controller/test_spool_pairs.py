@@ -1,4 +1,4 @@
-"""Test spool pairs from the hand file to the simulator.
+"""Test spool pairs: hand file, controller and simulator.
 
 In a spool pair, two antagonistic tendons share one motor.
 """
@@ -45,7 +45,10 @@ SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 
 @cache
 def spool_finger() -> Hand:
-    """Return a hand with one finger. Each of its two joints has a spool pair."""
+    """Return a hand with one finger that has a spool pair at each of its two joints.
+
+    Each of its two joints has a spool pair.
+    """
     return load_hand(SPOOL_FINGER_FILE)
 
 
@@ -79,8 +82,8 @@ def test_friction_of_both_tendons_is_subtracted_and_added_back(seed: int) -> Non
     assert uncompiled_function(net_tension_at_spool)(behind, pretension, passed) == pytest.approx(
         net, abs=1e-9
     )
-    # Even without net tension, the pretension of a pair causes friction. The winding tendon loses
-    # tension, the other one gains.
+    # Even without net tension, the pretension of a pair causes friction. The tendon that is wound
+    # up loses tension, and the other tendon gains tension.
     lost = net - uncompiled_function(net_tension_at_joint)(
         net, pretension, min(passed, 1.0 / passed)
     )
@@ -94,9 +97,9 @@ def test_a_single_tendon_is_the_limit_of_a_pair_without_pretension() -> None:
 
 @pytest.mark.parametrize("stretch_mm", [0.0, 0.1, -0.1, 0.16, 0.4, -0.4])
 def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm: float) -> None:
-    """Up to a net tension of twice the pretension, both tendons are taut and their stiffnesses add.
+    """Up to a net tension of twice the pretension, both tendons are taut, and their stiffnesses add up.
 
-    Above this net tension, only one tendon is taut.
+    Above this net tension, only one of the two tendons is taut.
     """
     tendon, motor = spool_finger().tendon[0], spool_finger().motor[0]
     pretension = tendon.pretension_N
@@ -122,7 +125,7 @@ def begin_run(
     calibration: Calibration | None,
     first_tick: int,
 ) -> SimulatedRun:
-    """Begin a run of a program at tick ``first_tick``. The simulated hand may have run before."""
+    """Begin a run of a program at tick ``first_tick``. The simulated hand may already have run."""
     controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, arm_at_once=True)
     run = SimulatedRun.begin(controller, peer)
     run.k = first_tick
@@ -148,9 +151,9 @@ MOVES_TASK = Task.model_validate(
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
-    """Commissioning finds the motor zeros of the simulator.
+    """Commissioning finds the motor zeros that the simulator has.
 
-    Joints follow within a degree, and no tendon exceeds its limit.
+    The joints follow their goals within a degree, and no tendon exceeds its tension limit.
     """
     hand = spool_finger()
     with SimulatorSettings(hand, None, seed).simulated_hand(round(1e9 / RATE_HZ)) as peer:
@@ -166,8 +169,8 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
             row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.8)
             for row in calibration.tendon.values()
         )
-        # Without load cells and joint encoders, friction leaves each motor zero uncertain by 0.1
-        # mm, which is half a degree.
+        # Without load cells and joint encoders, friction makes each motor zero uncertain by 0.1 mm.
+        # This is half a degree.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         wound = [tendon.extra_length + hand.tendon[i].pretension_N / hand.tendon[i].stiffness_N_per_m
                  for i, (tendon, _) in enumerate(plant.tendons[: len(hand.tendon)])]  # fmt: skip
@@ -213,10 +216,10 @@ class PullProgram:
 
 @pytest.mark.parametrize("tension", [-200.0, -40.0, 12.0, 40.0, 200.0])
 def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
-    """When a joint rests on its stop, the net tension reaches its goal.
+    """When a joint rests at its stop, the net tension reaches its goal.
 
-    A goal above the limit of the hand is lowered to this limit minus a margin for the standard
-    deviation of the estimated tension.
+    A goal above the limit of the hand is lowered. The new goal is the limit minus a margin for the
+    standard deviation of the estimated tension.
     """
     hand = spool_finger()
     limit = hand.tendon[0].tension_max_N
@@ -254,13 +257,13 @@ def test_a_tendon_that_snaps_under_load_is_found(tension: float, tendon: str) ->
 
 
 def content_with_tendon(**values: object) -> dict[str, object]:
-    """Return the content of the finger's hand file with other values of its first tendon."""
+    """Return the content of the hand file of the finger, with other values of the first tendon."""
     content = hand_content(SPOOL_FINGER_FILE)
     return content | {"tendon": [content["tendon"][0] | values, *content["tendon"][1:]]}
 
 
 def content_with_digit(**values: object) -> dict[str, object]:
-    """Return the content of the finger's hand file with other values of its digit."""
+    """Return the content of the hand file of the finger, with other values of the digit."""
     content = hand_content(SPOOL_FINGER_FILE)
     return content | {"digit": [content["digit"][0] | values]}
 

@@ -1,6 +1,6 @@
-"""Test the state block: its schema, the views that kernels have of it, and its digest.
+"""Test the state block: its schema, the views that kernels use, and its digest.
 
-The digest covers every field.
+The digest depends on every field.
 """
 
 import ast
@@ -86,7 +86,10 @@ def test_a_field_has_its_rows_its_shape_and_its_initial_value() -> None:
 
 
 def test_new_field_needs_one_line() -> None:
-    """A new field gets the next row of its table. The existing fields of the table keep their names and shapes."""
+    """A new field gets the next row of its table.
+
+    The fields that the table already has keep their names and shapes.
+    """
     (before, axes), (after, _) = small_schema(), small_schema()
     row = after.real_field("speed", "tendon", "m/s", "of a tendon", initial=7.0)
     old, new = before.layout(axes), after.layout(axes)
@@ -118,9 +121,12 @@ def test_fields_do_not_overlap_and_leave_no_gap() -> None:
 
 @pytest.fixture(params=["jamia", "jamia11"])
 def state(request: pytest.FixtureRequest) -> ControllerState:
-    """Return a controller's state of random numbers. No two of its integers or floats are equal."""
+    """Return a controller's state that consists of random numbers.
+
+    No two of its integers or floats are equal.
+    """
     model: HandModel = request.getfixturevalue(request.param)
-    # A drive of this hand closes a position loop, so that no table of the state is empty.
+    # A drive of the hand closes a position loop, so that no table of the state is empty.
     axes = layout_of_state(model, 3).axes | {"servo": model.tendon_count}
     layout, rng = STATE_SCHEMA.layout(axes), np.random.default_rng(5)
     block = layout.initial.copy()
@@ -136,9 +142,9 @@ def state(request: pytest.FixtureRequest) -> ControllerState:
 
 
 def constants_by_field(module: Any) -> dict[str, str]:
-    """Return the name of the constant that holds the first row of each field.
+    """Return, for each field, the name of the constant that contains its first row.
 
-    The names are read from a module's source.
+    The function reads the names from the source text of a module.
     """
     declared = {}
     for node in ast.parse(inspect.getsource(module)).body:
@@ -196,7 +202,7 @@ def test_a_copy_is_another_block_of_the_same_numbers(state: ControllerState) -> 
 def test_a_difference_names_its_field(state: ControllerState, field: BlockField) -> None:
     """The message names the first field that differs, in the order of the schema.
 
-    The message also gives the element and its two values.
+    The message also contains the element and its two values.
     """
     other = state.copy()
     values = other.view(field.name).reshape(-1)
@@ -228,8 +234,8 @@ def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: ControllerStat
 def random_hand(seed: int) -> HandModel:
     """Return the model of a random hand.
 
-    The hand has some digits of a packaged hand or of a hand with 15 motors. Their masses, springs
-    and friction are varied at random.
+    The hand has some digits of a packaged hand, or of a hand with 15 motors. The masses, springs
+    and friction of these digits are varied at random.
     """
     rng = random.Random(seed)
     raw: dict[str, Any] = fifteen_motors()
@@ -259,7 +265,7 @@ VARIED_KEYS = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_ra
 
 
 def _varied_section(one: dict[str, Any], rng: random.Random) -> dict[str, Any]:
-    """Return a section of a hand file with its numbers varied at random."""
+    """Return a section of a hand file in which numbers are varied at random."""
     found = dict(one)
     for key in VARIED_KEYS:
         if key in found:
@@ -275,7 +281,7 @@ def _varied_section(one: dict[str, Any], rng: random.Random) -> dict[str, Any]:
 def packed_constants(
     model: HandModel, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[HandConstants, dict[str, object]]:
-    """Return the constants of a hand, and for each field the value that was packed into them."""
+    """Return the constants of a hand and, for each field, the value that was written into them."""
     values: dict[str, object] = {"design": hand_constants.filter_design_array(model)}
     for part in (
         "_motor_constants",
@@ -333,9 +339,11 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
 def test_every_element_of_every_field_changes_the_digest(
     active_bench: ControllerBench, field: BlockField
 ) -> None:
-    """Change each element of a state by one unit in the last place, and expect another digest.
+    """Change each element of a state by one unit in the last place.
 
-    By day the test changes only 16 elements of each field.
+    Each change must give another digest.
+
+    In an ordinary test run, the test changes only 16 elements of each field.
     """
     state = active_bench.state
     seen = {state.digest()}
@@ -373,7 +381,7 @@ def changed_goals() -> Iterator[tuple[str, DigitGoal]]:
 
 
 def changed_progresses(before: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
-    """Yield a program's progress with one part changed, for each of its parts.
+    """Yield the progress of a program with one part changed, once for each of its parts.
 
     The goals are changed part by part.
     """
@@ -403,7 +411,7 @@ OTHER_STREAM_VALUES = {
 
 
 def changed_decisions(before: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
-    """Yield a controller's decisions with one part changed, for each of their parts."""
+    """Yield the decisions of a controller with one part changed, once for each of their parts."""
     pending = PendingGains(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
         "drives": [before.drives[::-1]],
@@ -462,9 +470,9 @@ def test_every_decision_changes_the_digest(active_bench: ControllerBench) -> Non
 
 
 def other_values(value: Any) -> list[Any]:
-    """Return other values of the same type as a value.
+    """Return other values of the same type as a given value.
 
-    For a named tuple, each returned value differs in one part.
+    If the value is a named tuple, each returned value differs in one part.
     """
     if isinstance(value, bool):
         return [not value]
@@ -491,7 +499,7 @@ def other_values(value: Any) -> list[Any]:
 def test_everything_that_is_known_of_a_drive_changes_the_digest(
     active_bench: ControllerBench, name: str
 ) -> None:
-    """The digest covers a drive's values, which are in the block, and its set-up, which is among the decisions."""
+    """The digest depends on the values of a drive (in the block) and on its set-up (in the decisions)."""
     state = active_bench.state
     seen = {state.digest()}
     for n, drive in enumerate(state.drives):

@@ -1,6 +1,6 @@
-"""Test the hash of the controller's decisions.
+"""Test the hash of the decisions of the controller.
 
-The hash function reuses parts of the last tick's hash, but never for a value that has changed.
+The hash function reuses parts of the hash of the last tick, but never for a value that has changed.
 """
 
 import numpy as np
@@ -30,7 +30,10 @@ def test_values_of_same_objects_are_taken_over() -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_a_sequence_cache_gives_the_same_values_as_its_function(seed: int) -> None:
-    """Two controllers in one process share the cache. The sequences that they hash have different lengths."""
+    """In this test, two controllers in one process use the same cache.
+
+    The sequences that they hash have different lengths.
+    """
     draw = np.random.default_rng(seed)
     items = [(i, float(i)) for i in range(6)] + [(1, 1), (True, 1.0)]
     cache = SequenceCache[object](IdentityCache[object](plain_bytes))

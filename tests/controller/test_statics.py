@@ -1,4 +1,4 @@
-"""Compare known forces along the tendons with energy, and the equivalent tip force with virtual work."""
+"""Compare known forces along the tendons with energies, and the tip-equivalent force with virtual work."""
 
 import math
 
@@ -36,7 +36,7 @@ def static_torque_of(model: HandModel, q: np.ndarray) -> np.ndarray:
 
 
 def filter_table_at(model: HandModel, theta: list[np.ndarray], speed: float = 0.0) -> np.ndarray:
-    """Return filter states (N, 7) of a hand whose digits are at given coordinates."""
+    """Return filter states (N, 7) of a hand whose digits have given coordinates."""
     table = np.zeros((model.tendon_count, STATE_COUNT))
     for digit, tendons, one in zip(model.digits, model.digit_tendons, theta, strict=True):
         table[tendons, S] = digit.reduced_moment_arms @ one
@@ -91,9 +91,10 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
 
 
 def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> None:
-    """The pull at the joints is the tension that capstan friction leaves at each pulley.
+    """The pull at the joints is the tension that is left after the capstan friction at each pulley.
 
-    The test covers any state of friction, while a tendon is wound and while it is paid out.
+    The test covers every state of friction, for a tendon that is wound up and for a tendon that is
+    paid out.
     """
     rng = np.random.default_rng(7)
     theta = [rng.uniform(0.1, 1.4, digit.coupling.shape[1]) for digit in model.digits]
@@ -165,7 +166,7 @@ def test_lever_is_the_jacobian_along_the_normal(model: HandModel) -> None:
 
 
 def test_a_tip_force_is_recovered_from_its_tensions(model: HandModel) -> None:
-    """From tensions that balance a normal force at the tip, the function computes this force."""
+    """From the tensions that balance a normal force at the tip, the function computes the same force again."""
     rng = np.random.default_rng(6)
     for digit in model.digits:
         for force in (0.5, 6.0, 40.0):

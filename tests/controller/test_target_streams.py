@@ -1,4 +1,4 @@
-"""Test streamed targets in lockstep: interpolation, limits, stale streams, bad clients, and the right to command."""
+"""Test streamed targets in lockstep: interpolation, limits, stale streams, faulty clients, right to command."""
 
 import json
 import math
@@ -36,7 +36,7 @@ SINE_MIDDLE_DEG, SINE_AMPLITUDE_DEG = 30.0, 20.0
 
 
 def sine_angle(t: Any) -> Any:
-    """Return the angle of the test motion at time t [deg]. The motion is a sine of 1 Hz."""
+    """Return the angle of the test motion at time t [deg]. This motion is a sine of 1 Hz."""
     return SINE_MIDDLE_DEG + SINE_AMPLITUDE_DEG * np.sin(2.0 * math.pi * t)
 
 
@@ -60,12 +60,12 @@ class StreamClient:
         return self.run.k * self.run.period_ns
 
     def tick(self, *requests: TickRequest) -> TickOut:
-        """Run a tick in which requests arrive, and return its output."""
+        """Run a tick in which given requests arrive, and return the output of the tick."""
         self.tick_outputs.append(self.run.run_tick(requests=requests))
         return self.tick_outputs[-1]
 
     def wait(self, seconds: float) -> None:
-        """Run ticks without a request for a time."""
+        """Run ticks without requests for a given time."""
         for _ in range(round(seconds / self.model.period)):
             self.tick()
 
@@ -111,7 +111,7 @@ class StreamClient:
         }
 
     def goal_history(self, name: str) -> Any:
-        """Return the goals of the first joint or tendon in all ticks so far, from a field of the telemetry."""
+        """Return the goals of the first joint or tendon in all ticks so far, from a telemetry field."""
         return np.array([getattr(out.telemetry, name)[0] for out in self.tick_outputs])
 
 
@@ -131,9 +131,9 @@ def true_angle(run: SimulatedRun) -> float:
 
 
 def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None:
-    """The client knows the motion in advance.
+    """In this test, the client knows the motion in advance.
 
-    The client therefore sends the angle that the hand shall have after the delay of the stream
+    The client therefore sends the angle that the hand should have after the delay of the stream
     (``horizon_s``).
     """
     errors = {}
@@ -169,7 +169,7 @@ def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None
 
 
 def error_of_trajectory(model: HandModel) -> float:
-    """Return the RMS error [deg] of a hand that follows the test sine as a trajectory of a task."""
+    """Return the RMS error [deg] of a hand that follows the sine of this test as a trajectory of a task."""
     times = np.arange(0.0, 3.001, 0.02)
     stay = {
         "kind": "move",
@@ -196,9 +196,10 @@ def error_of_trajectory(model: HandModel) -> float:
 
 
 def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
-    """Recorded ticks that are executed again give equal results.
+    """Recorded ticks give equal results when they are executed again.
 
-    The test executes the ticks from the start, and from a snapshot in the middle of the stream.
+    The test executes the ticks from the start of the run, and from a snapshot in the middle of the
+    stream.
     """
     with live_client(jamia) as client:
         client.open_stream(
@@ -215,7 +216,7 @@ def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
 
 
 def check_ticks_repeat(run: SimulatedRun, middle: bytes, at: int) -> None:
-    """Check that the recorded ticks repeat to the last bit, from the start and from a snapshot after ``at`` ticks."""
+    """Check that the ticks repeat to the last bit, from the start and from a snapshot after ``at`` ticks."""
     controller = run.controller
     for state, ticks in (
         (controller.initial_state(), run.recorded_ticks),
@@ -249,7 +250,7 @@ def test_a_jump_is_bounded_in_speed_acceleration_and_range(
         assert np.abs(np.diff(angle)).max() <= limits.speed_deg_s * jamia.period * (1 + 1e-9)
         assert angle.min() >= -1e-9
         assert angle.max() <= 100.0 + 1e-9
-        if target == 150.0:  # the finger touches the palm before its goal
+        if target == 150.0:  # the finger touches the palm before it reaches its goal
             assert 7.0 < angle[-1] - true_angle(client.run) < 9.0
         else:
             assert angle[-1] == pytest.approx(max(target, 0.0), abs=1e-6)
@@ -260,7 +261,7 @@ def test_a_jump_is_bounded_in_speed_acceleration_and_range(
 
 
 def test_a_random_stream_never_leaves_the_limits(jamia: HandModel) -> None:
-    """The targets are like those of a policy that fails: random angles at random times, with twenty seeds."""
+    """The targets are like those of a policy that has failed: random angles at random times, with twenty seeds."""
     limits, period = jamia.hand.stream, jamia.period
     with live_client(jamia) as client:
         for seed in range(20):
@@ -309,7 +310,7 @@ def test_a_stale_stream_holds_then_relaxes(jamia: HandModel) -> None:
 def test_a_late_target_waits_at_the_last_one(jamia: HandModel) -> None:
     """While a target is late, the stream is not extrapolated.
 
-    The reference angle passes the last target only by its own braking distance.
+    The reference angle goes beyond the last target only by its own braking distance.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -367,7 +368,10 @@ def test_a_text_that_is_no_target_is_counted(text: str) -> None:
 
 @pytest.mark.parametrize("value", [0.1 + 0.2, 1e308, -0.0, 5e-324, math.inf, math.nan])
 def test_a_target_survives_the_log(value: float) -> None:
-    """A run gets decoded targets, and its re-execution gets their texts. Both must be equal to the last bit."""
+    """A run receives decoded targets, and its re-execution receives their texts.
+
+    Both must be equal to the last bit.
+    """
     target = StreamTarget("17-3", 2**62, -(2**40), (value, 1.0 / 3.0))
     again = parse_target(target_request_text(target))
     assert again is not None
@@ -383,7 +387,8 @@ def test_integers_beyond_64_bits_do_not_end_the_run(
 ) -> None:
     """Reproduce a defect.
 
-    Such a number in the text of a target raised OverflowError in the tick, which cut the torque.
+    Earlier defect: such a number in the text of a target raised OverflowError in the tick. This
+        error cut the torque.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -421,9 +426,9 @@ def test_a_target_from_the_future_counts_as_sent_now(jamia: HandModel) -> None:
 
 
 def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandModel) -> None:
-    """Targets that were sent after the deadline of a late tick count as sent at this tick.
+    """If a target was sent after the deadline of a late tick, it counts as sent at this tick.
 
-    Regression: the second target was refused as overtaken by the first.
+    Earlier defect: the second target was refused, because the first one seemed to be later.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -435,7 +440,10 @@ def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandMo
 
 
 def test_a_jittering_stream_is_smooth(jamia: HandModel) -> None:
-    """Targets arrive up to 8 ms late, and some are lost. The reference still follows the motion without faults."""
+    """Targets arrive up to 8 ms late, and some are lost.
+
+    The reference still follows the motion, and no fault occurs.
+    """
     random = np.random.default_rng(4)
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": SINE_MIDDLE_DEG})
@@ -479,9 +487,9 @@ def test_a_stream_goes_on_from_a_moving_digit(jamia: HandModel) -> None:
 
 
 def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
-    """Reproduce a defect: the trajectory to each new goal started at rest at the estimated angle.
+    """Reproduce a defect: after each new goal, the trajectory started at rest at the estimated angle.
 
-    A hand with 50 goals per second therefore stood still.
+    With 50 goals per second, a hand therefore did not move.
     """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": SINE_MIDDLE_DEG})
@@ -499,10 +507,10 @@ def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
 
 
 def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
-    """The motion does not swing beyond its end.
+    """The motion does not go beyond its end.
 
-    A quintic polynomial that starts at 300 deg/s and lasts five seconds would swing 280 degrees
-    beyond it.
+    A quintic polynomial that starts at 300 deg/s and lasts five seconds would go 280 degrees beyond
+    its end.
     """
     reference = np.radians([[90.0], [300.0], [0.0]])
     reach = np.radians([0.0]), np.radians([100.0])
@@ -514,7 +522,7 @@ def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
 
 
 def test_three_goals_out_of_range_are_no_fault(jamia: HandModel) -> None:
-    """Reproduce a defect: three goals out of range caused a latched fault, which relaxed the hand."""
+    """Reproduce a defect: three goals outside of their ranges caused a latched fault that relaxed the hand."""
     with live_client(jamia) as client:
         for _ in range(5):
             assert "from 0 to 100 deg" in client.send_command("move", angle_deg={"index": 120.0})
@@ -583,7 +591,7 @@ def test_streams_that_do_not_suit_the_hand_are_refused(jamia: HandModel) -> None
 def test_joint_angles_become_coordinates(model: HandModel) -> None:
     """A stream of angles of single joints moves the digits.
 
-    Coupled joints turn by the common angle nearest to their targets.
+    Coupled joints turn by the common angle that is nearest to their targets.
     """
     names = model.hand.joints
     where = mapping_of_stream(model, "joint", names)
@@ -626,14 +634,14 @@ def test_tensions_follow_a_stream(jamia: HandModel) -> None:
         assert client.open_stream("tension", ("index_tendon",)).startswith(
             "stream tension of 1 values"
         )
-        for i in range(2000):  # slow, because 1 N moves a free finger by 12 deg
+        for i in range(2000):  # the motion is slow, because 1 N moves a free finger by 12 deg
             wave = 10.0 + 3.0 * math.sin(2.0 * math.pi * i / 1000)
             client.tick(*([client.target_request(wave)] if i % 5 == 0 else []))
         goal = np.array([out.telemetry.tension_goal[0] for out in client.tick_outputs[-1000:]])
         felt = np.array([out.telemetry.tension[0] for out in client.tick_outputs[-1000:]])
         assert np.ptp(goal) == pytest.approx(6.0, abs=0.3)
-        # The tolerance is half of the motor's Coulomb friction of 3 N. A moving free finger meets
-        # this friction in both directions.
+        # The tolerance is half of the Coulomb friction of the motor, which is 3 N. A free finger
+        # that moves meets this friction in both directions.
         assert np.sqrt(np.mean((goal - felt) ** 2)) < 1.5
         rate = np.abs(np.diff(goal)).max() / jamia.period
         assert rate < 1.5 * 3.0 * math.pi, "a ramp between targets, no steps"
@@ -716,7 +724,7 @@ PUSH_FORCE_N = 1.5
 
 
 def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
-    """A constant push on the last link opens a soft digit further than a stiff one."""
+    """A constant push on the last link opens a soft digit further than a stiff digit."""
     yielded = {}
     for softness in (None, 0.2):
         with live_client(jamia) as client:
@@ -738,7 +746,7 @@ def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(
 ) -> None:
     """To bend an outer joint alone, an inner tendon would have to push.
 
-    Regression: the safety monitor found this tendon slack and relaxed the hand.
+    Earlier defect: the safety monitor regarded this tendon as slack and relaxed the hand.
     """
     digit = jamia11.digits[0]
     floor = jamia11.floor[digit.tendons]

@@ -1,6 +1,7 @@
 """Test task files.
 
-The packaged tasks are valid for all hands that can follow them. An error names the wrong key.
+The packaged tasks are valid for all hands that can follow them. The error for a wrong task names
+the wrong key.
 """
 
 from pathlib import Path
@@ -37,7 +38,7 @@ tension_N = { index = 20.0 }
 
 @pytest.fixture
 def refusal(tmp_path: Path):  # type: ignore[no-untyped-def]
-    """Return a function that loads a wrong task text and returns the error line with which it is refused."""
+    """Return a function that loads the text of a wrong task, and returns the error line that refuses it."""
 
     def refuse(
         text: str, digits: tuple[str, ...] = ("index", "thumb"), ceiling: float = 110.0
@@ -58,9 +59,9 @@ JAMIA_DIGITS = ("index", "middle", "ring", "thumb")
 
 
 def test_packaged_tasks_suit_every_packaged_hand_that_can_follow_them() -> None:
-    """The tasks name the digits of a Jamia hand.
+    """The tasks of this test name the digits of a Jamia hand.
 
-    A task that names single joints needs a hand with a tendon at each joint.
+    A task that names single joints needs a hand that has a tendon at each joint.
     """
     import handctl
 
@@ -117,7 +118,7 @@ def test_a_list_has_one_number_for_each_coordinate_of_the_digit(tmp_path: Path) 
 
 
 def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_path: Path) -> None:
-    """A digit with n joints and n + 1 tendons takes n angles and n + 1 tensions."""
+    """For a digit with n joints and n + 1 tendons, a task contains n angles and n + 1 tensions."""
     hand = hand_with_an_extensor()
     assert shapes_of_digits(hand)["thumb"] == DigitShape(2, 3, ("thumb_j1", "thumb_j2"))
     for angles, tensions, wrong in (
@@ -147,7 +148,10 @@ def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_pat
 
 
 def hand_with_an_extensor() -> Hand:
-    """Return the hand jamia11 with a third tendon at its thumb. The tendon opens both joints of the thumb."""
+    """Return the hand jamia11 with a third tendon in its thumb.
+
+    This tendon opens both joints of the thumb.
+    """
     content = hand_content("jamia11")
     motor = {
         **content["motor"][-1],
@@ -238,7 +242,7 @@ def test_an_empty_table_of_digits_is_accepted(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", [TARE_PHASE, "start"])
 def test_a_phase_may_not_have_a_reserved_name(refusal, name: str) -> None:  # type: ignore[no-untyped-def]
-    """A phase may not be called tare or start, because the controller treats these names in a special way."""
+    """No phase may have the name tare or start, because the controller uses these names itself."""
     assert "must not be named" in refusal(
         VALID_TASK.replace('kind = "hold"', f'kind = "hold"\nname = "{name}"')
     )

@@ -1,4 +1,7 @@
-"""Test trajectories of minimum jerk: their start and end, and their derivatives. No other trajectory is smoother."""
+"""Test minimum-jerk trajectories: their start, their end and their derivatives.
+
+No other trajectory between the same ends is smoother.
+"""
 
 import numpy as np
 import pytest
@@ -59,7 +62,10 @@ def test_move_stays_between_its_ends_and_below_its_peak_speed(
 
 
 def test_no_admissible_bump_has_less_jerk() -> None:
-    """The integral of squared jerk grows if a bump is added to the move. The bump is at rest at both ends."""
+    """The integral of the squared jerk grows if a bump is added to the move.
+
+    This bump is at rest at both of its ends.
+    """
     move, t = MinimumJerk(np.array([0.0]), np.array([1.0]), 1.0), np.linspace(0.0, 1.0, 20001)
     acceleration = np.array([move.motion_at(one)[2][0] for one in t])
     bump = np.gradient(np.gradient(t**3 * (1 - t) ** 3, t), t)

@@ -1,6 +1,7 @@
 """Test trajectory files.
 
-The curve goes through all points, from rest to rest. A wrong file is refused before any motion.
+The curve passes through all points, and begins and ends at rest. A wrong trajectory file is refused
+before any motion.
 """
 
 import math
@@ -97,9 +98,9 @@ def test_radians_are_not_degrees(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("gap", [5e-324, 1e-310, 1e-160, 1e-5])
 def test_very_close_times_do_not_bypass_the_speed_limit(gap, recwarn):
-    """Very close times make the coefficients of the spline overflow.
+    """If two times are very close, the coefficients of the spline overflow.
 
-    A speed of NaN is refused like a speed above the limit.
+    A speed of NaN is refused in the same way as a speed above the limit.
     """
     angles = {"index": (0.0, 1.0, 0.0)}
     with pytest.raises(ValueError, match="at most 700 deg/s"):

@@ -1,4 +1,4 @@
-"""Test a digit that touches an object unplanned.
+"""Test a digit that touches an object although no contact is planned.
 
 An event reports the contact, and the digit presses with a bounded tension.
 """
@@ -66,7 +66,10 @@ def test_only_digits_blocked_on_their_way_are_restrained(model: HandModel) -> No
 def run_against_palm(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[str, PlantRun]:
-    """Return a hand and its run. The index finger moves towards 100 degrees but touches the palm before."""
+    """Return a hand and its run.
+
+    In this run, the index finger moves towards 100 degrees, but touches the palm before.
+    """
     move = JogProgram(MoveDigits(do="move", angle_deg={"index": 100.0}, duration_s=1.0), 1.6)
     return request.param, run_on_plant(
         request.param, move, None, tmp_path_factory.mktemp("pressed"), 4.0

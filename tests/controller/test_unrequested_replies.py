@@ -1,4 +1,4 @@
-"""Test replies that no request explains: the fault that they show, and the frames that count as replies."""
+"""Test replies that no request explains: the fault that they cause, and the frames that count as replies."""
 
 import pytest
 
@@ -69,7 +69,7 @@ def test_the_first_reply_to_the_first_request_is_not_in_excess(
 def test_frames_of_others_do_not_make_a_duplicate_a_second_node(
     active_bench: ControllerBench,
 ) -> None:
-    """Only frames that were decoded as feedback of a motor count as its replies."""
+    """Only frames that were decoded as the feedback of a motor count as replies of this motor."""
     active_bench.to_host = lambda frames: [
         *frames,
         *[f for f in frames if f.can_id == 0x11],
@@ -107,7 +107,7 @@ def is_load_cell_frame(active_bench: ControllerBench, frame: Frame) -> bool:
 
 
 def with_older_counter(cell: Frame) -> Frame:
-    """Return a load-cell frame with the counter of another SYNC."""
+    """Return a load-cell frame whose counter is that of another SYNC frame."""
     return cell._replace(data=bytes([cell.data[0] ^ 1]) + cell.data[1:])
 
 
@@ -123,7 +123,10 @@ def with_other_tension(cell: Frame) -> Frame:
 def test_only_replies_in_excess_are_compared_with_the_expected_reply(
     active_bench, outstanding, came, found
 ) -> None:
-    """A late reply to an older request is not in excess. Its bytes may differ from those of the new reply."""
+    """A late reply to an older request is not an excess reply.
+
+    The bytes of a late reply may differ from the bytes of the new reply.
+    """
     if outstanding == 2:
         active_bench.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x11]
         active_bench.tick()
@@ -135,10 +138,10 @@ def test_only_replies_in_excess_are_compared_with_the_expected_reply(
 
 
 def change_first_motor(answer: Frame, kinds: str) -> list[Frame]:
-    """Return a motor's reply once for each letter.
+    """Return the reply of a motor once for each letter of a text.
 
-    For A the reply is unchanged, and for B it has another temperature. Only replies of the first
-    motor are repeated.
+    For the letter A, the reply is unchanged. For B, it has another temperature. Only the replies of
+    the first motor are repeated in this way.
     """
     if answer.can_id != 0x11:
         return [answer]

@@ -1,7 +1,7 @@
-"""Test hands without load cells at some or all tendons.
+"""Test hands in which some or all tendons have no load cells.
 
 The controller estimates their tensions from motor force, encoder and friction. The tests compare
-them with the true tensions of the simulator.
+the estimated tensions with the true tensions in the simulator.
 """
 
 import os
@@ -88,10 +88,10 @@ CYLINDER_TASK = Task.model_validate(
 
 @dataclass
 class RunWithoutCells:
-    """Record of a run without load cells, with a row for each tick.
+    """Record of a run without load cells: one row for each tick, and all events.
 
-    A row has the phase, the estimated tension, its standard deviation and the true tension (N,)
-    [N]. The record also has all events and the last height of the object.
+    A row contains the phase, and for each tendon (N,) the estimated tension, its standard deviation
+    and the true tension [N]. The record also contains the last height of the object.
     """
 
     phase_name: list[str] = field(default_factory=list)
@@ -102,7 +102,7 @@ class RunWithoutCells:
     object_height: float = 0.0
 
     def normalized_errors(self, *phases: str) -> np.ndarray:
-        """Return the errors of the estimate in some phases, divided by the standard deviation of the estimate."""
+        """Return the errors of the estimate in some phases, divided by its standard deviation."""
         rows = np.isin(self.phase_name, phases)
         return (np.array(self.tension)[rows] - np.array(self.true_tension)[rows]) / np.array(
             self.sigma
@@ -135,9 +135,10 @@ def run_without_sensors(
 
 
 def assert_no_check_of_a_missing_cell(hand: Hand, events: list[TickEvent]) -> None:
-    """Check that the events of commissioning claim no check that needs a missing load cell.
+    """Check that no event of the commissioning reports a check that needs a missing load cell.
 
-    Regression: a hand without load cells printed "answers 2.99 N, others 0.00 N".
+    Earlier defect: for a hand without load cells, the commissioning printed "answers 2.99 N, others
+    0.00 N".
     """
     texts = {event.where: event.text for event in events if event.name == "commission"}
     assert set(texts) == set(hand.tendon_names)

@@ -1,4 +1,4 @@
-"""Read the command blocks of documentation pages, and execute these commands in an empty folder."""
+"""Read the command blocks of documentation pages, and execute their commands in an empty folder."""
 
 import os
 import re
@@ -42,33 +42,36 @@ def read_blocks(path: Path) -> list[FencedBlock]:
 
 
 def is_executed(block: FencedBlock) -> bool:
-    """Return True for a command block that a test executes, and for a block that a test writes to a file."""
+    """Return True for a block of commands that a test executes, and for a block that a test writes to a file."""
     return (block.language == "sh" and "not run" not in block.title) or is_file_block(block)
 
 
 def is_file_block(block: FencedBlock) -> bool:
-    """Return True for a block with a Python program or a TOML file. Its title is the name of the file."""
+    """Return True for a block that contains a Python program or a TOML file.
+
+    The title of such a block is the name of the file.
+    """
     return block.language in ("python", "toml") and bool(
         re.fullmatch(r"[\w-]+\.(py|toml)", block.title)
     )
 
 
 def stays_open(block: FencedBlock) -> bool:
-    """Return True for a block whose command keeps running while later commands run."""
+    """Return True for a block whose command continues to run while later commands run."""
     return "stays open" in block.title
 
 
 def run_blocks(
     page_blocks: Sequence[FencedBlock],
     prepare: Callable[[Path], None] | None = None,
-    beside: Sequence[str] = (),
+    parallel_commands: Sequence[str] = (),
 ) -> None:
     """Execute the commands of a page in an empty folder.
 
     Args:
-        page_blocks: blocks of the page. The blocks with files are written first.
-        prepare: function that adds further files to the folder.
-        beside: further commands, which run at the same time as the commands of the page.
+        page_blocks: blocks of the page. The files of the page are written first.
+        prepare: function that writes further files into the folder.
+        parallel_commands: further commands, which run during the commands of the page.
     """
     folder, sockets = (Path(tempfile.mkdtemp(prefix="h-")) for _ in range(2))
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
@@ -80,7 +83,7 @@ def run_blocks(
     for block in filter(is_file_block, page_blocks):
         (folder / block.title).write_text(with_local_bus(block.text))
     try:
-        for command in beside:
+        for command in parallel_commands:
             start_beside(command, others, words)
         for block in page_blocks:
             if block.language != "sh" or not is_executed(block):

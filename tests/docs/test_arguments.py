@@ -1,6 +1,6 @@
 """Every command line in the documents has valid arguments.
 
-Placeholders such as N are not checked.
+Arguments that are placeholders, such as N, are not checked.
 """
 
 import re
@@ -20,7 +20,7 @@ FENCE_PATTERN = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 def commands_in(text: str) -> list[list[str]]:
     """Return the words of each handctl command in a document.
 
-    Command lines with placeholders or redirections are left out.
+    Command lines that contain placeholders or redirections are left out.
     """
     lines = re.findall(r"`handctl ([^`\n]+)`", text)
     for block in FENCE_PATTERN.findall(text):
@@ -40,7 +40,7 @@ def test_every_argument_is_known(path: Path) -> None:
 def parser_refusal(words: list[str]) -> str:
     """Parse a command line.
 
-    Return the error text of the parser, or an empty text if the arguments are valid.
+    Return the error text of the parser. If the arguments are valid, the text is empty.
     """
     try:
         verb_parser(words[0]).parse_args(words[1:])

@@ -2,8 +2,8 @@
 
 The blocks of a page run in a separate folder.
 
-A block with "not run" in its title needs hardware, root rights or a screen. A block with "stays
-open" keeps running while the later blocks run.
+A block with "not run" in its title is not executed, because it needs hardware, root rights or a
+screen. A block with "stays open" in its title continues to run while the later blocks run.
 """
 
 from collections.abc import Iterator
@@ -37,7 +37,7 @@ EXECUTED_BLOCKS = {
 The title of such a block is the name of the file.
 """
 LONG_PAGES = ("start/first-hand.md", "tutorials/policy.md", "tutorials/tune-gains.md")
-"""Pages whose commands run only at night.
+"""Pages whose commands run only in nightly test runs.
 
 Each of these pages takes a minute, and other pages also contain its commands.
 """
@@ -46,7 +46,7 @@ Each of these pages takes a minute, and other pages also contain its commands.
 def page_cases() -> Iterator[Any]:
     """Yield the pages that contain commands, with the markers of their tests.
 
-    Pages that start a process in real time get the marker of real-time tests.
+    Pages that start a process in real time get the marker of the tests on the real clock.
     """
     for page, parts in EXECUTED_BLOCKS.items():
         if any(block.language == "sh" for block in parts):

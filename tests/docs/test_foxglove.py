@@ -1,6 +1,6 @@
-"""The layout for Foxglove contains only topics and fields that a log has.
+"""The layout file for Foxglove contains only topics and fields that a log has.
 
-The label of each value in the layout consists of its name and unit.
+In the layout, the label of each value consists of its name and its unit.
 """
 
 import json
@@ -23,7 +23,7 @@ PANEL_KINDS = {"3D", "Plot", "RosOut", "StateTransitions"}
 
 
 def text_leaves(node: Any) -> list[str]:
-    """Return the names of all panels in a node of the layout tree."""
+    """Return the names of all panels below a node of the layout tree."""
     return (
         [node]
         if isinstance(node, str)
@@ -52,7 +52,7 @@ def message_paths() -> list[tuple[str, str]]:
 
 
 def topics_of_layout() -> set[str]:
-    """Return the topics that the panels show, except topics of transforms."""
+    """Return the topics that the panels show, except the topics with transforms."""
     scene = LAYOUT_PANELS["3D!hand"]
     topics = {MESSAGE_PATH_PATTERN.fullmatch(value)[1] for value, _ in message_paths()}  # type: ignore[index]
     return (

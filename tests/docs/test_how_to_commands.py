@@ -1,8 +1,9 @@
 """The command blocks of the README, the How-to pages and the page about tasks run as they are written.
 
-While blocks that need a hand run, a simulated hand also runs.
+While a block that needs a hand runs, a simulated hand also runs.
 
-The pages use files and hands of the reader. The tests replace these by packaged files and hands.
+The pages use files and hands that belong to the reader. The tests replace these files
+and hands by packaged ones.
 """
 
 import re
@@ -40,9 +41,9 @@ EXECUTED_BLOCKS = {
     page: [block for block in parts if is_executed(block)] for page, parts in BLOCKS_BY_PAGE.items()
 }
 SHORT_PAGES = ("how-to/logs.md", "how-to/other-tools.md")
-"""Pages whose commands run by day.
+"""Pages whose commands run in ordinary test runs.
 
-The other pages run at night, because each takes from ten seconds to minutes.
+The other pages run in nightly test runs, because each takes from ten seconds to minutes.
 """
 SIMULATED_HAND = "handctl sim --hand jamia --bus local:lab --time-scale 0.5"
 SIMULATOR_COMMANDS = {
@@ -75,7 +76,10 @@ def prepare_folder(golden: str, folder: Path) -> None:
 
 
 def files_for(page: str) -> Callable[[Path], None]:
-    """Return the function that writes the files of a page. The page about ended runs gets a log with a fault."""
+    """Return the function that writes the files of a page.
+
+    The page about ended runs needs a log that contains a fault.
+    """
     return partial(
         prepare_folder, "jamia-fault" if page == "how-to/why-a-run-ended.md" else "jamia-grasp"
     )
@@ -134,8 +138,8 @@ def test_the_commands_of_the_readme_run() -> None:
     assert len(simulators) == 1
     assert len(lines) == 6
     commands = [FencedBlock("sh", "", line) for line in lines if line.strip() not in simulators]
-    # The README advises a smaller time scale for a slow machine. While other tests run, this
-    # machine is slow.
+    # The README recommends a smaller time scale for a slow machine. This machine is slow while
+    # other tests run.
     run_blocks(
         commands, partial(prepare_folder, "jamia-grasp"), [f"{simulators[0]} --time-scale 0.3"]
     )

@@ -1,8 +1,7 @@
-"""A reader finds the answers to frequent questions after few clicks, and after few words above the answer.
+"""A reader needs few clicks to find the answers to frequent questions, and few words above the answer.
 
-A reader takes two minutes for 400 words at an easy pace. The count of words starts at the target of
-the last click and ends at the answer. This count is an upper bound, because readers skip rows of a
-table.
+At an easy pace, a reader takes two minutes for 400 words. Words are counted from the target of the
+last click to the answer. This count is an upper bound, because readers skip rows of a table.
 """
 
 import re
@@ -35,7 +34,10 @@ ANSWER_BY_QUESTION = {
 
 
 def section_lines(page: str, anchor: str) -> str:
-    """Return the text of a page from a heading on. Without an anchor, return the whole page."""
+    """Return the text of a page that begins at a heading.
+
+    If no anchor is given, return the whole page.
+    """
     text = (DOCS_FOLDER / page).read_text(encoding="utf-8")
     for match in re.finditer(r"^#+ (.*)$", text, re.MULTILINE):
         plain = re.sub(r"[^\w\s-]", "", match[1]).strip().lower()
@@ -56,8 +58,8 @@ def words_above(page: str, anchor: str, answer: str) -> int:
 def click_count(page: str, anchor: str) -> int:
     """Return the number of clicks from the front page of the site to a heading.
 
-    A page takes one click on a link, or two clicks on a tab and an entry. A heading takes a further
-    click in the table of contents.
+    To open a page takes one click on a link, or two clicks on a tab and an entry. To go to a
+    heading takes one more click in the table of contents.
     """
     if page == "index.md":
         return 0

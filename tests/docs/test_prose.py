@@ -21,7 +21,7 @@ NON_PROSE_PREFIXES = ("|", "#", "<!--", "    ")
 def paragraphs_of(text: str) -> list[str]:
     """Return the paragraphs of a document without code and tables.
 
-    Each list entry counts as a paragraph.
+    Each entry of a list counts as a paragraph.
     """
     unquoted = re.sub(r"^> ?", "", FENCE_PATTERN.sub("", text), flags=re.MULTILINE)
     blocks = re.split(r"\n\s*\n", unquoted)
@@ -30,7 +30,10 @@ def paragraphs_of(text: str) -> list[str]:
 
 
 def sentence_count(paragraph: str) -> int:
-    """Count the sentences of a paragraph. A full stop within code or an abbreviation does not end a sentence."""
+    """Count the sentences of a paragraph.
+
+    A full stop in code or in an abbreviation does not end a sentence.
+    """
     plain = re.sub(r"\b(?:e\.g|i\.e|Eq|Fig|Sec)\.", "", re.sub(r"`[^`]*`", "x", paragraph))
     return len(re.findall(r"[.!?](?=\s|$|\*|\))", plain))
 
@@ -68,7 +71,8 @@ def test_no_line_begins_with_a_number_that_ends_a_sentence(path: Path) -> None:
     "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_no_code_has_a_bar_behind_a_backslash(path: Path) -> None:
-    # The site would show the backslash. Site and GitHub show `<code>A&#124;B</code>` correctly.
+    # The site would show the backslash of an escaped bar. Site and GitHub show
+    # `<code>A&#124;B</code>` correctly.
     text = FENCE_PATTERN.sub("", path.read_text(encoding="utf-8"))
     assert re.findall(r"`[^`\n]*\\\|[^`\n]*`", text) == []
 

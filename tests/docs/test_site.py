@@ -1,4 +1,7 @@
-"""The site builds without network access and without warnings. Its pages load nothing from other servers."""
+"""The site builds without network access and without warnings.
+
+The pages of the site load nothing from other servers.
+"""
 
 import os
 import re
@@ -33,10 +36,10 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     made = sorted((tmp_path / "site").rglob("*.html"))
     assert (
         len(made) == len(list((REPOSITORY_ROOT / "docs").rglob("*.md"))) + 1
-    )  # the error page 404.html is added
+    )  # the error page 404.html is added to the pages
     texts = [page.read_text(encoding="utf-8") for page in made]
     assert [match[0] for text in texts for match in FETCHING_ELEMENT_PATTERN.finditer(text)] == []
-    # Without an empty line before it, a list becomes a part of the paragraph above.
+    # If there is no empty line before a list, the list becomes a part of the paragraph above.
     paragraphs = [part for text in texts for part in re.findall(r"<p>(.*?)</p>", text, re.DOTALL)]
     assert [
         part[-200:] for part in paragraphs if re.search(r"^(- |\d+\. |\|)", part, re.MULTILINE)

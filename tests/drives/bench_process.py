@@ -1,4 +1,4 @@
-"""Run simulated drives with ``python -m firmware_sim drive`` as a separate process."""
+"""Run simulated drives with ``python -m firmware_sim drive``, as a separate process."""
 
 import select
 import signal
@@ -12,7 +12,7 @@ READY_TIMEOUT_S = 60.0
 
 @contextmanager
 def run_simulated_drives(bus: str, *words: str) -> Iterator["subprocess.Popen[str]"]:
-    """Run simulated drives on a bus until the block ends, and check their exit code.
+    """Run simulated drives on a bus until the block ends. Then check their exit code.
 
     Args:
         bus: specification of the bus on the command line.

@@ -1,4 +1,7 @@
-"""Fixtures with a drive and a scripted motor. The drive runs tick by tick as in the controller."""
+"""Test fixtures: a drive and a scripted motor.
+
+The drive runs tick by tick, as in the controller.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -42,9 +45,9 @@ class MotorRig:
     pending_replies: list[Frame] = field(default_factory=list)
 
     def tick(self, target: DriveTarget, torque: float = 0.0) -> DriveState:
-        """Let the drive receive the motor's replies and advance by a tick.
+        """Let the drive receive the replies of the motor, and advance the drive by a tick.
 
-        The motor then replies for the next tick.
+        The motor then makes its replies for the next tick.
         """
         for frame in self.pending_replies:
             self.state = self.drive.receive(self.state, frame)
@@ -61,7 +64,10 @@ class MotorRig:
     def run_until_phase(
         self, target: DriveTarget, *phases: DrivePhase, ticks: int = 300
     ) -> DriveState:
-        """Run ticks until the drive is in one of the given phases, or fail."""
+        """Run ticks until the drive is in one of the given phases.
+
+        If it does not reach one, the test fails.
+        """
         for _ in range(ticks):
             if self.tick(target).phase in phases:
                 return self.state

@@ -1,9 +1,10 @@
-"""Typical use of motor clients from other projects.
+"""Typical use of the motor clients of other projects.
 
 The clients command simulated drives of ``python -m firmware_sim drive`` on any bus.
 
-Each function enables a drive, lets it make a torque, checks that its free shaft turns, and disables
-it. The clients wait for replies for 0.4 s to 1 s. The functions here wait longer.
+Each function enables a drive, commands a torque, checks that the free shaft turns, and disables the
+drive. The clients themselves wait for replies for 0.4 s to 1 s. The functions here wait longer than
+that.
 """
 
 import asyncio
@@ -32,7 +33,7 @@ def wait_for(condition: Callable[[], bool], expected_event: str) -> None:
 
 
 def use_damiao_motor(interface: str, channel: str, node: int = 2) -> None:
-    """Use damiao-motor: read registers, enable, command a torque, hold a position by the motor's gains, and disable."""
+    """Use damiao-motor: read registers, enable, command a torque, hold a position, and disable."""
     controller = DaMiaoController(channel=channel, bustype=interface)
     try:
         motor = controller.add_motor(motor_id=node, feedback_id=node + 0x10, motor_type="4310")
@@ -60,7 +61,7 @@ def _motor_states(motor: object) -> dict[str, float]:
 
 
 def use_damiao_modes(interface: str, channel: str, node: int = 2) -> None:
-    """Use damiao-motor: change between velocity, position-velocity and force-position mode of an enabled motor."""
+    """Use damiao-motor: change an enabled motor between velocity, position-velocity and force-position mode."""
     controller = DaMiaoController(channel=channel, bustype=interface)
     try:
         motor = controller.add_motor(motor_id=node, feedback_id=node + 0x10, motor_type="4310")
@@ -92,15 +93,15 @@ def use_damiao_modes(interface: str, channel: str, node: int = 2) -> None:
 
 
 def use_odrive_can(bus: can.BusABC, node: int = 1) -> None:
-    """Use odrive-can: closed loop, torque, position, emergency stop, and clearing of its error."""
+    """Use odrive-can: closed loop, torque, position, emergency stop, and clearing the error of this stop."""
     asyncio.run(_use_odrive(bus, node))
 
 
 async def _use_odrive(bus: can.BusABC, node: int) -> None:
-    """Use odrive-can in its event loop.
+    """Use odrive-can within its event loop.
 
-    The client gets positions from the cyclic message of the drive. Requesting this message with a
-    remote frame can block the client forever.
+    The client reads positions from the cyclic message of the drive. If it requested this message
+    with a remote frame, it could wait forever.
     """
     drive = ODriveCAN(axis_id=node, can_bus=bus)
     seen = [0.0]
@@ -126,7 +127,7 @@ async def _use_odrive(bus: can.BusABC, node: int) -> None:
 
 
 def use_odrive_can_modes(bus: can.BusABC, node: int = 1) -> None:
-    """Use odrive-can: command a velocity, then a trapezoidal trajectory with limits from the client."""
+    """Use odrive-can: command a velocity, and then a trapezoidal trajectory with limits that the client sends."""
     asyncio.run(_use_odrive_modes(bus, node))
 
 
@@ -157,9 +158,9 @@ async def _use_odrive_modes(bus: can.BusABC, node: int) -> None:
 async def _set_control_mode(
     drive: ODriveCAN, mode: str, state: str, input_mode: str = "PASSTHROUGH"
 ) -> None:
-    """Set the drive to idle, set a control mode, and set another state.
+    """Set a drive to idle, set its control mode, and then set another state.
 
-    The client's own wait functions give up after a second and are not used.
+    The functions of the client that wait are not used, because they give up after a second.
     """
     drive.set_axis_state_no_wait("IDLE")
     await _wait_for_async(lambda: drive.axis_state == "IDLE", "idle")
@@ -195,14 +196,14 @@ def _canopen_network(interface: str, channel: str) -> Iterator[canopen.Network]:
 
 
 def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
-    """Use canopen: enable a drive with BaseNode402 and the packaged EDS file, command torques by PDO, and disable."""
+    """Use canopen: enable a drive with BaseNode402 and the packaged EDS, command torques by PDO, disable it."""
     with _canopen_network(interface, channel) as network:
         node = BaseNode402(node_id, str(EDS_PATH))
         network.add_node(node)
         node.nmt.state = "RESET COMMUNICATION"
         wait_for(
             lambda: node.nmt.state == "PRE-OPERATIONAL", "boot-up"
-        )  # wait_for_bootup may miss a quick message
+        )  # wait_for_bootup may miss a message that arrives early
         assert node.sdo[0x1018][1].raw == node.object_dictionary[0x1018][1].default
         node.setup_402_state_machine()
         node.tpdo[1].trans_type = 1
@@ -219,7 +220,7 @@ def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
 
 
 def use_canopen_modes(interface: str, channel: str, node_id: int = 33) -> None:
-    """Use canopen: home a drive with BaseNode402, then select profile position and cyclic velocity by their names."""
+    """Use canopen: home a drive with BaseNode402, then select profile position and cyclic velocity by name."""
     with _canopen_network(interface, channel) as network:
         node = BaseNode402(node_id, str(EDS_PATH))
         network.add_node(node)

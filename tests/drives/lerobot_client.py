@@ -1,6 +1,6 @@
 """Use of LeRobot's bus class for RobStride motors.
 
-The class commands simulated motors of ``python -m firmware_sim drive robstride_mit`` on any bus.
+The client commands simulated motors of ``python -m firmware_sim drive robstride_mit`` on any bus.
 """
 
 import time
@@ -22,7 +22,7 @@ WAIT_TIMEOUT_S = 20.0
 def use_lerobot_robstride(
     interface: str, channel: str, patch: pytest.MonkeyPatch, nodes: tuple[int, ...]
 ) -> None:
-    """Use LeRobot: connect, enable, turn a motor by a torque, hold a position, disable, and read all motors."""
+    """Use LeRobot: connect, enable a motor, turn it by a torque, hold a position, disable it, and read all motors."""
     patch.setattr(RobstrideMotorsBus._recv_motor_response, "__defaults__", (None, REPLY_TIMEOUT_S))
     patch.setattr(
         RobstrideMotorsBus._recv_status_via_clear_fault, "__defaults__", (None, REPLY_TIMEOUT_S)

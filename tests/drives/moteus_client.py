@@ -18,7 +18,7 @@ VALUE_RESOLUTIONS = (moteus.INT8, moteus.INT16, moteus.INT32, moteus.F32)
 
 
 def use_moteus(interface: str, channel: str, node: int = 2) -> None:
-    """Use moteus: query in every number type, configure, command torque and position, and stop."""
+    """Use moteus: query registers in every number type, configure the drive, command torque and position, and stop."""
     asyncio.run(asyncio.wait_for(_use_transport(interface, channel, node), CLIENT_TIMEOUT_S))
 
 

@@ -29,13 +29,15 @@ OPTIONS_TEXT_BY_PROTOCOL = {
 
 
 def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
-    """Write the file of the packaged hand with other drive protocols, and return its path.
+    """Write the file of the packaged hand with other drive protocols.
+
+    Return the path of the new file.
 
     Args:
         folder: folder of the new file.
-        protocols: protocol of each motor in order. The last protocol is used for all further
-            motors.
-        extra: text of further options of every motor.
+        protocols: protocol of each motor, in the order of the motors. If there are more motors, the
+            last protocol is used for them.
+        extra: text with further options of every motor.
     """
     head, *motors = load_hand("jamia").to_toml().split("[[motor]]")
     for i, text in enumerate(motors):
@@ -71,7 +73,7 @@ def move_to_second_bus(path: Path, motors: Sequence[int] = (2, 3)) -> Path:
 
 
 class ProtocolBench:
-    """Bench that runs the drives and the sensor node of a hand against the simulator."""
+    """Bench in which the drives and the sensor node of a hand run with the simulated firmware."""
 
     def __init__(
         self, path: Path, wire: Sequence[str] | None = None, period_ns: int = PERIOD_NS
@@ -114,7 +116,10 @@ class ProtocolBench:
         self.k += 1
 
     def run_until_phase(self, target: DriveTarget, phase: DrivePhase, ticks: int = 400) -> None:
-        """Run ticks until all drives are in a phase, or fail."""
+        """Run ticks until all drives are in a given phase.
+
+        If they do not reach it, the test fails.
+        """
         for _ in range(ticks):
             self.tick(target)
             if all(state.phase == phase for state in self.states):
@@ -137,7 +142,7 @@ def motor_on_bench(
 ) -> Motor:
     """Return the hand-file section of a motor that is alone on a bus.
 
-    The motor has the ranges of a Damiao motor.
+    This motor has the ranges of a Damiao motor.
     """
     return Motor.model_validate(
         {

@@ -1,6 +1,6 @@
 """Independent model of a motor, written from its manual.
 
-The model takes and returns bytes. Tests can give it faults.
+The model receives bytes and returns bytes. Tests can inject faults into the model.
 """
 
 import struct
@@ -14,13 +14,13 @@ INTEGER_REGISTERS = {9: 0, 10: 1, 15: 0x1234}
 
 @dataclass
 class ScriptedMotor:
-    """A motor with a state, codes of position, velocity and torque, registers by number, and faults that a test sets.
+    """A motor with a state, codes of position, velocity and torque, registers, and faults that a test sets.
 
     Attributes:
-        unanswered_registers: registers about which the motor sends no reply.
-        fixed_registers: registers that keep their value when they are written.
+        unanswered_registers: registers whose requests the motor does not answer.
+        fixed_registers: registers that keep their value when a host writes them.
         ignored_commands: codes of special commands that have no effect.
-        sends_nothing: whether the motor sends no replies at all.
+        sends_nothing: True if the motor sends no replies at all.
     """
 
     node_id: int = 1
@@ -39,7 +39,10 @@ class ScriptedMotor:
     written_registers: list[int] = field(default_factory=list)
 
     def answer_frame(self, frame: Frame, t_ns: int) -> list[Frame]:
-        """Return the reply to a frame of the host in a list. The list is empty if the motor sends no reply."""
+        """Return a list with the reply to a frame of the host.
+
+        If the motor sends no reply, the list is empty.
+        """
         data = self._reply_data(frame)
         if data is None or self.sends_nothing:
             return []
@@ -79,7 +82,7 @@ class ScriptedMotor:
         return data[:4] + struct.pack(layout, self.registers[register])
 
     def feedback_bytes(self) -> bytes:
-        """Return the 8 bytes of a feedback frame, packed bit by bit from the table of the manual."""
+        """Return the 8 bytes of a feedback frame, packed bit by bit from the table in the manual."""
         position, velocity, torque = (
             format(code, f"0{bits}b")
             for code, bits in zip(self.feedback_codes, (16, 12, 12), strict=True)

@@ -1,6 +1,6 @@
-"""Test the drives and the sensor node of the packaged hand against simulated firmware.
+"""Test the drives and the sensor node of the packaged hand with the simulated firmware.
 
-The firmware shares no code with the drives and the sensor node.
+The simulated firmware shares no code with them.
 """
 
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ PACKAGED_HAND = load_hand("jamia")
 
 
 class PackagedHandBench:
-    """Bench that runs the drives and the sensor node of the packaged hand against the simulator."""
+    """Bench in which the drives and the sensor node of the packaged hand run with the simulated firmware."""
 
     def __init__(self) -> None:
         """Start the simulator and the drives of the packaged hand."""
@@ -59,7 +59,10 @@ class PackagedHandBench:
         self.k += 1
 
     def run_until_phase(self, target: DriveTarget, phase: DrivePhase, ticks: int = 200) -> None:
-        """Run ticks until all drives are in a phase, or fail."""
+        """Run ticks until all drives are in a given phase.
+
+        If they do not reach it, the test fails.
+        """
         for _ in range(ticks):
             self.tick(target)
             if all(state.phase == phase for state in self.states):
@@ -97,7 +100,7 @@ def test_the_watchdog_fires_on_silence_and_clear_makes_the_drive_ready(
     bench: PackagedHandBench,
 ) -> None:
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    for _ in range(40):  # 80 ms, longer than the watchdog's 50 ms
+    for _ in range(40):  # 80 ms, which is longer than the watchdog time of 50 ms
         bench.tick(DriveTarget.LISTEN)
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.FAULT, ticks=3)
     assert {state.error_text for state in bench.states} == {

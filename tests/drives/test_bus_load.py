@@ -1,4 +1,4 @@
-"""Compare the predicted bus load with a table of counted bits, and with exactly stuffed frames."""
+"""Compare the predicted bus load with a table of counted bits, and with frames whose stuff bits are counted."""
 
 import pytest
 from hypothesis import given
@@ -48,9 +48,10 @@ random_payloads = st.lists(
 
 
 def stuff_bits(bits: str) -> str:
-    """Return bits with stuff bits added.
+    """Return bits with stuff bits inserted.
 
-    A stuff bit follows five equal bits and is opposite to them. Stuff bits count among the five.
+    A stuff bit follows five equal bits and is opposite to them. A stuff bit itself counts among the
+    next five bits.
     """
     out = ""
     for bit in bits:
@@ -61,7 +62,7 @@ def stuff_bits(bits: str) -> str:
 
 
 def crc15(bits: str) -> str:
-    """Return the CRC-15 of bits with the polynomial 0x4599. Source: ISO 11898-1."""
+    """Return the CRC-15 of bits, with the polynomial 0x4599. Source: ISO 11898-1."""
     register = 0
     for bit in bits:
         top = register >> 14 & 1
@@ -80,7 +81,7 @@ def test_no_classical_frame_takes_longer_than_its_worst_case(can_id: int, data: 
 
 
 def test_the_worst_case_can_nearly_happen() -> None:
-    """A classical CAN frame of zeros has more than 85 % of the bits of the worst case."""
+    """A classical frame of zeros has more than 85 % of the bits of the longest frame of equal payload."""
     body = "0" * 19 + "0" * 64
     bits = len(stuff_bits(body + crc15(body))) + 13
     assert bits > 0.85 * 135

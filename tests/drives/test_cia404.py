@@ -1,4 +1,4 @@
-"""Test load-cell amplifiers that follow CiA 404: their frames, their set-up, and the faults of a hand with them."""
+"""Test load-cell amplifiers of CiA 404: frames, set-up, and faults of a hand with such amplifiers."""
 
 import math
 import struct
@@ -72,8 +72,8 @@ def test_hand_made_frames_become_newtons() -> None:
     assert cells.ids == (0x1A1, 0x1A2)
     wired = WiredDrives((), cells)
     assert wired.begin_tick_with_sync(7) == Frame(0x080, b"")
-    # The first amplifier measures 12.345 N and -0.500 N, the second 299.999 N. A count is 0.001 N,
-    # and the lowest byte is first.
+    # In these frames, a count is 0.001 N, and the lowest byte comes first. A count is 0.001 N, and
+    # the lowest byte is first.
     first, second = bytes.fromhex("39300000 0cfeffff"), bytes.fromhex("df930400")
     wired.receive(
         [Frame(0x1A1, first, t_ns=REPLY_DELAY_NS), Frame(0x1A2, second, t_ns=REPLY_DELAY_NS)]
@@ -141,7 +141,7 @@ def test_the_dbc_decodes_the_same_tensions(value: str, raw: bytes) -> None:
 
 
 class AmplifierBench:
-    """Bench that runs the amplifiers of a hand against the simulator, without drives."""
+    """Bench in which the amplifiers of a hand run with the simulator, without drives."""
 
     def __init__(self, hand: Hand, path: str) -> None:
         """Start the simulator of a hand file."""
@@ -174,7 +174,10 @@ class AmplifierBench:
         self.k += 1
 
     def run_until_phase(self, phase: DrivePhase, ticks: int = 400) -> None:
-        """Run ticks until all amplifiers are in a phase, or fail."""
+        """Run ticks until all amplifiers are in a given phase.
+
+        If they do not reach it, the test fails.
+        """
         for _ in range(ticks):
             self.tick()
             if all(state.phase == phase for state in self.states):
@@ -190,7 +193,7 @@ def bench(tmp_path: Any) -> Iterator[AmplifierBench]:
 
 
 def make_bench(folder: Any, **changed: Any) -> AmplifierBench:
-    """Return a bench of a hand whose sensor section has some keys changed."""
+    """Return a bench of a hand with some keys of its sensor section changed."""
     hand = hand_with_amplifiers(**changed)
     path = folder / "hand.toml"
     path.write_text(hand.to_toml())
@@ -237,7 +240,7 @@ def test_nothing_but_sdo_nmt_and_sync_is_sent(bench: AmplifierBench) -> None:
 
 
 def ignore_unit_writes(node: Any) -> None:
-    """Let an amplifier confirm each write of its unit, but keep the old unit."""
+    """Let an amplifier confirm each write of its unit, although it keeps the old unit."""
     write = node.objects.write
     node.objects.write = lambda key, raw: None if key == (0x6131, 2) else write(key, raw)
 
@@ -247,7 +250,7 @@ def identify_as_drive(node: Any) -> None:
 
 
 def ignore_transmission_type(node: Any) -> None:
-    """Let an amplifier keep its transmission type, so that it is not set to synchronous."""
+    """Let an amplifier keep its transmission type, although the host sets it to synchronous."""
     write = node.objects.write
     node.objects.write = lambda key, raw: None if key == (0x1800, 2) else write(key, raw)
 
@@ -284,9 +287,9 @@ def test_a_missing_amplifier_is_named() -> None:
 
 
 def test_frames_before_the_set_up_are_not_used() -> None:
-    """The amplifiers have been running since an earlier session, and send in their default unit.
+    """In this test, the amplifiers have been running since an earlier run, and send in the unit as delivered.
 
-    In this unit, the numbers are 100 times the tension.
+    The numbers in this unit are 100 times the tension.
     """
     with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
         for node in nodes_of(simulation):
@@ -327,8 +330,8 @@ def faults_of(
 ) -> tuple[set[str], int]:
     """Disturb a grasp.
 
-    Return the faults that follow, and the number of ticks until the controller reacts. The number
-    is -1 if the controller does not react.
+    Return the faults that occur, and the number of ticks until the controller reacts. If the
+    controller does not react, the number is -1.
     """
     with homed_run(hand, 500.0, seed) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)
@@ -384,7 +387,8 @@ def test_amplifiers_that_restart_in_a_grasp_relax_the_hand() -> None:
 def test_late_answers_are_delays_and_no_second_node() -> None:
     """Frames of an amplifier have no counter.
 
-    Regression: a late reply and the next one were taken for a second node (B06).
+    Earlier defect: the controller regarded a late reply and the next reply as those of a second
+    node (B06).
     """
     found, ticks = faults_of(
         hand_with_amplifiers(), 0, fault_injection("delay node=sensors size=2.5 p=0.05")

@@ -1,4 +1,4 @@
-"""Compare payloads byte by byte with the documents of CiA 301, of CiA 402 and of ODrive's CANSimple protocol."""
+"""Compare payloads byte by byte with the documents of CiA 301, CiA 402 and ODrive's CANSimple protocol."""
 
 import math
 import struct
@@ -19,7 +19,7 @@ STATE_BY_STATUS_WORD = {
 
 
 def test_a_tpdo_is_a_status_word_a_position_and_a_torque() -> None:
-    """The position of a TPDO is in counts, its torque in thousandths of the rated torque."""
+    """In a TPDO, the position is in counts, and the torque is in thousandths of the rated torque."""
     message = cia402.feedback_message(5, 1, 1.0, 1.0, 0.0)
     table = SignalTable(
         message._replace(signals=tuple(signal._replace(scale=1.0) for signal in message.signals))

@@ -1,6 +1,6 @@
 """Compare the compiled code that receives and sends frames with the Python code of each drive.
 
-For any input, both give equal values and equal frames.
+For any input, both kinds of code give equal values and equal frames.
 """
 
 import math
@@ -36,7 +36,7 @@ NO_SENSORS = SensorNode(0, 0x7F0, (0x7F1,), ((),), (1,), 0, (-1,), 1)
 
 @cache
 def enable_drive(name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
-    """Return an enabled drive, its state, the time [ns], and frames that it has sent in some ticks."""
+    """Return an enabled drive, its state, the time [ns], and the frames that the drive has sent in some ticks."""
     variant = DRIVE_VARIANTS[name]
     with TemporaryDirectory() as folder:
         path = hand_file(Path(folder), [variant.protocol], variant.options)
@@ -55,7 +55,7 @@ def enable_drive(name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
 
 
 def random_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> Frame:
-    """Return one of a drive's frames, unchanged or changed in one random way."""
+    """Return one of the frames of a drive, unchanged or with one random change."""
     frame = chance.choice(heard)._replace(t_ns=t_ns)
     data, way = bytearray(frame.data), chance.randrange(12)
     if way == 0:
@@ -86,8 +86,8 @@ def random_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> 
 def are_states_equal(one: DriveState, other: DriveState, drive: Drive) -> bool:
     """Return True if two states of a drive are equal.
 
-    One state of a CiA 402 drive may store the time of its last heartbeat as the time of its
-    feedback.
+    One of two equal states of a CiA 402 drive may store the time of its last heartbeat as the time
+    of its feedback.
     """
     if isinstance(drive, Cia402Drive):
         one, other = (
@@ -141,7 +141,7 @@ def test_compiled_code_and_state_machine_give_equal_results(name: str, seed: int
 
 
 def enabled_now(state: DriveState, node_id: int, t_ns: int) -> DriveState:
-    """Return the state of an enabled drive with its times changed, as if it had been enabled at ``t_ns``.
+    """Return the state of an enabled drive with other times, as if it had been enabled at ``t_ns``.
 
     A setting is read again within a period.
     """
@@ -240,9 +240,9 @@ def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
 
 @pytest.mark.parametrize("name", DRIVE_VARIANTS)
 def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
-    """The cyclic commands and replies of a drive are those for which the bus load is planned.
+    """The bus load is planned for the cyclic commands and replies of a drive.
 
-    The drive may decode further messages, which are unsolicited or rare.
+    The drive may decode further messages. They are unsolicited or rare.
     """
     drive, _, _, _ = enable_drive(name)
     command_layouts = sorted(

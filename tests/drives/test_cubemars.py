@@ -1,4 +1,4 @@
-"""Test CubeMars motors in MIT mode with their simulated firmware.
+"""Test CubeMars motors in MIT mode with simulated firmware.
 
 The payloads of handctl and of the firmware are compared with those of the library TMotorCANControl.
 """
@@ -108,7 +108,10 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(
 
 
 def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
-    """An AK80-9 motor obeys commands up to 18 N m. Only the host limits its torque to the limit of the hand."""
+    """An AK80-9 motor obeys commands up to 18 N m.
+
+    Only the host limits the torque to the limit in the hand file.
+    """
     protections = " ".join(
         ProtocolBench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_protections
     )
@@ -122,7 +125,10 @@ def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
 
 
 def test_the_help_names_the_motor_types_of_the_drives() -> None:
-    """A help text does not import the code of the drives, so the list of protocols repeats the names."""
+    """A help text must not import the code of the drives.
+
+    The list of protocols for it therefore repeats their names.
+    """
     ranges = {
         "cubemars": MOTOR_MODEL_RANGES,
         "robstride": robstride_codec.MOTOR_MODEL_RANGES,

@@ -1,4 +1,7 @@
-"""Test the DBC file of a hand's buses. With this file, cantools decodes the same values as the controller."""
+"""Test the DBC file for the buses of a hand.
+
+With this file, cantools decodes the same values as the controller.
+"""
 
 import math
 from collections import Counter
@@ -50,7 +53,7 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[ProtocolBe
 def values_read_by_controller(
     wired: WiredDrives, message: CyclicMessage, i: int
 ) -> dict[str, float]:
-    """Return the values that the controller decoded from a frame of drive i."""
+    """Return the values that the controller has decoded from a frame of drive i."""
     values = {
         signal.name: signal.quantity
         for signal in message.signals
@@ -63,7 +66,7 @@ def values_read_by_controller(
 
 
 def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
-    """The frames come from a lockstep run with the simulated firmware.
+    """The frames of this test come from a lockstep run with the simulated firmware.
 
     The frames are commands and feedback of drives, and readings of load cells and joint encoders.
     """
@@ -84,7 +87,8 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
         bench.tick(DriveTarget.ENABLE, torque)
         for frame in bench.received_frames:
             wired.receive([frame])
-            # A reply to a register request has the identifier of the feedback, but another length.
+            # A reply to a register request has the same identifier as the feedback, but another
+            # length.
             if frame.can_id in owners and len(frame.data) == owners[frame.can_id][1].length:
                 decoded = dbc.decode_message(frame.can_id, frame.data)
                 for name, value in values_read_by_controller(
@@ -111,7 +115,7 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
 def is_torque_command(dbc: Database, frame: Frame, bench: ProtocolBench, torque: float) -> bool:
     """Return True if a frame is a torque command.
 
-    Check that its torque equals the sent torque within one count.
+    Also check that the torque in it equals the commanded torque within one count.
     """
     for drive in bench.drives:
         for message in drive.cyclic_messages.commands:
@@ -119,8 +123,8 @@ def is_torque_command(dbc: Database, frame: Frame, bench: ProtocolBench, torque:
                 signal for signal in message.signals if signal.quantity == SignalQuantity.TORQUE
             ]
             same = message.can_id == frame.can_id and message.length == len(frame.data)
-            # A write of a setting may have the identifier and length of a torque command, but other
-            # first bytes.
+            # A frame that writes a setting may have the identifier and the length of a torque
+            # command. Its first bytes differ.
             first = min((signal.start for signal in message.signals), default=0) // 8
             big = any(signal.big_endian for signal in message.signals)
             same = same and (big or frame.data[:first] == message.base[:first])

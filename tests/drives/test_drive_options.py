@@ -1,4 +1,7 @@
-"""Test the options of a drive in a hand file. No accepted value may break the arithmetic of the drive."""
+"""Test the options of a drive that a hand file may contain.
+
+No accepted value of an option may lead to a failure in the arithmetic of the drive.
+"""
 
 import math
 import re
@@ -73,7 +76,7 @@ def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
 
 
 def test_position_step_is_reported() -> None:
-    """The filter needs the resolution of a drive's position.
+    """The tension filter needs the resolution of the position that a drive reports.
 
     An encoder with 1000 counts per turn is coarser than a position report of 16 bits.
     """
@@ -121,7 +124,7 @@ def test_an_unknown_option_is_refused_with_the_declared_options(protocol: str) -
     [(name, key) for name, entry in PROTOCOL_ENTRIES.items() for key in entry.options],
 )
 def test_a_declared_option_is_known(protocol: str, key: str) -> None:
-    """The message about a wrong value names the option, and does not call it unknown."""
+    """The message about a wrong value of an option names the option, and does not call it unknown."""
     options = REQUIRED_OPTIONS.get(protocol, {}) | {key: "wrong"}
     with pytest.raises(ConfigError, match=key) as refused:
         make_drive(motor_on_bench(protocol, 1, 0.01, options), 0)
@@ -130,7 +133,7 @@ def test_a_declared_option_is_known(protocol: str, key: str) -> None:
 
 def test_every_option_that_a_drive_reads_is_declared() -> None:
     folder = Path(__file__).parents[2] / "src" / "handctl" / "drives"
-    # The options of the drive modes are those of ``handctl jog``, and no keys of a hand file.
+    # The options for drive modes are options of ``handctl jog``. A hand file must not contain them.
     files = [path for path in folder.glob("*/*.py") if path.name != "modes.py"]
     read = {
         key for path in files for key in re.findall(r'options\.pop\(\s*"(\w+)"', path.read_text())

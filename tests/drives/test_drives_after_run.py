@@ -1,7 +1,7 @@
-"""Test the state of drives after a run.
+"""Test the state of the drives after a run.
 
-Between two runs the host sends nothing. For the drives, this silence is a fault only after a failed
-run.
+Between two runs the host sends nothing. For the drives, this silence is a fault only after a run
+that has failed.
 """
 
 from pathlib import Path
@@ -22,9 +22,9 @@ def run_until_mode(simulated_run: SimulatedRun, mode: HandMode) -> None:
 
 
 def run_again(simulated_run: SimulatedRun) -> SimulatedRun:
-    """Return a second run on the same drives.
+    """Return a second run with the same drives.
 
-    The second run starts one second after the end of the first run.
+    It starts one second after the end of the first run.
     """
     for k in range(SILENCE_TICKS):
         simulated_run.simulated_hand.step((simulated_run.k + k) * simulated_run.period_ns, [])

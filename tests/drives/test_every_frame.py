@@ -1,6 +1,6 @@
-"""Give every message decoder frames of random data, with every identifier and length.
+"""Pass frames of random data to every message decoder, with every identifier and length.
 
-Give every message encoder random numbers.
+Pass random numbers to every message encoder.
 """
 
 import functools
@@ -39,7 +39,7 @@ def bench(
 
 
 def extended_ids(bench: ProtocolBench, chance: random.Random) -> set[int]:
-    """Return 29-bit identifiers: random ones, some of a drive and its host, and each of these with one bit changed."""
+    """Return 29-bit identifiers: random ones, some of a drive and its host, and all with one bit changed."""
     ours = sorted(
         one for one in bench.drives[0].node_ids | bench.drives[0].host_ids if one & EXTENDED_FLAG
     )
@@ -53,9 +53,9 @@ def extended_ids(bench: ProtocolBench, chance: random.Random) -> set[int]:
 
 
 def every_frame(bench: ProtocolBench, seed: int, t_ns: int) -> Iterator[Frame]:
-    """Yield frames of each length with all 11-bit and many 29-bit identifiers.
+    """Yield frames of each length, with all 11-bit and many 29-bit identifiers.
 
-    Frames of more than 8 bytes are CAN FD.
+    Frames with more than 8 bytes are CAN FD frames.
     """
     chance = random.Random(seed)
     for can_id in [*STANDARD_IDS, *sorted(extended_ids(bench, chance))]:
@@ -65,7 +65,10 @@ def every_frame(bench: ProtocolBench, seed: int, t_ns: int) -> Iterator[Frame]:
 
 
 def states_of(bench: ProtocolBench) -> list[DriveState]:
-    """Return a silent, a ready and an enabled state of the first drive. The enabled state comes from the bench."""
+    """Return a silent, a ready and an enabled state of the first drive.
+
+    The enabled state comes from a run on the bench.
+    """
     ready = bench.states[0]._replace(phase=DrivePhase.READY)
     return [bench.drives[0].initial_state(), ready, bench.states[0]]
 
@@ -128,8 +131,8 @@ def test_a_number_is_refused_or_arrives_as_it_is(protocol: str, torque: float) -
     if abs(torque) <= TORQUE_LIMIT_N_M:
         _, frames = rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, torque)
         virtual_bench.send(frames)
-        # In these two protocols, the motor model determines the range of torque codes. In the
-        # others, the torque limit determines it.
+        # In these two protocols, the motor model determines the range of the torque codes. In the
+        # other protocols, the torque limit determines it.
         step = {"cubemars": 36.0 / 4095, "robstride_mit": 11.0 / 4095}.get(
             protocol, TORQUE_LIMIT_N_M / 1000
         )

@@ -1,4 +1,4 @@
-"""Run motor clients of other projects with the simulated drives on a local bus.
+"""Run the motor clients of other projects with simulated drives on a local bus.
 
 The tests in tests/vcan/inside run the same clients on SocketCAN.
 """

@@ -1,4 +1,4 @@
-"""Compare codecs with those of others: with ODrive's own DBC file, and with canopen and the packaged EDS file."""
+"""Compare codecs with those of others: ODrive's own DBC file, and canopen with the packaged EDS file."""
 
 import struct
 from pathlib import Path

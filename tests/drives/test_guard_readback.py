@@ -1,6 +1,6 @@
-"""A drive is not armed if the read-back of a guard is wrong.
+"""A drive is not armed if the read-back of a protection is wrong.
 
-Guards are the watchdog, heartbeat supervision and torque limit.
+Protections are the watchdog, the supervision of the heartbeat and the torque limit.
 """
 
 import pytest
@@ -36,7 +36,7 @@ PROTOCOLS_AND_GUARDS = [
 
 
 def keep_setting(virtual_bench: VirtualBench, guard) -> None:
-    """Let a simulated drive keep the value of a setting, but confirm each write of it."""
+    """Let a simulated drive keep the value of a setting, although it confirms each write of this setting."""
     node = virtual_bench.bench.nodes[0]
     if isinstance(node, MitNode):
         write = node.registers.write
@@ -125,7 +125,8 @@ def test_an_unverifiable_guard_is_shown(tmp_path, capsys):
 def test_drives_with_the_same_caution_share_a_line_and_the_watchdog_is_first(tmp_path, capsys):
     """Reproduce a defect.
 
-    Four CubeMars drives printed 20 lines, and a hint about temperature was one of five cautions.
+    Earlier defect: for four CubeMars drives, handctl printed 20 lines, and a hint about the
+    temperature was one of five cautions.
     """
     path = hand_file(tmp_path, ["odrive", "cubemars"])
     path.write_text(path.read_text().replace(OPTIONS_TEXT_BY_PROTOCOL["odrive"], ""))

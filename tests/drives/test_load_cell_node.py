@@ -1,7 +1,7 @@
-"""Test the reference firmware of the load-cell node.
+"""Test the reference firmware of the node for load cells.
 
-The firmware is compiled for the host and runs with a model of its ADC. The frames of the firmware
-are compared with the DBC file.
+The firmware is compiled for the host, and runs with a model of its analogue-to-digital converter
+(ADC). The test compares the frames of the firmware with the DBC file.
 """
 
 import ctypes
@@ -37,7 +37,7 @@ pytestmark = pytest.mark.skipif(C_COMPILER is None, reason="no C compiler")
 
 
 class NodeSettings(ctypes.Structure):
-    """The C structure ``struct node_settings``."""
+    """The C structure ``struct node_settings`` of the firmware."""
 
     _fields_ = [
         ("sync_id", ctypes.c_uint16),
@@ -61,7 +61,7 @@ TRANSFER_CALLBACK_TYPE = ctypes.CFUNCTYPE(
 
 
 class NodeBoard(ctypes.Structure):
-    """The C structure ``struct node_board``."""
+    """The C structure ``struct node_board`` of the firmware."""
 
     _fields_ = [
         ("read", ctypes.c_void_p),
@@ -71,7 +71,7 @@ class NodeBoard(ctypes.Structure):
 
 
 class Ads131m04Struct(ctypes.Structure):
-    """The C structure ``struct ads131m04``."""
+    """The C structure ``struct ads131m04`` of the firmware of the load cell node."""
 
     _fields_ = [
         ("transfer", TRANSFER_CALLBACK_TYPE),
@@ -82,7 +82,7 @@ class Ads131m04Struct(ctypes.Structure):
 
 
 class LoadCellNodeStruct(ctypes.Structure):
-    """The C structure ``struct node``."""
+    """The C structure ``struct node`` of the firmware."""
 
     _fields_ = [
         ("settings", NodeSettings),
@@ -104,7 +104,7 @@ def crc16(data: bytes) -> int:
 
 @dataclass
 class Ads131m04Chip:
-    """Model of an ADS131M04 chip: its registers, its reply to the last command, its channels and its checksum."""
+    """Model of an ADS131M04 chip, with registers, a reply to the last command, channels and a checksum."""
 
     counts: list[int] = field(default_factory=lambda: [0, 0, 0, 0])
     registers: dict[int, int] = field(default_factory=lambda: dict(RESET_VALUES))
@@ -116,7 +116,7 @@ class Ads131m04Chip:
     """Registers that take the values that are written to them."""
 
     def transfer_frame(self, out: bytes) -> bytes:
-        """Take one frame of 18 bytes and return another, as in a transfer by SPI."""
+        """Take one frame of 18 bytes and return another frame, as in an SPI transfer."""
         status = (self.registers[MODE_REGISTER] & RESET_FLAG) | 0x0100 | self.new_channels
         words = [self.answer if self.answer is not None else status]
         data = words[0].to_bytes(2) + b"\0"
@@ -134,7 +134,7 @@ class Ads131m04Chip:
 
 
 class FirmwareBench:
-    """The compiled firmware on a board with model chips.
+    """The compiled firmware on a board whose chips are models.
 
     The bench collects the frames that the firmware sends.
     """
@@ -162,22 +162,22 @@ class FirmwareBench:
         ]
 
     def initialize_firmware(self) -> bool:
-        """Initialize the firmware with the settings, and return whether it accepted them."""
+        """Initialize the firmware with its settings. Return whether it has accepted them."""
         return bool(
             self.library.node_init(
                 ctypes.byref(self.node), ctypes.byref(self.settings), ctypes.byref(self.board)
             )
         )
 
-    def _transfer(self, context: int, chip: int, out: Any, into: Any) -> None:
+    def _transfer(self, context: int, chip: int, out: Any, received: Any) -> None:
         for i, byte in enumerate(self.chips[chip].transfer_frame(bytes(out[:18]))):
-            into[i] = byte
+            received[i] = byte
 
     def _send(self, context: int, can_id: int, data: Any, length: int) -> None:
         self.sent_frames.append((can_id, bytes(data[:length])))
 
     def set_cell_tensions(self, tensions: list[float]) -> None:
-        """Set the ADC counts of the load cells to those of given tensions [N]."""
+        """Set the ADC counts of the load cells so that they correspond to given tensions [N]."""
         for i, tension in enumerate(tensions):
             self.chips[i // 4].counts[i % 4] = round(tension * 1e9 / NN_PER_COUNT)
 
@@ -188,7 +188,7 @@ class FirmwareBench:
         return list(self.sent_frames)
 
     def tension_codes(self, counter: int = 0) -> list[int]:
-        """Send a SYNC, and return the tension codes of all channels in the replies."""
+        """Send a SYNC frame, and return the tension codes of all channels in the replies."""
         words = [
             int.from_bytes(data, "little") for _, data in self.receive(SYNC_ID, bytes((counter,)))
         ]
@@ -231,9 +231,9 @@ def test_the_firmware_has_at_most_300_lines() -> None:
 def test_frames_are_those_of_the_simulated_node_and_of_the_dbc(
     firmware_library: Any, seed: int
 ) -> None:
-    """The firmware's frames equal those of the simulator.
+    """The frames of the firmware equal those of the simulator.
 
-    With the DBC file, cantools decodes their tensions and counter.
+    With the DBC file, cantools decodes the tensions and the counter in these frames.
     """
     chance = random.Random(seed)
     database: Any = cantools.database.load_file(SENSOR_NODE_DBC)
@@ -257,7 +257,7 @@ def test_frames_are_those_of_the_simulated_node_and_of_the_dbc(
             ]
             assert len(data) == len(pack(counter, ours))
             assert data == pack(counter, ours)
-            # The firmware may round a tension halfway between two codes up or down.
+            # If a tension is halfway between two codes, the firmware may round it up or down.
             assert all(
                 abs(code - tension_code(tension)) <= 1
                 for code, tension in zip(ours, group, strict=True)
@@ -322,7 +322,10 @@ def test_a_flipped_bit_is_no_tension(firmware_library: Any, seed: int) -> None:
 
 
 def test_a_chip_that_was_reset_is_set_up_again(firmware_library: Any) -> None:
-    """Without a new set-up, the chip's gain would be 1 instead of 128. Every tension would then read near zero."""
+    """If the chip is not set up again, its gain is 1 instead of 128.
+
+    Every tension then reads near zero.
+    """
     bench = FirmwareBench(firmware_library, 4)
     bench.set_cell_tensions([100.0] * 4)
     assert bench.chips[0].registers[GAIN_REGISTER] == 0x7777

@@ -1,4 +1,4 @@
-"""Compare frames of the MIT protocol with bytes from the manual, and test all values that can be encoded."""
+"""Compare frames of the MIT protocol with bytes from the manual, and test all values that a frame can contain."""
 
 import math
 import struct
@@ -32,7 +32,7 @@ ENABLED_STATE = DriveState(
 
 @pytest.mark.parametrize(
     ("torque", "payload"),
-    [  # p = 0x7FFF, v = 0x7FF, kp = kd = 0; the last twelve bits are the torque
+    [  # p = 0x7FFF, v = 0x7FF, kp = kd = 0. The last twelve bits are the torque
         (-0.8, "7fff7ff000000000"),
         (0.8, "7fff7ff000000fff"),
         (0.0, "7fff7ff000000800"),
@@ -186,7 +186,8 @@ drive_states = st.builds(
         disabling_ns=st.integers(0, 10),
         clearing=st.integers(0, 6),
     ),
-    # Without this strategy, hypothesis invents an index of a setting that does not exist.
+    # Without this strategy, hypothesis would generate the index of a setting that does not
+    # exist.
     recheck=st.builds(
         RecheckCursor,
         st.integers(0, len(mit_drive_of().rechecked_settings) - 1),

@@ -1,4 +1,4 @@
-"""Test faults of a motor, of its power supply, and by a second controller.
+"""Test faults of a motor and its power supply, and faults that a second controller causes.
 
 A motor counts as disabled only when it has confirmed that it is disabled.
 """

@@ -22,7 +22,7 @@ def mixed_hand(folder: Path) -> Path:
     """Write the file of a hand with three drive protocols on two buses, and return its path.
 
     An MIT and an ODrive drive share the first bus with the load cells. Two CiA 402 drives are on
-    the second bus, and one of them sends SYNC.
+    the second bus, and one of them sends the SYNC frame.
     """
     path = move_to_second_bus(hand_file(folder, ["mit", "odrive", "cia402"]))
     head, *motors = path.read_text().split("[[motor]]")
@@ -48,7 +48,7 @@ def test_two_buses_and_three_protocols_work_as_one_hand(tmp_path: Path) -> None:
 def test_no_drive_is_silent_while_the_others_are_enabled(tmp_path: Path) -> None:
     """Reproduce a defect: an ODrive verified its settings again before it was enabled.
 
-    This drive was silent for five ticks, which counted as a fault.
+    During this time, the drive was silent for five ticks. This counted as a fault.
     """
     bench = ProtocolBench(hand_file(tmp_path, ["mit", "odrive", "cubemars", "cia402"]))
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
@@ -155,7 +155,7 @@ def test_the_load_is_that_of_the_table(
 ) -> None:
     """The bus load includes the frames of the motors and one frame with 8 bytes of tensions.
 
-    With CiA 402, it also includes an empty SYNC.
+    With CiA 402 drives, it also includes an empty SYNC frame.
     """
     bench = ProtocolBench(hand_file(tmp_path, [protocol], extra))
     frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.frames_per_tick] + [
@@ -174,7 +174,8 @@ def test_the_load_is_that_of_the_table(
 def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canopen() -> None:
     """Reproduce a defect: the page recommended the node number 0x10 for an ODrive.
 
-    The identifiers of this number overlapped with those of RPDO1 of CANopen nodes 1 to 31.
+    The identifiers of an ODrive with this number overlap with those of RPDO1 of CANopen nodes 1 to
+    31.
     """
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "adding-a-drive.md").read_text(
         encoding="utf-8"
@@ -208,9 +209,9 @@ def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canope
 def test_an_identifier_with_two_meanings_is_refused_whatever_the_protocols(
     cubemars: int, mit: int, reply: int
 ) -> None:
-    """A CubeMars motor replies with its node number as identifier.
+    """A CubeMars motor replies with its node number as the identifier.
 
-    In each case, another motor or the SYNC already has this identifier.
+    In each case of this test, another motor or the SYNC frame already has this identifier.
     """
     sensors = make_sensors(load_hand("jamia"))
     first = make_drive(motor_on_bench("cubemars", cubemars, 0.8, {"motor_type": "ak80-9"}), 0)

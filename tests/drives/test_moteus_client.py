@@ -1,4 +1,4 @@
-"""The vendor's client commands the simulated moteus on a local bus.
+"""The Python client of the vendor commands the simulated moteus on a local bus.
 
 The test needs the dependency group ``extra``.
 """

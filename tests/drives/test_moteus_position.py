@@ -1,4 +1,4 @@
-"""Test a moteus drive that closes a position loop: commands, settings, and loss of settings."""
+"""Test a moteus drive that closes a position loop: its commands, its settings, and the loss of its settings."""
 
 import math
 import os
@@ -137,7 +137,7 @@ def test_a_setting_that_is_lost_while_enabled_is_found(item: str) -> None:
 
 
 def test_a_restart_is_found_by_two_reads() -> None:
-    """After a restart, at least one of any two consecutive settings has another value."""
+    """After a restart of the drive, at least one of any two consecutive settings has another value."""
     items = position_configuration(codec.PositionGains(*GAIN_BY_ITEM.values()))
     for one, two in zip(items, items[1:] + items[:1], strict=True):
         assert not all(
@@ -178,7 +178,8 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(row: int, valu
         layout, tables = run.state.layout, run.controller.derived.wire
         torque = run.state.tendon[s.TORQUE].copy()
         if row == s.SERVO_KP and math.isnan(value):
-            value = math.inf  # A kp of NaN is not above 0: a torque command in any case.
+            # A kp of NaN is not above 0, so the command is a torque command in any case.
+            value = math.inf
         block = run.state.block.copy()
         assert len(sent_frames(block, layout, tables, torque)) == 4
         good = sent_frames(block, layout, tables, torque)[1]
@@ -193,7 +194,7 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(row: int, valu
 
 
 def sent_frames(block, layout, tables, torque) -> list[bytes]:
-    """Encode the commands in a state block, and return their payloads."""
+    """Encode the commands that a state block contains, and return their payloads."""
     out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
     first, count = cyclic_frames.encode_commands(
         block, layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals, tables.templates, torque,
@@ -216,7 +217,7 @@ def test_every_signal_has_its_range() -> None:
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
-    """The lost gains change the torque at once, and the read-back finds the lost items."""
+    """The loss of the gains changes the torque at once, and the read-back finds the lost settings."""
     hand = hand_with_position_loop(protocol="moteus")
     with homed_run(hand, 500.0, seed) as course:
         advance_to_stage(course, FREE_STAGE)

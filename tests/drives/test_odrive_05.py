@@ -1,7 +1,7 @@
 """Test ODrives with firmware 0.5.x.
 
-The life cycle of these drives is that of later firmware, but the heartbeat differs. The guards of
-these drives, such as the watchdog, cannot be verified.
+The life cycle of these drives equals that of drives with later firmware, but the heartbeat differs.
+The protections of these drives, such as the watchdog, cannot be verified.
 """
 
 import struct

@@ -1,4 +1,4 @@
-"""Test faults of ODrive and CiA 402 drives, and the messages about these faults.
+"""Test faults of ODrive and CiA 402 drives, and the error messages about these faults.
 
 The simulated firmware injects the faults.
 """
@@ -66,9 +66,11 @@ def error_of_first_drive(
 def lose_first_frames(
     node: OdriveNode, command: int, start: bytes = b"", times: int = 1
 ) -> list[WireFrame]:
-    """Drop the first frames of a command to the first ODrive. Return a list that collects the dropped frames.
+    """Drop the first frames of a command to the first ODrive.
 
-    Only frames whose data begin with ``start`` are dropped.
+    The function returns a list in which the dropped frames are collected.
+
+    If ``start`` is given, only frames whose data begin with it are dropped.
     """
     taken, lost = node.receive, list[WireFrame]()
 
@@ -87,9 +89,9 @@ def lose_first_frames(
 def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(
     odrive_bench: ProtocolBench, moment: str
 ) -> None:
-    """An ODrive restarts in position control and without its watchdog.
+    """After a restart, an ODrive is in position control and has no watchdog.
 
-    Only the idle state of the drive shows the restart.
+    Only the state idle of the drive shows that it has restarted.
     """
     node = first_odrive_node(odrive_bench)
     odrive_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
@@ -113,7 +115,7 @@ def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(
 def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(
     odrive_bench: ProtocolBench, command: int
 ) -> None:
-    """An ODrive does not confirm the commands that set its mode and limits.
+    """An ODrive does not confirm the commands that set its control mode and its limits.
 
     If it stayed in position control, the first torque command would cause a position jump.
     """
@@ -132,7 +134,8 @@ def test_a_setting_that_is_lost_on_the_wire_is_written_again(
 ) -> None:
     """No reply confirms that a setting was written.
 
-    If 1 of 1000 frames is lost and no write is repeated, a tenth of the starts of 11 motors fail.
+    An ODrive that somebody calibrates over USB makes torque without a command, and reports no
+    error.
     """
     node = first_odrive_node(odrive_bench)
     lost = lose_first_frames(node, codec.RX_SDO, bytes((codec.SDO_WRITE,)), losses)
@@ -173,7 +176,7 @@ def test_an_odrive_that_is_left_enabled_is_made_idle_first(odrive_bench: Protoco
 def test_odrive_in_another_axis_state_is_a_fault_and_is_stopped(
     odrive_bench: ProtocolBench, target: DriveTarget
 ) -> None:
-    """An ODrive that is calibrated by USB makes a torque without a command, and reports no error."""
+    """Let the CiA 402 drives of a bench ignore a SYNC frame with data, and return the bench."""
     odrive_bench.run_until_phase(
         target, DrivePhase.ENABLED if target == DriveTarget.ENABLE else DrivePhase.READY
     )
@@ -272,7 +275,7 @@ def test_a_bus_without_sync_is_reported(cia402_bench: ProtocolBench) -> None:
 
 
 def refuse_sync_counter(bench: ProtocolBench) -> ProtocolBench:
-    """Let the CiA 402 drives of a bench ignore a SYNC with data, and return the bench.
+    """The CANopen software CANopenNode ignores such a frame if object 0x1019 is 0.
 
     The CANopen stack CANopenNode ignores such a SYNC while object 0x1019 is 0.
     """

@@ -1,4 +1,4 @@
-"""Test RobStride motors in MIT mode with their simulated firmware: faults, numbers, and unverified protections."""
+"""Test RobStride motors in MIT mode with simulated firmware: faults, numbers, unverified protections."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -86,7 +86,7 @@ def test_faults_are_read_before_torque_and_await_a_clear(
 
 
 def test_only_a_disabled_motor_is_asked_for_its_faults(bench: ProtocolBench) -> None:
-    """To other MIT motors, the frame that requests faults is a motion command.
+    """For other MIT motors, the frame that requests faults is a motion command.
 
     This frame is therefore sent only while the motor is disabled.
     """
@@ -134,7 +134,7 @@ def test_a_wrong_option_is_refused_by_its_path(options: dict[str, object], wrong
 
 
 def test_no_numbers_share_an_identifier() -> None:
-    """New motors all have the host number 0, so all would reply with identifier 0."""
+    """All new motors have the host number 0, so all of them would reply with the identifier 0."""
     assert robstride_mit_drive(host_id=0).node_ids == {0}
     drive = robstride_mit_drive()
     assert (drive.node_ids, drive.host_ids) == ({0x15}, {0x05, 0x105, 0x205})

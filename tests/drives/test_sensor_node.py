@@ -1,4 +1,7 @@
-"""Compare frames of the sensor node with its DBC file by another decoder, and test the host's state of the node."""
+"""Compare frames of the sensor node with its DBC file, using another decoder.
+
+Also test the state of the node in the host.
+"""
 
 import math
 from collections.abc import Sequence
@@ -30,7 +33,7 @@ JOINT_NAMES = tuple(f"j{i}" for i in range(CHANNEL_COUNT))
 
 @dataclass(frozen=True)
 class SensorNodeSection:
-    """Section of a hand file."""
+    """Section of a hand file for a sensor node."""
 
     sync_id: int = 0x080
     base_id: int = 0x1A0
@@ -59,7 +62,7 @@ def encode_frames(
 ) -> list[Frame]:
     """Return frames of the sensor node as the DBC file encodes them.
 
-    Each frame is only as long as its channels need.
+    Each frame has only as many bytes as its channels need.
     """
     frames = []
     for group in range(math.ceil(len(values) / 5)):
@@ -86,24 +89,24 @@ def test_counters_keep_the_turn_of_the_joints(decimation: int) -> None:
 
 @pytest.mark.parametrize("decimation", [1, 2, 3, 4, 5, 6, 7])
 def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
-    """A frame that is up to 7 ticks old never counts as new.
+    """A frame that is up to 7 ticks old never counts as a new frame.
 
-    An older frame may count as new by chance. Then more than 40 of 100 frames still count as lost,
-    which is the fault B03b (many replies are being lost).
+    An older frame may count as new by chance. More than 40 of 100 such frames still count as lost,
+    which is the fault B03b (many replies are lost).
     """
     nibbles = [counter & 0xF for counter in sync_counters(decimation)]
     n = len(nibbles)
     for age in range(1, 200):
         same = [
             k >= age and nibbles[k] == nibbles[k - age] for k in range(n)
-        ]  # the first ticks have no older frame
+        ]  # in the first ticks, there is no older frame
         assert sum(same) <= (0 if age < 8 else 0.4 * n), age
         worst = max(sum(same[k : k + 100]) for k in range(n - 100))
         assert worst < 60, age
 
 
 def state_after_sync(node: SensorNode, k: int) -> WiredDrives:
-    """Return the host's state of the sensor node after the SYNC of tick k."""
+    """Return the state of the sensor node in the host after the SYNC frame of tick k."""
     wired = WiredDrives((), node)
     wired.begin_tick_with_sync(k)
     return wired
@@ -141,10 +144,10 @@ def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int
 
 
 def test_sensor_frames_are_decoded_to_known_values() -> None:
-    """The codes were computed by hand.
+    """The codes in this test were computed by hand.
 
-    0 N is 96 = 0x060, 10 N is 256 = 0x100, the upper end of the range is 0xFFF, 0 rad is 0x800, and
-    the counter is 7.
+    0 N has the code 96 = 0x060, 10 N has 256 = 0x100, the upper end of the range has 0xFFF, and 0
+    rad has 0x800. The counter is 7.
     """
     node = SensorNode.from_description(
         SensorNodeSection(tendons=TENDON_NAMES[:3], joints=("j4",)), 0, TENDON_NAMES, JOINT_NAMES
@@ -176,9 +179,10 @@ def test_only_the_answer_to_the_last_sync_counts(k: int, counter: int) -> None:
 def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(
     node: SensorNode, base: int, prefix: str
 ) -> None:
-    """A stale frame that arrives after the fresh frame is reported.
+    """If a stale frame arrives after the fresh frame of its tick, it is reported.
 
-    Either the fresh frame has overtaken it, or another node sends it again.
+    In this case, either the fresh frame has overtaken the stale frame, or another node sends the
+    stale frame again.
     """
     (fresh, *_), (stale, *_) = (
         encode_frames(base, prefix, nibble, [7] * CHANNEL_COUNT) for nibble in (3, 2)
@@ -348,7 +352,10 @@ def test_channels_that_are_empty_or_full(node: SensorNode) -> None:
 
 
 def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) -> None:
-    """Load cells may be read in any order and in different ticks. Joint encoders are not waited for."""
+    """The load cells may be read in any order, and in different ticks.
+
+    The host does not wait for joint encoders.
+    """
     wired, bare = (
         WiredDrives((), one) for one in (node, replace(node, frame_of=(*node.frame_of[:-1], -1)))
     )
@@ -364,8 +371,8 @@ def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) 
                 [Frame(base, bytes([sync.data[0] & 0xF] + [0] * (size - 1)))]
             ).observe_readings()
         assert wired.field_number("started") == done, hex(base)
-        # The last frame contains only the load cell of the last tendon. The second hand has no such
-        # load cell.
+        # The last frame contains only the load cell of the last tendon. The second hand of this
+        # test has no such load cell.
         assert bare.field_number("started") == (done or base == 0x1A1), hex(base)
 
 

@@ -1,4 +1,4 @@
-"""Test the writing and read-back of settings, which is common to all drive protocols."""
+"""Test how settings are written and read back, which is the same for all drive protocols."""
 
 import pytest
 

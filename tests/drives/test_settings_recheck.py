@@ -1,4 +1,4 @@
-"""Test drives that lose their settings and are still enabled.
+"""Test drives that lose their settings while they are enabled.
 
 The torque limit and watchdog of a drive are read again while the drive is enabled.
 """
@@ -40,7 +40,7 @@ def enabled_mit_drive(node_id: int) -> tuple[MitDrive, object]:
 def run_drive(drive: MitDrive, state, ticks: int, registers: dict[int, float], heard: bool = True):
     """Run a drive whose motor replies to commands and requests.
 
-    Return the state, and tick and register of each request.
+    Return the final state, and the tick and the register of each request.
     """
     asked = []
     feedback = bytes((codec.ENABLED << 4 | drive.node_id & 0xF, 0x80, 0, 0x7F, 0xF7, 0xFF, 25, 25))
@@ -65,9 +65,9 @@ CORRECT_REGISTERS = {codec.TIMEOUT: 1000, codec.TMAX: 0.8}
 
 @pytest.mark.parametrize("node_id", [1, 11, 0x11, 0x1F])
 def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
-    """Register replies are not taken for feedback.
+    """A reply about a register is not regarded as feedback.
 
-    The first byte of a register reply may equal that of an enabled motor's feedback.
+    The first byte of such a reply may equal the first byte of the feedback of an enabled motor.
     """
     drive, state = enabled_mit_drive(node_id)
     state, asked = run_drive(drive, state, 2001, CORRECT_REGISTERS)
@@ -129,8 +129,8 @@ def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
 def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
     """A moteus that lost its settings may no longer obey.
 
-    If this is noticed before its settings are read again, the first fault is N14 (a command is not
-    obeyed).
+    If the controller notices this before it reads the settings again, the first fault is N14 (a
+    command is not obeyed).
     """
     hand = hand_with_protocol("jamia", "moteus")
     with homed_run(hand, default_rate(hand), seed) as course:

@@ -1,6 +1,7 @@
-"""Test SYNC for CiA 402 drives.
+"""Test the SYNC frame for CiA 402 drives.
 
-On every bus, either the request to the sensor node is the SYNC, or one drive sends a SYNC.
+On every bus, either the request to the sensor node is the SYNC frame, or one drive sends a SYNC
+frame.
 """
 
 import tomllib
@@ -27,7 +28,7 @@ SYNC_ID = 0x080
 
 
 def sync_sender_names(hand: Hand) -> list[str]:
-    """Return the names of the drives that send SYNC."""
+    """Return the names of the drives that send SYNC frames."""
     return [drive.name for drive in make_drives(hand) if getattr(drive, "sync", False)]
 
 
@@ -43,7 +44,8 @@ def hand_without_sensors() -> Hand:
 def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     """Reproduce a defect.
 
-    The bus without the sensor node had no SYNC, so a hand with CiA 402 drives was never armed.
+    Earlier defect: the bus without the sensor node had no SYNC frame, so a hand with CiA 402 drives
+    was never armed.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     hand = load_hand(str(path))
@@ -85,9 +87,9 @@ def test_the_packaged_hand_on_two_buses_has_sync_on_both() -> None:
 def test_one_drive_of_a_bus_sends_sync(
     old: str, new: str, expected: list[str], tmp_path: Path
 ) -> None:
-    """If the sensor node's SYNC has another identifier, a drive sends SYNC.
+    """If the sensor node uses another identifier than SYNC, a drive sends SYNC.
 
-    A drive with the option ``sync`` remains the sender.
+    A drive with the option ``sync`` continues to send SYNC.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     text = path.read_text()

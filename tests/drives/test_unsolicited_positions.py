@@ -1,4 +1,7 @@
-"""Test ODrives that send positions unasked in addition to the requested ones. Only the requested positions count."""
+"""Test ODrives that send positions without a request, in addition to the requested positions.
+
+The controller uses only the requested positions.
+"""
 
 import os
 

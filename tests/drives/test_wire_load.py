@@ -1,4 +1,7 @@
-"""Compare the load of a simulated bus with the prediction of ``bus plan``, and test a hand on a disturbed bus."""
+"""Compare the load of a simulated bus with the prediction of ``bus plan``.
+
+Also test a hand on a disturbed bus.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,14 +20,14 @@ PERIOD_NS = 4_000_000
 
 
 def planned_tick_s(path: Path, period_ns: int = PERIOD_NS) -> list[float]:
-    """Return the planned bus time of a tick on each bus [s], including frames that a timer sends."""
+    """Return the planned bus time of a tick on each bus [s], including the frames that are sent by a timer."""
     return [
         load.load_at(1e9 / period_ns) * period_ns * 1e-9 for load in bus_loads(load_hand(str(path)))
     ]
 
 
 def measured_tick_s(path: Path, wire: Sequence[str], period_ns: int = PERIOD_NS) -> list[float]:
-    """Return the mean measured bus time of a tick on each bus [s], while the drives are enabled."""
+    """Return the mean measured bus time of a tick on each bus [s] while the drives are enabled."""
     bench = ProtocolBench(path, wire, period_ns)
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     assert bench.simulated_hand.wired
@@ -117,7 +120,7 @@ def test_the_same_wire_gives_the_same_answers(tmp_path: Path) -> None:
 def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(
     adapter: str, ticks: int, tmp_path: Path
 ) -> None:
-    """Drives behind an adapter of any kind become ready at 250 Hz.
+    """With an adapter of any class, the drives become ready at 250 Hz.
 
     The latency of the adapter causes ticks without feedback.
     """

@@ -1,4 +1,4 @@
-"""A simulated drive that is alone on a bus in virtual time, and the host that commands it."""
+"""A simulated drive that is alone on a bus in virtual time, and a host that commands this drive."""
 
 from dataclasses import replace
 
@@ -24,12 +24,18 @@ OPTIONS_BY_PROTOCOL = {
 
 
 class VirtualBench:
-    """Bench that is both the bus and the clock of a host. Waiting for a tick advances the time of the drive."""
+    """Bench that is the bus and also the clock of a host.
+
+    When the host waits for a tick, the time of the drive advances.
+    """
 
     name = "bench"
 
     def __init__(self, protocol, fault="", inertia=None, delay_ticks=0, **options):
-        """Put a simulated drive on the bench, with a fault and a delay of its frames in ticks."""
+        """Put a simulated drive on the bench.
+
+        The drive may have a fault, and its frames may have a delay in ticks.
+        """
         spec = drive_spec(protocol, DRIVE_NODE_ID, inertia=inertia)
         self.bench = SimulatedDriveBench(
             [replace(spec, options=options or spec.options)], fault=fault
@@ -37,14 +43,14 @@ class VirtualBench:
         self.frames_on_bus, self.largest_torque, self.origin_ns = [], 0.0, 0
         self.delayed_frames = [
             [] for _ in range(delay_ticks)
-        ]  # frames still on their way, one list per tick
+        ]  # frames that have not arrived yet, one list for each tick
 
     def start(self):
         """Begin a run. The present time becomes the time of tick 0."""
         self.origin_ns = self.bench.t_ns
 
     def wait(self, k):
-        """Advance time to tick k, and return the time since then [ns].
+        """Advance the time to tick k. Return the time that has passed since this tick [ns].
 
         After ``pass_time``, the host is late.
         """
@@ -63,7 +69,7 @@ class VirtualBench:
         return len(frames)
 
     def drain(self):
-        """Return the frames that the drive sent ``delay_ticks`` ticks ago."""
+        """Return the frames that the drive has sent ``delay_ticks`` ticks ago."""
         self.delayed_frames.append(self.frames_on_bus + self.bench.take_unsolicited())
         self.frames_on_bus = []
         return [
@@ -72,7 +78,7 @@ class VirtualBench:
         ]
 
     def pass_time(self, for_s):
-        """Advance the time of the drive by ``for_s`` seconds without a host."""
+        """Advance the time of the drive by ``for_s`` seconds, without a host."""
         self.bench.advance(self.bench.t_ns + round(for_s * 1e9))
 
     def take_events(self):
@@ -81,7 +87,7 @@ class VirtualBench:
 
 
 def drive_rig_on(virtual_bench, protocol, torque_limit, options=None):
-    """Return a host that commands the drive of a bench with a torque limit [N m]."""
+    """Return a host that commands the drive of a bench, with a torque limit [N m]."""
     motor = motor_on_bench(
         protocol,
         DRIVE_NODE_ID,

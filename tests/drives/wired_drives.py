@@ -1,4 +1,7 @@
-"""Drives and sensor node with a state block. Compiled code receives and sends their frames, as in a tick."""
+"""Drives and a sensor node, with a state block.
+
+Compiled code receives and sends the frames of both, as in a tick.
+"""
 
 from collections.abc import Iterable, Sequence
 from functools import cached_property
@@ -21,13 +24,13 @@ from handctl.drives.sensors.contract import SensorInterface
 
 
 class WiredDrives:
-    """State of the drives and of the sensor node between ticks.
+    """State of the drives and of the sensor node between two ticks.
 
     Attributes:
-        block: numbers of the state. states: states of the drives as their state machines left them. The values of
-            drives are in the block.
+        block: numbers of the state. states: states of the drives after the last run of their state
+            machines. The values of the drives are in the block.
         frames_for_drives: frames of the last ``receive`` that a state machine of a drive had to process.
-        foreign_frames: frames of the last ``receive`` with identifiers that only the host may use.
+        foreign_frames: frames of the last ``receive`` whose identifiers only the host may use.
     """
 
     def __init__(self, drives: Sequence[Drive], sensors: SensorInterface) -> None:
@@ -61,12 +64,15 @@ class WiredDrives:
         return int(self.field_view(name)[0])
 
     def begin_tick(self) -> None:
-        """Begin a tick without changing the tick's number and time."""
+        """Begin a tick without changing the number and the time of the tick."""
         numbers = [self.field_number(name) for name in ("k", "t_ns", "late_ns", "missed", "frames")]
         tick_stages.begin_tick(self.block, self.layout.places, *numbers)
 
     def begin_tick_with_sync(self, k: int) -> Frame:
-        """Return the request that the end of a tick sends to the sensors. Begin the next tick."""
+        """Return the request to the sensors that is sent at the end of a tick.
+
+        Begin the next tick.
+        """
         frame = self.sensors.sync(k)
         self.field_view("sync_asked")[...], self.field_view("syncs")[...] = (
             self.sensors.counter(k) & 0xF,
@@ -76,7 +82,7 @@ class WiredDrives:
         return frame
 
     def receive(self, frames: Iterable[Frame]) -> "WiredDrives":
-        """Receive frames as a tick does, and return this object."""
+        """Receive frames in the same way as a tick does, and return this object."""
         frames, known, at = frames_as_records(frames), self.tables, 0
         self.frames_for_drives, self.foreign_frames = [], []
         while True:
@@ -97,7 +103,7 @@ class WiredDrives:
             at += 1
 
     def send(self, target: DriveTarget, torque: Sequence[float], t_ns: int) -> list[Frame]:
-        """Return the frames that a tick sends to the drives for a target and torques."""
+        """Return the frames that a tick sends to the drives, for a requested state and for torques."""
         self.field_view("t_ns")[...] = t_ns
         tables, sent, first = self.tables, list[Frame](), 0
         while True:
@@ -119,7 +125,7 @@ class WiredDrives:
             first += 1
 
     def store_drive_state(self, i: int, known: DriveState) -> None:
-        """Store the state of drive i, with its values in the block."""
+        """Store the state of drive i. Its values go into the block."""
         drive, whole, table = (
             self.drives[i],
             *(self.layout.table(self.block, name) for name in ("tendon_int", "tendon")),
@@ -139,17 +145,17 @@ class WiredDrives:
         table, whole = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
         return self.states[i].with_values(*drive_values(table, whole, i))
 
-    # Readings of the sensor node.
+    # Readings that the sensor node has sent.
 
     @property
     def tensions(self) -> dict[int, float]:
-        """Return the load-cell readings that arrived in this tick, by tendon [N]."""
+        """Return the load-cell readings that arrived in this tick [N], by tendon."""
         fresh, cells = self.field_view("cell_fresh"), self.field_view("cell")
         return {i: float(cells[i]) for i in np.flatnonzero(fresh).tolist()}
 
     @property
     def joints(self) -> dict[int, float]:
-        """Return the joint-encoder readings that arrived in this tick, by joint [rad]."""
+        """Return the joint-encoder readings that arrived in this tick [rad], by joint."""
         fresh, angles = self.field_view("joint_fresh"), self.field_view("joint_angle")
         return {j: float(angles[j]) for j in np.flatnonzero(fresh).tolist()}
 
@@ -159,7 +165,10 @@ class WiredDrives:
         return bool(self.field_view("misread_now")[-1])
 
     def observe_readings(self) -> "WiredDrives":
-        """Convert received values to measurements, and start the filter once every sensor has been read."""
+        """Convert received values to measurements.
+
+        Start the filter as soon as every sensor has been read.
+        """
         tick_stages.observe_tick(self.block, self.layout.places, *self._constants)
         return self
 

@@ -1,4 +1,4 @@
-"""The hand in examples/hands is valid with its gains, and the command of examples/README.md grasps with it."""
+"""The hand in examples/hands is valid with its gains, and grasps with the command in examples/README.md."""
 
 import json
 import shlex
@@ -23,7 +23,7 @@ docs/evidence/hands.md is out of date.
 
 @pytest.fixture
 def hands_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Change to a copy of the folder examples/hands in a copy of the repository's folders."""
+    """Change to a copy of the folder examples/hands, within a copy of the folders of the repository."""
     (tmp_path / "logs").mkdir()
     folder = tmp_path / "examples" / "hands"
     shutil.copytree(HANDS_FOLDER, folder)
@@ -32,7 +32,7 @@ def hands_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def demo_words() -> list[str]:
-    """Return the words after ``handctl`` of the demo that examples/README.md shows."""
+    """Return the words after ``handctl`` in the demo command that examples/README.md shows."""
     blocks = read_blocks(REPOSITORY_ROOT / "examples" / "README.md")
     (line,) = (
         line

@@ -1,4 +1,4 @@
-"""Every program in examples/ runs with the command line of a user, and behaves as its docstring describes."""
+"""Every program in examples/ runs with the command line of a user, and does what its docstring describes."""
 
 import re
 import runpy
@@ -34,7 +34,10 @@ BLUE = np.array([0x1F, 0x77, 0xB4]) / 255
 
 @contextmanager
 def hand_serving(*words):
-    """Run a simulator for an example. The ``with`` block begins when the simulator is ready."""
+    """Run a simulator for an example program.
+
+    The ``with`` block begins when the simulator is ready.
+    """
     process = subprocess.Popen(
         [sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
@@ -50,7 +53,7 @@ def hand_serving(*words):
 def work_folder(tmp_path, monkeypatch):
     """Change to an empty folder.
 
-    The sockets are in a different folder, because their paths must be short.
+    The sockets are in another folder, because their paths must be short.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
@@ -78,7 +81,7 @@ def run_example(name, *words, stdin=""):
 
 
 def numbers_in(text):
-    """Return all numbers in a text."""
+    """Return all numbers that a text contains."""
     return [float(number) for number in re.findall(r"-?\d+(?:\.\d+)?", text)]
 
 
@@ -94,7 +97,7 @@ def check_picture(name):
 def simulated_hand(repeat_time_scale, *words, name="jamia"):
     """Run the simulated hand of the examples in slowed time.
 
-    Yield the command-line options for its controller.
+    Yield the command-line options for the controller of this hand.
     """
     scale = time_scale_options(TIME_SCALE * repeat_time_scale)
     write_homed_calibration(Path("c.toml"), load_hand(name))

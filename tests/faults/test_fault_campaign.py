@@ -1,6 +1,6 @@
 """Test the fault matrix in lockstep.
 
-Each fault has an effect, reactions are in time, and physics explains all tensions.
+Each fault has an effect, all reactions are in time, and physics explains all tensions.
 """
 
 import contextlib
@@ -48,7 +48,7 @@ SAMPLED_FAULTS = ("N08", "H13")
 
 @pytest.fixture(scope="module")
 def campaign_report():
-    """Return the report of a campaign with some rows on MIT drives, and with one second of a hand without faults."""
+    """Return the report of a campaign: some rows with MIT drives, and one second of a hand without faults."""
     return campaign.run_campaign(
         "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, quick=False, fault_free_s=1.0,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
@@ -57,7 +57,9 @@ def campaign_report():
 
 
 def test_only_existing_load_cells_fail():
-    """Reproduce a defect: the campaign let a load cell of a spool pair saturate, but spool pairs have none.
+    """Reproduce a defect.
+
+    The campaign let a load cell of a spool pair saturate, although spool pairs have no load cells.
 
     The campaign then ended with a traceback.
     """
@@ -86,9 +88,9 @@ def test_the_report_has_its_sections(campaign_report):
 
 
 def test_fault_free_run_alone_continues_its_seeds():
-    """The seeds of runs without faults can continue from an earlier campaign.
+    """The seeds of the runs without faults can continue those of an earlier campaign.
 
-    A long campaign can therefore be done in pieces.
+    So a long campaign can be done in several parts.
     """
     seeds = []
 
@@ -109,7 +111,8 @@ def test_fault_free_run_alone_continues_its_seeds():
 def alarms_of_run(phase, *texts):
     """Return the false alarms of a run without injected faults.
 
-    The hand stays in one phase for eight seconds and reports the given faults in each second.
+    In this run, the hand stays in one phase for eight seconds, and reports the given faults in each
+    second.
     """
     events = tuple(TickEvent("warn", "fault", "", text) for text in texts)
     out = SimpleNamespace(mode=HandMode.ACTIVE, phase=phase, events=events)
@@ -145,7 +148,10 @@ def test_a_reaction_or_a_missing_grasp_without_fault_is_a_false_alarm():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed: int) -> None:
-    """Reproduce a defect: large changes of the commands at the contact hid exchanged drives for 2.3 s."""
+    """Reproduce a defect.
+
+    The commands changed so much at the contact that exchanged drives were not detected for 2.3 s.
+    """
     hand = hand_with_protocol("t42", "mit")
     with homed_run(hand, RATE_HZ, seed) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)
@@ -159,9 +165,9 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
 def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_time(
     hand: str, protocol: str
 ) -> None:
-    """Eleven moteus, ODrive or RobStride drives on one bus allow a control rate of 100 Hz only.
+    """With eleven moteus, ODrive or RobStride drives, one bus allows a control rate of only 100 Hz.
 
-    Such a hand gets a second bus.
+    The motors of such a hand are therefore on two buses.
     """
     replaced = hand_with_protocol(hand, protocol)
     assert default_rate(replaced) >= MIN_CONTROL_RATE_HZ
@@ -172,7 +178,7 @@ def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_
 
 @pytest.mark.timeout(120)
 def test_at_100_hz_noise_prevents_no_grasp():
-    """With load cells of triple noise, one of eleven taut tendons would look slack in every fifth tick."""
+    """With three times the noise in the load cells, one of eleven taut tendons would look slack in every fifth tick."""
     assert (
         campaign.run_fault_free(hand_with_protocol("jamia11", "odrive"), 100.0, 8.0, seed=80111)
         == []
@@ -180,9 +186,9 @@ def test_at_100_hz_noise_prevents_no_grasp():
 
 
 def test_a_missing_reaction_counts_as_late(tmp_path):
-    """The judge reports a fault without effect, and a fault that cannot be detected in time.
+    """The judge of the campaign reports a fault without an effect, and a fault that cannot be detected in time.
 
-    The test shows that the judge can fail a run.
+    This test shows that the judge can fail a run.
     """
     hand = hand_with_protocol("jamia", "mit")
     never = MatrixRow(
@@ -212,7 +218,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
 
 
 def test_a_reaction_to_another_fault_does_not_count():
-    """If a run ends because a drive has dropped out, this does not show that faults of load cells are detected."""
+    """If a run ends because a drive is silent, it does not show that faults of load cells are detected."""
     row = MatrixRow(
         "T05", "error node=index_motor", SafetyAction.RELAX, 3, accepted_faults=("T05",)
     )
@@ -248,9 +254,9 @@ def test_the_offset_of_a_load_cell_exceeds_the_limits_of_its_tendon():
 
 @pytest.mark.parametrize("joint", ["index_j1", "thumb_j2"])
 def test_silent_joint_encoders_are_detected(joint):
-    """Four missing frames of a joint encoder are a fault.
+    """Four missing frames in a row of a joint encoder are a fault.
 
-    Three missing frames in a row cause no fault, neither N06 (encoder drift or slip) nor T08 (a
+    Three missing frames in a row cause no fault: neither N06 (encoder drift or slip) nor T08 (a
     tendon left its pulley).
     """
     every = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
@@ -266,7 +272,7 @@ def test_silent_joint_encoders_are_detected(joint):
 
 
 def orca_like_results(seed: int, wanted: dict[str, tuple[str, ...]]) -> dict[str, ScenarioResult]:
-    """Return the results of scenarios of orca_like by their names, with the rows that each stage runs."""
+    """Return the results of orca_like scenarios by name, with the catalogue rows that each stage runs."""
     hand = hand_with_protocol("orca_like", "mit")
     rate = default_rate(hand)
     results: list[ScenarioResult] = []
@@ -293,8 +299,8 @@ def orca_like_results(seed: int, wanted: dict[str, tuple[str, ...]]) -> dict[str
 def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
     """Keep tensions below 40 N.
 
-    Regression: the loops of exchanged or late drives of the thumb gained speed, and pulled with 208
-    to 230 N.
+    Earlier defect: with exchanged or late drives of the thumb, the spools became faster and faster,
+    and pulled with 208 to 230 N.
     """
     results = orca_like_results(seed, {FREE_STAGE: ("swap", "cross", "late")})
     assert len(results) == 6
@@ -304,9 +310,10 @@ def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
 
 
 def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
-    """Detect a torn tendon that pulls within 75 ms, and a drive without torque within 22 ticks.
+    """A torn tendon that pulls is detected within 75 ms, and a drive without torque within 22 ticks.
 
-    Regression: these two faults were late. A drive that keeps its torque was not reported.
+    Earlier defect: both faults were detected too late. Earlier defect: a drive that kept its torque
+    was not reported.
     """
     results = orca_like_results(
         1, {GRASP_STAGE: ("snap", "slack", "disobey", "ripple", "hold_on", "reorder")}
@@ -320,7 +327,10 @@ def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
 
 
 def test_a_torn_tendon_without_load_cell_is_reported_in_free_motion():
-    """Accept T08 for a torn tendon. Regression: T08 did not count, and came after 190 ms."""
+    """For a torn tendon, T08 (a tendon left its pulley) is accepted as well.
+
+    Reproduce a defect: T08 was reported after 190 ms, but the campaign did not accept T08.
+    """
     results = orca_like_results(1, {FREE_STAGE: ("snap", "stuck encoder", "reorder")})
     assert len(results) == 5
     for result in results.values():
@@ -328,7 +338,10 @@ def test_a_torn_tendon_without_load_cell_is_reported_in_free_motion():
 
 
 def test_only_missing_sensors_extend_a_time_limit():
-    """Compare hands with and without load cells. With them, the time limits are those of the rows."""
+    """Compare hands with and without load cells.
+
+    With load cells, the time limits are those of the rows of the fault catalogue.
+    """
     for name, some in (
         ("jamia", False),
         ("jamia11", False),
@@ -341,7 +354,7 @@ def test_only_missing_sensors_extend_a_time_limit():
 
 
 def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
-    """Reproduce a defect: with steady filter gains, the tension rose to 171 N while 7 N were commanded."""
+    """Reproduce a defect: with steady-state filter gains, the tension rose to 171 N although 7 N were commanded."""
     row = next(row for row in FAULT_MATRIX if row.id == "N15" and "cia402" in row.protocols)
     with homed_run(hand_with_protocol("jamia11", "cia402"), 200.0, 0) as simulation:
         advance_to_stage(simulation, ARMING_STAGE)
@@ -354,12 +367,12 @@ def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
 
 
 def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
-    """A drive that runs away against a grasped object causes no more tension than its limit and momentum explain.
+    """If a drive runs away against a grasped object, its limit and its momentum explain the tension.
 
-    The drive's force limit F moves the rotor against the tendon. The rotor has the mass m at the
-    tendon and the initial speed v, the tendon the stiffness k and the initial tension T. Without
-    friction the tension rises to F + sqrt((F - T)^2 + k m v^2). The reaction of the host can only
-    lower this tension.
+    The drive pulls its rotor against the tendon with at most the force F. Seen at the tendon, the
+    rotor has the mass m and the initial speed v. The tendon has the stiffness k and the initial
+    tension T. Without friction, the tension then rises to F + sqrt((F - T)^2 + k m v^2). The
+    reaction of the host can only lower this tension.
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:
@@ -382,9 +395,10 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
 
 
 def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated():
-    """The drive is an ODrive without torque feedback.
+    """The drive in this test is an ODrive without torque feedback.
 
-    The load cell of its tendon saturates below the tension that causes an immediate cut.
+    The load cell of its tendon saturates below the tension at which all drives would be disabled at
+    once.
     """
     hand = hand_with_protocol("jamia_bench", "odrive")
     row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")

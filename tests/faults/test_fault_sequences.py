@@ -1,6 +1,6 @@
 """Test random sequences of faults.
 
-A seed reproduces a sequence, no sequence breaks a rule, and each rule can be broken.
+A seed reproduces its sequence, no sequence violates a rule, and each rule can be violated.
 """
 
 import os
@@ -43,7 +43,10 @@ NO_CALLBACKS = {
 
 @pytest.fixture(scope="module")
 def arming_simulation():
-    """Yield the simulation of a hand that is being armed at a low control rate. Each test uses a copy of it."""
+    """Yield the simulation of a hand that is being armed, at a low control rate.
+
+    Each test uses a copy of this simulation.
+    """
     with homed_run(hand_with_protocol("jamia", "mit"), 200.0, 0) as arming_simulation:
         advance_to_stage(arming_simulation, ARMING_STAGE)
         yield arming_simulation
@@ -79,9 +82,9 @@ def test_sequence_violates_no_rule():
 
 
 def test_a_sequence_that_breaks_a_rule_names_it(arming_copy, monkeypatch):
-    """A drive runs away in this sequence.
+    """In this sequence, a drive runs away.
 
-    If the rule does not accept a runaway as a reason for high tension, the sequence breaks the
+    If the rule did not accept this as a reason for a high tension, the sequence would violate the
     rule.
     """
     results = []
@@ -152,7 +155,7 @@ def test_a_tick_with_another_result_is_found(arming_copy):
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
 def test_random_sequences_violate_no_rule(hand, protocol):
-    """With each hand and each drive protocol, 334 random sequences of faults break no rule."""
+    """With each hand and each drive protocol, 334 random sequences of faults violate no rule."""
     described = hand_with_protocol(hand, protocol)
     results = run_sequences(
         described, protocol, default_rate(described), range(334), jobs=2, **NO_CALLBACKS

@@ -1,7 +1,7 @@
-"""Relaxing never raises a tension.
+"""A hand that relaxes never raises a tension.
 
-The hands, simulated parameters, faults and times are random. The tests check the true tension of
-the simulator.
+The hands, the simulated parameters, the faults and their times are random. The tests check the true
+tensions in the simulator.
 """
 
 import math
@@ -54,7 +54,7 @@ BOUND_MARGIN_N = 3.0
 
 
 class TendonInstant(NamedTuple):
-    """True state of the tendons: motor force at the tendon [N], tension [N], speed at the spool [m/s]."""
+    """True state of the tendons: motor force at the tendon [N], tension [N], and speed at the spool [m/s]."""
 
     force: np.ndarray
     tension: np.ndarray
@@ -78,12 +78,11 @@ def observe_instant(simulation: SimulatedRun) -> TendonInstant:
 def tension_bound(
     simulation: SimulatedRun, decided: TendonInstant, force: np.ndarray
 ) -> np.ndarray:
-    """Return the largest tension (N,) of each tendon that its rotor and its stretch explain [N].
+    """Return, for each tendon, the largest tension (N,) that its rotor and its stretch explain [N].
 
-    A rotor has the mass m at the tendon and the speed v. A force of at most F pulls the rotor
+    Seen at the tendon, a rotor has the mass m and the speed v. A force of at most F pulls the rotor
     against the stiffness k of the tendon. From a tension T, the tension rises to at most F +
-    sqrt((F - T)^2 + k m v^2). If the finger is free, the rotor gains speed until the force has
-    ended.
+    sqrt((F - T)^2 + k m v^2). If the finger is free, the rotor becomes faster until the force ends.
     """
     space = simulation.controller.model.space
     largest = np.maximum(force, 0.0)
@@ -123,8 +122,8 @@ def test_relaxing_raises_no_command_and_no_tension(
 
 def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: str) -> None:
     recent: list[TendonInstant] = [observe_instant(simulation)]
-    # Commands from before the decision to relax are included, because a delayed motor may execute
-    # them after it.
+    # Commands from before the decision to relax are included, because a drive with a delay may
+    # execute them later.
     commanded = [simulation.state.view("asked").copy()]
     while simulation.state.mode == HandMode.ACTIVE:
         simulation.run_tick(requests=(STOP_REQUEST,) if simulation.k == stop_at else ())
@@ -150,8 +149,8 @@ def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: s
         now = observe_instant(simulation)
         peak = np.maximum(peak, now.tension)
         force = np.maximum(force, now.force)
-    # No drive makes more force than before the decision to relax, even if it makes more than its
-    # command.
+    # No drive makes more force than before the decision to relax, even if it makes more force than
+    # commanded.
     assert (force <= np.maximum(before, 0.0) + COMMAND_ROUNDING_N).all(), (
         f"{fault}: {force} after {before}"
     )
@@ -172,8 +171,8 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
 ) -> None:
     """Reproduce a defect.
 
-    Relaxing began at the last command of an unstable loop, 160 N. A slack tendon then reached 317
-    N.
+    Earlier defect: relaxing began at the last command of an unstable loop, 160 N. The tension of a
+        slack tendon then reached 317 N.
     """
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden_faults.rising_hold_task()) as simulation:
@@ -186,7 +185,8 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
         simulation.simulated_hand.inject(fault)
         assert simulation.run_until(lambda out: out.mode == HandMode.RELAX, 2.0)
         found = {mark.id for mark in simulation.state.latched}
-        # With some seeds, the unstable loop first makes a tendon too taut (T03) or slack (T01).
+        # With some seeds, the unstable loop first makes the tension too large (T03), or makes the
+        # tendon slack (T01).
         assert found & {"T04b", "T03", "T01"}
         if "T04b" in found:
             table, model = simulation.state.tendon, simulation.controller.model

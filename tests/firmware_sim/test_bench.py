@@ -83,7 +83,7 @@ def bench_and_speed_at(
 ) -> tuple[SimulatedDriveBench, float]:
     """Command a torque [N m] for five seconds.
 
-    Return the bench, and the final speed of the shaft [rad/s].
+    Return the bench, and the speed of the shaft after these five seconds [rad/s].
     """
     bench = SimulatedDriveBench([drive_spec(protocol, 2, kind, inertia=inertia)])
     spec = drive_spec(protocol, 2, kind)
@@ -100,7 +100,7 @@ def bench_and_speed_at(
 def test_a_damiao_motor_turns_no_faster_than_its_no_load_speed(
     kind: str, inertia: float | None
 ) -> None:
-    """Reproduce a defect: 1 N m drove a DM4310 motor to 76 rad/s, although its no-load speed is 21 rad/s."""
+    """Reproduce a defect: 1 N m drove a DM4310 motor to 76 rad/s, although its speed without load is 21 rad/s."""
     shaft = mit_bench.shaft_of_mit_motor(kind)
     for sign in (1.0, -1.0):
         _, speed = bench_and_speed_at("mit", sign * 0.1 * shaft.peak, kind, inertia)
@@ -298,10 +298,10 @@ def test_the_help_names_the_endpoints_and_the_eds_file(capsys: pytest.CaptureFix
 def test_the_watchdog_of_a_damiao_motor_is_selectable(
     behaviour: str, polled: int, idle: int
 ) -> None:
-    """The vendor describes the watchdog with "no CAN commands within the interval".
+    """The vendor describes the condition of the watchdog as "no CAN commands within the interval".
 
-    The text does not say whether register requests count as commands, and whether a disabled motor
-    has a watchdog.
+    This text does not say whether register requests count as commands, and whether the watchdog is
+    active in a disabled motor.
     """
     spec = drive_spec("mit", 2)
     for enabled, expected in ((True, polled), (False, idle)):
@@ -328,7 +328,8 @@ def test_the_eds_file_and_a_drive_agree_on_the_rated_torque() -> None:
 def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
     """Reproduce a defect.
 
-    An MIT motor with the fault ``deaf`` raised OverflowError at the first remote or extended frame.
+    Earlier defect: an MIT motor with the fault ``deaf`` raised OverflowError at the first remote or
+    extended frame.
     """
     bench = SimulatedDriveBench([drive_spec(protocol, 2)], fault=fault)
     specials = [b"\xff" * 7 + bytes((code,)) for code in (0xFB, 0xFC, 0xFD, 0xFE, 0xFF)]

@@ -1,6 +1,7 @@
-"""Test how the simulator reads hand files and perturbs parameters.
+"""Test how the simulator reads hand files and perturbs their parameters.
 
-Also test the bytes of a simulated frame, which are those of the kernel's `canfd_frame`.
+Also test the bytes of a simulated frame. The bytes equal those of the kernel's structure
+`canfd_frame`.
 """
 
 import struct
@@ -30,7 +31,7 @@ from handctl.hand.hand_loading import load_hand as described
 
 
 def write_edited_jamia(tmp_path: Path, old: str, new: str) -> str:
-    """Write a copy of the hand file of jamia, in which the first occurrence of a text is replaced.
+    """Write a copy of the hand file of jamia in which another text replaces the first occurrence of a text.
 
     Return the path of the copy.
     """
@@ -90,7 +91,7 @@ def test_incomplete_hands_are_refused_in_one_line(
 
 
 def test_motors_on_two_buses(tmp_path: Path) -> None:
-    """In this hand the first motor is on the second bus.
+    """In this hand, the first motor is on the second bus.
 
     This motor replies on the second bus, and ignores frames on the first bus.
     """
@@ -109,7 +110,7 @@ def test_motors_on_two_buses(tmp_path: Path) -> None:
 
 
 def changed_fields(before: Any, after: Any) -> set[str]:
-    """Return the names of the fields that differ between two objects."""
+    """Return the names of those fields that differ between two objects."""
     return {
         field.name
         for field in fields(before)

@@ -19,8 +19,8 @@ from firmware_sim.truth_file import read_truth
 def closing_hand(hand: str, native: bool = True, compiled: bool = True) -> Plant:
     """Build a simulated hand that closes on a cylinder.
 
-    Its tendons are slack at first and then taut. Its motors follow a torque, a position, or a
-    moving position.
+    The tendons of this hand are slack at first, and then taut. The motors of this hand follow a
+    torque, a position, or a moving position.
     """
     plant = Plant(load_hand(hand), load_scene("cylinder"), seed=3, compiled=compiled)
     if not native:
@@ -34,7 +34,10 @@ def closing_hand(hand: str, native: bool = True, compiled: bool = True) -> Plant
 
 
 def exact_state(plant: Plant) -> list[str]:
-    """Return all numbers of the state of motion as texts. The texts are exact to the last bit."""
+    """Return all numbers of the state of the motion as texts.
+
+    The texts are exact to the last bit.
+    """
     motors = [(m.theta, m.omega, m.torque, m.velocity, m.heat) for m in plant.motors.values()]
     tendons = [(tendon.tension, tendon.speed, tendon.slope) for tendon, _ in plant.tendons]
     engine = plant.engine
@@ -51,9 +54,9 @@ def exact_state(plant: Plant) -> list[str]:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
-    """Compare steps in a block, single steps, steps by MuJoCo's bindings, and steps in Python.
+    """Compare steps in a block, single steps, steps by MuJoCo's Python bindings, and steps in Python.
 
-    The results of all four are bit-identical.
+    The results of all four kinds are equal to the last bit.
     """
     block, single = closing_hand(hand), closing_hand(hand)
     bindings, plain = closing_hand(hand, native=False), closing_hand(hand, compiled=False)
@@ -110,7 +113,10 @@ def test_the_engine_has_native_addresses() -> None:
 
 
 def test_the_world_steps_in_blocks_between_events() -> None:
-    """Compare one long advance with many short ones. Motion and times of watchdogs are equal."""
+    """Compare one long advance with many short advances.
+
+    The motion and the times at which watchdogs fire are equal.
+    """
     far, near = (
         SimulatedWorld(load_hand("jamia"), load_scene("cylinder"), seed=1) for _ in range(2)
     )
@@ -126,7 +132,7 @@ def test_the_world_steps_in_blocks_between_events() -> None:
 
 
 def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
-    """If a step is divided for samples at exact times, the motion changes only slightly."""
+    """If a step is divided so that a sensor is sampled at an exact time, the motion changes only slightly."""
     whole, divided = (Plant(load_hand("jamia"), load_scene(None), homed=True) for _ in range(2))
     for plant in (whole, divided):
         for motor in plant.motors.values():
@@ -150,9 +156,9 @@ def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: str) -> None:
-    """The samples have no jitter, even if the period is no multiple of the time step.
+    """The samples have no jitter, even if the control period is no multiple of the time step.
 
-    At 3 rad/s, a sample from the last whole step would be 5 encoder counts behind.
+    At 3 rad/s, a sample at the end of the last whole step would be 5 encoder counts behind.
     """
     for rate_hz in (300.0, 333.0, 450.0, 640.0):
         world = SimulatedWorld(load_hand(hand), load_scene(None), seed=2)
@@ -161,7 +167,7 @@ def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: s
             -3.0,
             0.0,
             0.0,
-        )  # at this speed, the spool unwinds a slack tendon
+        )  # with this speed, the spool unwinds a slack tendon
         period_ns, angles = round(1e9 / rate_hz), []
         for k in range(40):
             world.reach(k * period_ns)
@@ -172,7 +178,7 @@ def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: s
 
 
 def test_samples_between_steps_do_not_move_the_rows_of_the_truth_file(tmp_path: Path) -> None:
-    """At any rate the truth file has a row for every millisecond, even if a fault is injected within a step."""
+    """The truth file has a row for every millisecond, even if a fault is injected within a step."""
     path = tmp_path / "truth"
     rig = LockstepHand("jamia", truth_path=str(path), period_ns=3_333_333)
     for k in range(30):

@@ -1,7 +1,7 @@
-"""Test the exchange of all frames of a tick at once, as packed records.
+"""Test the exchange of all frames of a tick in one call, as packed records.
 
-The compiled kernel gives the same result as the nodes in Python, which process one frame after the
-other.
+The compiled kernel gives the same result as the nodes in Python, which process the frames one after
+the other.
 """
 
 import random
@@ -114,9 +114,9 @@ def frames_of_tick(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
 
 
 def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
-    """Return the frames that arrive in place of one sent frame.
+    """Return the frames that arrive when one frame was sent.
 
-    Usually the frame itself arrives. Rarely it is lost, repeated or changed.
+    Usually, this is the sent frame. In rare cases, the frame is lost, repeated or changed.
     """
     can_id, data, flags, bus, t_ns = frame
     other = [
@@ -162,7 +162,7 @@ def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
 def frames_of_ticks(
     protocols: tuple[str, ...], ticks: int, seed: int, buses: int = 1
 ) -> Iterator[list[Frame]]:
-    """Yield the frames of each tick: first the set-up of the drives, then commands.
+    """Yield the frames of each tick: first the set-up of the drives, and then commands.
 
     Some frames are disturbed, unless the seed is 0.
     """

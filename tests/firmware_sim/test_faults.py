@@ -1,6 +1,6 @@
 """Test scheduled faults.
 
-A fault is parsed, starts and ends in time, counts its effects, and is reproducible.
+A fault is parsed, starts and ends in time, counts its effects, and can be reproduced.
 """
 
 import contextlib
@@ -74,7 +74,7 @@ def test_wrong_faults_are_refused_in_one_line(text, words):
 def second_motor_text(kind: str, index: int) -> str:
     """Return the option that names the second motor of a fault.
 
-    For a fault of one motor, it is empty.
+    If the fault acts on a single motor, the option is empty.
     """
     return f" with={JAMIA_HAND.motors[index].name}" if kind in TWO_MOTOR_KINDS else ""
 
@@ -116,10 +116,10 @@ def test_every_fault_has_an_effect_and_ends(text):
 
 @pytest.mark.parametrize("text", LAST_INSTANCES)
 def test_no_size_of_any_fault_ends_the_simulator(text):
-    """Each kind of fault is tried with sizes from small to absurd.
+    """The test tries each kind of fault with sizes from small to absurd.
 
-    The fault acts on the last possible part of the hand. For some kinds of faults, this is the
-    sensor node.
+    The fault acts on the last part of the hand that can have it. For some kinds of faults, this is
+    the sensor node.
     """
     run = make_rig()
     for i, size in enumerate(("-1e12", "-1e6", "0", "1", "2", "1000", "1e6", "1e12")):
@@ -185,7 +185,7 @@ FAULT_TEXTS = (
 def test_blocks_of_steps_end_at_every_event():
     """Advance one hand in blocks of steps, and another hand step by step.
 
-    Frames, faults and motion are equal.
+    The frames, the faults and the motion of both hands are equal.
     """
 
     def run(step_ns):

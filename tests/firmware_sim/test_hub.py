@@ -1,7 +1,7 @@
 """Test the hub of the local bus.
 
-The hub sends every client the records of all other clients, completes every record, and never waits
-for a client.
+The hub sends every client the records of all other clients, completes every record that it has
+begun, and never waits for a client.
 """
 
 import os
@@ -25,7 +25,7 @@ CLASSICAL_FLAGS, FD_FLAGS = 0, 4
 
 
 def frame_record(can_id: int, data: bytes, flags: int = CLASSICAL_FLAGS, dropped: int = 0) -> bytes:
-    """Build the bytes of the kernel's ``struct canfd_frame``, without code of the hub."""
+    """Build the bytes of the kernel's ``struct canfd_frame``, without the code of the hub."""
     head = can_id.to_bytes(4, "little") + bytes((len(data), flags)) + dropped.to_bytes(2, "little")
     return head + data + bytes(64 - len(data))
 
@@ -45,7 +45,7 @@ def hub() -> Iterator[BusHub]:
 def serve_until_idle(hub: BusHub) -> bytes:
     """Let the hub serve its clients until no socket is ready.
 
-    Return the records for the owner of the hub.
+    Return the records that are for the owner of the hub.
     """
     received = b""
     while ready := select.select(hub.read_sockets(), [], [], 0.0)[0]:
@@ -126,7 +126,7 @@ def test_the_senders_reserved_bytes_do_not_look_like_drops(
 
 
 def record_numbers(data: bytes) -> list[tuple[int, int]]:
-    """Return the sequence number and the drop count of each record in the data."""
+    """Return the sequence number of each record in the data, and its number of dropped records."""
     assert len(data) % RECORD_BYTES == 0
     rows = struct.iter_unpack("<4xBBHI60x", data)
     return [(number, dropped) for _, _, dropped, number in rows]
@@ -138,7 +138,7 @@ def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
     reader, idle = connect_client(), connect_client()
     total, batch = 0, 1000
     received: list[tuple[int, int]] = []
-    while hub.dropped < 70_000:  # more drops than the counter in a record can hold
+    while hub.dropped < 70_000:  # more dropped records than the counter in a record can count
         hub.send(
             b"".join(
                 frame_record(5, number.to_bytes(4, "little"))
@@ -150,7 +150,7 @@ def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
     assert received == [(number, 0) for number in range(total)]
 
     read = read_all(idle)
-    hub.serve([])  # this completes a partly sent record
+    hub.serve([])  # this call completes a record that was partly sent
     read += read_all(idle)
     rows = record_numbers(read)
     assert rows == [(number, 0) for number in range(len(rows))], (
@@ -169,7 +169,7 @@ def test_an_incomplete_record_is_completed_before_the_next(
     while not hub.write_sockets():
         hub.send(batch)
         assert hub.dropped < 1_000_000, "the kernel accepted no part of a record"
-        batch += frame_record(0, b"")  # with this, the kernel cuts at another byte
+        batch += frame_record(0, b"")  # with this size, the kernel cuts at another byte
     dropped = hub.dropped
     hub.send(frame_record(1, b"while one is half sent"))
     assert hub.dropped == dropped + 1

@@ -1,4 +1,4 @@
-"""Test a growing load on a grasped object, and the measurement of the grip under this load."""
+"""Test a growing load on an object in a grasp, and the measurement of the grip with this load."""
 
 import math
 from pathlib import Path

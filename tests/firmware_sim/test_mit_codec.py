@@ -1,4 +1,4 @@
-"""Compare frames of the MIT protocol with bit strings that were written by hand from the fact sheet."""
+"""Compare frames of the MIT protocol with strings of bits that were written by hand from the fact sheet."""
 
 import os
 import subprocess
@@ -23,9 +23,9 @@ FRAME_RANGES = FrameRanges(12.5, 50.0, 0.8)
 
 
 def packed_bits(*fields: tuple[int, int]) -> bytes:
-    """Pack fields (value, width) into bytes, through a string of binary digits.
+    """Pack fields (value, width) into bytes, using a string of binary digits.
 
-    The first field has the highest bits.
+    The first field is in the highest bits.
     """
     text = "".join(format(value, f"0{width}b") for value, width in fields)
     return bytes(int(text[i : i + 8], 2) for i in range(0, len(text), 8))
@@ -35,7 +35,7 @@ def test_the_command_of_zeros_that_every_client_sends() -> None:
     command = decode_command(bytes.fromhex("7fff7ff0000007ff"), FRAME_RANGES)
     assert command.kp == 0.0
     assert command.kd == 0.0
-    # No code means exactly zero. The nearest code is half a step below zero.
+    # No code means exactly zero torque. The nearest code is half a step below zero.
     assert command.position == pytest.approx(-12.5 / 65535)
     assert command.velocity == pytest.approx(-50.0 / 4095)
     assert command.torque == pytest.approx(-0.8 / 4095)
@@ -94,9 +94,9 @@ MOTION_VALUES = st.tuples(*[st.floats(-60.0, 60.0)] * 3)
 def test_compiled_kernels_equal_python(
     head: int, motion: tuple[float, ...], degrees: float, word: int
 ) -> None:
-    """The functions of the module also give these values.
+    """The functions of the codec module also give these values.
 
-    In this test they run as Python functions, unless another test has compiled them.
+    In this test, the functions run as Python code, unless another test has compiled them.
     """
     kernels, signed = machine_code(mit_codec), word - (word >> 63 << 64)
     feedback = (head, *motion, *FRAME_RANGES, degrees, degrees)

@@ -197,7 +197,7 @@ def test_the_servo_holds_a_position(bench: MotorBench) -> None:
     bench.reply_to(word.to_bytes(8, "big"))
     bench.run(1000)
     # The encoder has an offset of 0.1 rad. The Coulomb friction of 0.015 N m, divided by the
-    # stiffness of 5 N m/rad, leaves an error of up to 3 mrad.
+    # stiffness of 5 N m/rad, causes an error of up to 3 mrad.
     assert bench.motor.theta == pytest.approx(1.0, abs=4e-3)
 
 

@@ -20,7 +20,7 @@ TURN_RAD = 2.0 * math.pi
 
 
 class OneDrive:
-    """A simulated moteus with a heavy shaft, so that its torques hardly move it."""
+    """A simulated moteus whose shaft is so heavy that its torques hardly move it."""
 
     def __init__(self, inertia: float = 1.0, direction: int = 1) -> None:
         """Create a drive in position mode, without torque."""
@@ -47,7 +47,8 @@ class OneDrive:
     ) -> None:  # fmt: skip
         """Send a position command [turn, turn/s, N m].
 
-        ``kp`` and ``kd`` are fractions of the factory gains. The watchdog time is 0.2 s.
+        ``kp`` and ``kd`` are fractions of the factory gains. The watchdog time in the command is
+        0.2 s.
         """
         self.reply_to(
             b"\1\0\x0a\x0f\x20" + struct.pack("<fff", position, velocity, torque)

@@ -1,4 +1,4 @@
-"""Test position, velocity and homing modes of simulated drives: limits, ramps, trajectories and changes of mode."""
+"""Test the position, velocity and homing modes of simulated drives: limits, ramps, trajectories and changes of mode."""
 
 import itertools
 import math
@@ -21,9 +21,9 @@ TURN_RAD = math.tau
 def sample_each_ms(
     bench: SimulatedDriveBench, for_s: float, value: Callable[[], float]
 ) -> list[float]:
-    """Advance a bench for a time.
+    """Advance a bench by some time.
 
-    Return the value that the function ``value`` gives in each millisecond.
+    Return the value of the function ``value`` in each millisecond of this time.
     """
     values = []
     for _ in range(round(for_s * 1000)):
@@ -33,9 +33,9 @@ def sample_each_ms(
 
 
 def largest_acceleration(velocities: list[float], over_ms: int = 20) -> float:
-    """Return the largest mean acceleration over ``over_ms`` [unit/s2].
+    """Return the largest mean acceleration over any ``over_ms`` milliseconds [unit/s2].
 
-    The list has a velocity for each millisecond.
+    The argument has one velocity for each millisecond.
     """
     pairs = zip(velocities, velocities[over_ms:], strict=False)
     return max(abs(after - before) for before, after in pairs) * 1000 / over_ms
@@ -105,8 +105,8 @@ def test_the_ramps_of_a_damiao_motor_act_in_position_velocity_mode(sign: int) ->
     assert speeds[500] == pytest.approx(4.0 * 0.5, rel=0.1)
     assert max(speeds) <= 1.02 * 3.0
     assert min(speeds) > -0.1
-    # The motor reaches 3 rad/s after 0.75 s and 1.125 rad. From this speed to rest it takes 1.5 s
-    # and 2.25 rad.
+    # The motor reaches 3 rad/s after 0.75 s and 1.125 rad. The motor needs 1.5 s and 2.25 rad to
+    # come to rest from this speed.
     assert sample_each_ms(bench, 1.0, lambda: sign * motor.theta)[-1] == pytest.approx(
         6.0, abs=0.01
     )
@@ -169,9 +169,9 @@ def test_a_blocked_damiao_motor_holds_the_current_of_force_position_mode() -> No
 
 
 def test_a_damiao_motor_changes_its_mode_while_enabled() -> None:
-    """A change of mode discards the old set-point.
+    """A change of mode discards the old setpoint.
 
-    Then the motor coasts until it gets a command for the new mode.
+    The motor then turns freely until it gets a command for the new mode.
     """
     bench = damiao_bench(3)
     motor = bench.motors[0]
@@ -210,7 +210,7 @@ def odrive_bench(
 ) -> SimulatedDriveBench:
     """Return a bench with an ODrive (node 3) in closed-loop control.
 
-    The drive has received the given messages.
+    The drive has already received the given messages.
     """
     bench = SimulatedDriveBench([drive_spec("odrive", 3, inertia=inertia)])
     send_messages(
@@ -271,8 +271,8 @@ def test_the_position_filter_of_an_odrive_does_not_overshoot() -> None:
     write_endpoint(bench, 207, 4.0)
     send_messages(bench, (0x0C, struct.pack("<fhh", 1.0, 0, 0)))
     angles = sample_each_ms(bench, 4.0, lambda: bench.motors[0].theta / TURN_RAD)
-    # The filter is critically damped with the time constant 1 / bandwidth, so its step response is
-    # 1 - (1 + 4 t) exp(-4 t).
+    # The filter is critically damped with the time constant 1 / bandwidth. The step response of the
+    # filter is therefore 1 - (1 + 4 t) exp(-4 t).
     assert angles[499] == pytest.approx(1.0 - 3.0 * math.exp(-2.0), abs=0.03)
     assert max(angles) < 1.02
     assert angles[-1] == pytest.approx(1.0, abs=0.005)
@@ -283,8 +283,8 @@ def test_a_trajectory_of_an_odrive_has_ramps_and_says_when_it_is_done() -> None:
     bench = odrive_bench(3, 5, *limits)
     motor = bench.motors[0]
     send_messages(bench, (0x0C, struct.pack("<fhh", 3.0, 0, 0)))
-    # The trajectory accelerates for 1 s and 0.5 turns, runs 1.5 turns at full speed, and brakes for
-    # 2 s and 1 turn. In total it takes 4.5 s.
+    # The trajectory accelerates for 1 s and 0.5 turns, moves 1.5 turns at full speed, and brakes
+    # for 2 s and 1 turn. In total, the trajectory takes 4.5 s.
     speeds = sample_each_ms(bench, 1.0, lambda: motor.omega / TURN_RAD)
     assert speeds[499] == pytest.approx(0.5, rel=0.05)
     assert next_heartbeat(bench)[2] == 0
@@ -353,7 +353,8 @@ def cia402_bench(
 ) -> SimulatedDriveBench:
     """Return a bench with an enabled CiA 402 drive (node 33) in a mode.
 
-    Before the drive is enabled, ``objects`` (index, sub-index, value, size) are written.
+    Before the drive is enabled, the objects in ``objects`` (index, sub-index, value, size) are
+    written.
     """
     spec = drive_spec("cia402", 33)
     bench = SimulatedDriveBench([replace(spec, options={**spec.options, **options})])
@@ -372,7 +373,7 @@ def send_sdo(bench: SimulatedDriveBench, data: bytes) -> bytes:
 
 
 def write_object(bench: SimulatedDriveBench, index: int, sub: int, value: int, size: int) -> int:
-    """Write an object of the drive by SDO, and return the abort code, or 0 if there is none."""
+    """Write an object of the drive by SDO. Return the abort code, or 0 if there is none."""
     raw = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little").ljust(4, b"\0")
     reply = send_sdo(bench, struct.pack("<BHB", 0x23 | (4 - size) << 2, index, sub) + raw)
     return int.from_bytes(reply[4:], "little") if reply[0] == 0x80 else 0
@@ -385,7 +386,10 @@ def read_object(bench: SimulatedDriveBench, index: int, sub: int = 0) -> int:
 
 
 def send_controlword(bench: SimulatedDriveBench, word: int) -> int:
-    """Write a control word to the drive, and return its status word ten milliseconds later."""
+    """Write a control word to the drive.
+
+    Return the status word of the drive ten milliseconds later.
+    """
     write_object(bench, 0x6040, 0, word, 2)
     bench.advance(bench.t_ns + 10 * NS_PER_MS)
     return read_object(bench, 0x6041)
@@ -393,8 +397,8 @@ def send_controlword(bench: SimulatedDriveBench, word: int) -> int:
 
 def test_a_cia402_drive_lists_its_modes() -> None:
     bench = SimulatedDriveBench([drive_spec("cia402", 33)])
-    # Bit n - 1 stands for mode n. The drive supports profile position, homing, and the three cyclic
-    # modes.
+    # In this object, bit n - 1 stands for mode n. The drive supports profile position, homing, and
+    # the three cyclic modes.
     assert read_object(bench, 0x6502) == sum(1 << mode - 1 for mode in (1, 6, 8, 9, 10))
     for mode, shown in ((1, 1), (6, 6), (8, 8), (9, 9), (10, 10), (3, 0), (-1, 0)):
         write_object(bench, 0x6060, 0, mode, 1)

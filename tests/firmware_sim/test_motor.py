@@ -59,7 +59,7 @@ def test_friction_stops_a_fast_rotor_without_reversing_it() -> None:
         speeds.append(motor.omega)
     assert min(speeds) >= 0.0
     assert speeds[-1] < 1e-6
-    # With Coulomb and viscous friction, the time to rest is t = J/b ln(1 + b w / tau_c).
+    # With Coulomb and viscous friction, a rotor comes to rest after t = J/b ln(1 + b w / tau_c).
     exact = (
         MOTOR_SPEC.inertia
         / MOTOR_SPEC.viscous
@@ -101,7 +101,7 @@ def test_gains_of_the_whole_range_are_stable(kp: float, kd: float) -> None:
 
 @pytest.mark.parametrize("speed", [4.0, -15.0])
 def test_a_moving_target_is_followed_as_a_mass_on_a_spring(speed: float) -> None:
-    """A rotor starts at rest and follows a target with constant speed.
+    """In this test, a rotor starts at rest and follows a target that moves with constant speed.
 
     The error e of the rotor obeys J e'' + kd e' + kp e = 0.
     """
@@ -182,7 +182,7 @@ def test_the_encoder_has_fourteen_bits() -> None:
 
 @pytest.mark.parametrize("torque", [-0.03, 0.045])
 def test_friction_does_not_add_inertia(torque: float) -> None:
-    """A turning rotor accelerates by torque minus friction, divided by its inertia, at any speed."""
+    """At any speed, the acceleration of a turning rotor is the torque minus the friction, divided by the inertia."""
     motor = Motor(replace(MOTOR_SPEC, viscous=0.0), STEP_S)
     motor.omega, motor.torque = 2.0, torque
     motor.servo.torque, motor.servo.limit = torque, 1.0

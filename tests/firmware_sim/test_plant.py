@@ -1,4 +1,4 @@
-"""Compare the simulated hand with statics and kinematics that were computed by hand."""
+"""Compare the simulated hand with results of statics and kinematics that were computed by hand."""
 
 import json
 import math
@@ -37,7 +37,7 @@ def lock_joints() -> Hand:
 
 
 def pull_tendons(plant: Plant, torque: float, seconds: float, ramp: float = 0.3) -> None:
-    """Raise the torque of all motors in a ramp to ``torque`` [N m], and hold this torque."""
+    """Raise the torque of all motors in a ramp to ``torque`` [N m], and keep this torque."""
     start = [motor.servo.torque for motor in plant.motors.values()]
     steps = round(seconds * 2000)
     for i in range(steps):
@@ -68,7 +68,7 @@ def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
 
 
 def test_excursion_and_stretch_add_up() -> None:
-    """Without friction and at rest, the travel of the spool is r_a theta = sum r q + f/k."""
+    """At rest and without friction, the travel of the spool is r_a theta = sum r q + f/k."""
     plant = free_hand({"friction": 0.0})
     pull_tendons(plant, 14.0 * 0.005, 2.0)
     index = plant.motors["index_motor"].theta
@@ -117,7 +117,7 @@ def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
 
 
 def test_a_blocked_rotor_rings_at_the_frequency_of_tendon_and_rotor() -> None:
-    """The frequency is sqrt(k r^2 / J) = 139 rad/s. Source: MODEL, section 4."""
+    """The frequency of the oscillation is sqrt(k r^2 / J) = 139 rad/s. Source: MODEL, section 4."""
     plant = free_hand({"friction": 0.0, "damping": 0.1}, lock_joints())
     pull_tendons(plant, 0.25, 0.6)
     motor = plant.motors["index_motor"]
@@ -199,7 +199,7 @@ def test_a_diverging_plant_is_an_error() -> None:
 def closing_hand(
     monkeypatch: pytest.MonkeyPatch, step_s: float
 ) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Close a free hand to 12 N in 0.4 s with the time step ``step_s`` [s].
+    """Close a free hand to 12 N in 0.4 s, with the time step ``step_s`` [s].
 
     Return the joint angles every 5 ms.
     """
@@ -223,7 +223,7 @@ def closing_hand(
 def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first-order integration of tendons, friction and rotors has a small error.
 
-    The error falls with the time step.
+    This error becomes smaller with a smaller time step.
     """
     exact = closing_hand(monkeypatch, 0.05e-3)
     errors = [
@@ -240,12 +240,15 @@ COUPLED_FINGERS = ("index", "middle", "ring", "pinky")
 
 
 def hand_with_coupled_fingers(coupling: list[list[float]], path: Path) -> Hand:
-    """Return ``orca_like`` with coupled joints in each finger. One spool pair flexes both outer joints.
+    """Return ``orca_like`` with coupled joints in each finger.
+
+    In each finger, one spool pair flexes both outer joints.
 
     Args:
-        coupling: key ``coupling`` of the fingers, a row for each of the three joints. With one
-            column, the pair also turns the first joint, and the finger has no other pair.
-        path: path of the hand file, which is written.
+        coupling: key ``coupling`` of the fingers, with one row for each of the three joints. If it
+            has one column, the spool pair also turns the first joint, and the finger has no other
+            pair.
+        path: path at which the hand file is written.
     """
     content = json.loads(json.dumps(hand_content("orca_like")))
     missing_tendons = ("pip",) if len(coupling[0]) == 2 else ("pip", "abd")
@@ -275,10 +278,10 @@ def hand_with_coupled_fingers(coupling: list[list[float]], path: Path) -> Hand:
 def test_coupled_joints_of_spool_pairs_keep_their_coupling(
     coupling: list[list[float]], tmp_path: Path
 ) -> None:
-    """Reproduce a defect: the joints of a digit with spool pairs turned freely against each other.
+    """Reproduce a defect: the joints of a digit with spool pairs could turn freely against each other.
 
-    Such a digit has no springs. While the fingers closed, their angles left the coupling by 49 to
-    74 deg. The loopback tendons keep them within 1.4 deg.
+    Such a digit has no springs. While the fingers closed, their angles deviated from the coupling
+    by 49 to 74 deg. With the loopback tendons, they deviate by at most 1.4 deg.
     """
     hand = hand_with_coupled_fingers(coupling, tmp_path / "coupled.toml")
     plant = free_hand(hand=hand)

@@ -1,7 +1,7 @@
 """Test the simulator as a process.
 
-The process prints a ready line, serves a bus, writes a truth file, and closes everything at its
-end.
+The process prints a ready line, serves a bus, writes a truth file, and closes everything when it
+ends.
 """
 
 import json

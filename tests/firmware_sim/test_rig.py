@@ -1,6 +1,6 @@
 """Test a whole simulated hand in lockstep.
 
-The frames that move the hand are written byte by byte.
+The frames that move the hand are written byte by byte in this test.
 """
 
 import math
@@ -49,7 +49,7 @@ def close_hand(
 ) -> list[list[Frame]]:
     """Enable all motors.
 
-    Raise the tension [N] in a ramp and hold it, without feedback. Return the replies of each tick.
+    Raise the tension [N] in a ramp, and keep it without feedback. Return the replies of each tick.
     """
     answers = [rig.step(0, [frame_tuple(motor, ENABLE_PAYLOAD) for motor in MOTOR_NODES])]
     for k in range(1, round(seconds * 500)):
@@ -107,7 +107,7 @@ def test_the_watchdog_removes_the_torque_after_its_timeout() -> None:
     for k in range(200, 240):
         rig.step(k * TICK_NS, [sync_frame(k)])
         torque.append(rig.world.plant.motors["index_motor"].torque)
-    # The last command was sent in tick 199, so the watchdog time of 50 ms ends in tick 224.
+    # The last command was sent in tick 199. The watchdog time of 50 ms therefore ends in tick 224.
     assert all(value == pytest.approx(torque[0], rel=1e-6) for value in torque[:24])
     assert abs(torque[26]) < 1e-3
     answers = step_with_torque(rig, 240, 0.1)
@@ -191,10 +191,10 @@ def test_content_of_the_truth_file(tmp_path: Path) -> None:
     assert np.array_equal(np.diff(truth.t_ns), np.full(len(truth.t_ns) - 1, 1_000_000))
     assert len(truth.t_ns) == 500
     assert np.isfinite(truth.values).all()
-    # The speed and the angle in a row belong to the same time, so dq is the slope of q.
+    # The speed and the angle in a row belong to the same time. The slope of q is therefore dq.
     q, dq = truth.column("q/index_j1"), truth.column("dq/index_j1")
     assert q[-1] - q[0] == pytest.approx(float(np.sum(dq[1:] + dq[:-1]) / 2 * 1e-3), abs=5e-3)
-    # The true tension is close to the tension that the motor command makes.
+    # The true tension is close to the tension that the command of the motor makes.
     assert truth.column("tension/index_tendon")[-1] == pytest.approx(20.0, abs=4.0)
 
 

@@ -1,4 +1,4 @@
-"""Test scenes of the simulator: packaged scenes, short forms of their names, scene files, and errors in files."""
+"""Test simulator scenes: packaged scenes, short forms of names, scene files, and errors in these files."""
 
 from pathlib import Path
 

@@ -33,7 +33,7 @@ def make_node(
 def channel_counts(data: bytes) -> tuple[int, list[int]]:
     """Return the counter and the 12-bit channels of a payload.
 
-    The test reads both from a string of binary digits, which starts with the lowest digit.
+    The test reads both from a string of digits that starts with the lowest digit.
     """
     text = "".join(format(byte, "08b")[::-1] for byte in data)
     count = (len(text) - 4) // 12
@@ -52,8 +52,8 @@ def test_payloads_are_packed_as_on_the_wire(counter: int, codes: list[int]) -> N
 
 
 def test_a_frame_is_packed_byte_by_byte() -> None:
-    # The counter is 5. The code of 0 N is 96, of 110 N 1856, and of a saturated cell 4095. From the
-    # lowest digit on, the hexadecimal digits are 5, 060, 740, fff.
+    # The counter is 5. The tension code of 0 N is 96, of 110 N 1856, and of a saturated load cell
+    # 4095. From the lowest digit on, the payload has the hexadecimal digits 5, 060, 740, fff.
     assert pack(0x35, [96, 1856, 4095]) == bytes.fromhex("050640f7ff")
 
 

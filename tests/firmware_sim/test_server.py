@@ -1,7 +1,7 @@
-"""Test the real-time server of the simulator, on a clock whose time the tests set.
+"""Test the real-time server of the simulator with a clock whose time the test sets.
 
-The server replies at once and follows the clock. If it is too slow, it slips behind in an orderly
-way.
+The server replies at once and follows the clock. If the server is too slow, its time slips behind
+the clock by whole steps.
 """
 
 import socket
@@ -32,7 +32,10 @@ STATE_ENABLED, STATE_LOST = 1, 0xD
 
 
 class FakePort:
-    """A fake port of a bus. A test puts in the received frames, and reads the sent frames."""
+    """A fake port of a bus.
+
+    A test adds received frames to the port, and reads the frames that were sent.
+    """
 
     due_ns = 1 << 62
 
@@ -65,7 +68,7 @@ class ServerBench:
         self.server = BusServer(self.world, [self.wire], self.clock)
 
     def turn(self, t_ms: float, *frames: Frame) -> list[Frame]:
-        """Set the clock, let the server run one turn with the received frames, and return its sent frames."""
+        """Set the clock, let the server run one turn with the received frames, and return the frames that it sends."""
         self.clock.t_ns = START_NS + round(t_ms * NS_PER_MS)
         self.wire.coming, self.wire.sent = list(frames), []
         self.server.turn()
@@ -89,7 +92,7 @@ def test_the_plant_follows_the_clock_in_whole_steps(bench: ServerBench) -> None:
 
 
 def test_a_frame_samples_the_plant_at_its_exact_time(bench: ServerBench) -> None:
-    """The sample does not come from the last whole step, which may be 0.5 ms older.
+    """A sample is not from the last whole step, which may be up to 0.5 ms older.
 
     Sampling does not change the times of the steps.
     """
@@ -135,7 +138,7 @@ def test_progress_is_reported_to_a_controller_on_the_same_clock(bench: ServerBen
 
 
 def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
-    """The server reports a tick as answered only if no frame waits.
+    """The server reports a tick as answered only if no frame is waiting.
 
     A frame that arrives during a turn gets its reply in the next turn.
     """
@@ -168,9 +171,9 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
 
 
 def test_an_answer_waits_for_one_stride_at_most(bench: ServerBench) -> None:
-    """Reproduce a defect: the server caught up 10 ms before it replied.
+    """Reproduce a defect: the server simulated 10 ms that it was behind before it replied.
 
-    This took 2 ms, so the reply came after the next SYNC.
+    This took 2 ms, so the reply came after the next SYNC frame.
     """
     sent = bench.turn(30, Frame(0x80, b"\x05"))
     assert [frame.can_id for frame in sent] == [0x1A0]
@@ -178,7 +181,7 @@ def test_an_answer_waits_for_one_stride_at_most(bench: ServerBench) -> None:
 
 
 class GrantedPriority:
-    """Fake real-time priority, which is always granted."""
+    """Fake real-time priority. The request for it is always granted."""
 
     def __init__(self) -> None:
         self.now_s, self.requests, self.active = 0.0, 0, False
@@ -215,8 +218,8 @@ def test_priority_is_taken_for_a_host_and_given_back_after_slips() -> None:
 def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None:
     """Reproduce a defect.
 
-    A slow simulator printed 2,338 lines in 275 s, without the advice to choose a smaller time
-    scale.
+    Earlier defect: a slow simulator printed 2,338 lines in 275 s, but no advice to choose a smaller
+    time scale.
     """
     now = {"wall": 0.0, "cpu": 0.0}
     lines: list[str] = []

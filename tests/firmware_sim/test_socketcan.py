@@ -19,7 +19,7 @@ FD_FRAME = Frame(1 << 31 | 0x1ABCDE, bytes(range(12)), FDF | BRS)
 
 
 class FakeSocket:
-    """Fake raw CAN socket. A test plays the part of the kernel."""
+    """Fake raw CAN socket. In these tests, the test itself plays the part of the kernel."""
 
     def __init__(self) -> None:
         self.waiting: list[bytes | OSError] = []

@@ -1,6 +1,6 @@
 """Test the stages of a scene.
 
-At its time, a stage turns the hand, pushes the object, or changes the friction.
+When its time comes, a stage turns the hand, pushes the object, or changes the friction.
 """
 
 import math

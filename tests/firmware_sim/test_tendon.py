@@ -1,6 +1,6 @@
 """Compare the simulated tendon and its pulleys with the formulas of the model.
 
-The test computes these formulas independently.
+The test computes these formulas with its own code.
 """
 
 import math
@@ -43,8 +43,8 @@ class TendonOnSpool:
     ) -> float:
         """Compute a step.
 
-        Add the torques of the pulleys to ``torque``, without the compensation of damping. Return
-        the tension.
+        Add the torques of the pulleys to ``torque``, without the compensation for the damping.
+        Return the tension.
         """
         self.motor.theta, self.motor.omega = theta, omega
         self.motor.steps_alone, total = True, [0.0] * 3
@@ -69,7 +69,8 @@ def test_linear_up_to_the_knee_then_softer_without_a_kink() -> None:
     assert stiffness[:7000].max() == pytest.approx(1e5, rel=1e-6)
     assert np.abs(np.diff(stiffness)).max() < 200.0, "the stiffness jumps"
     assert stiffness[-1] == pytest.approx(0.4e5, rel=1e-3)
-    # The closed form beyond the knee is 200 + k2 x + (k - k2) w (1 - exp(-x/w)), here at x = 1 mm.
+    # Beyond the knee, the tension in closed form is 200 + k2 x + (k - k2) w (1 - exp(-x/w)), here
+    # at x = 1 mm.
     assert elastic(3e-3) == pytest.approx(200.0 + 40.0 + 6e4 * 0.3e-3 * (1 - math.exp(-1 / 0.3)))
 
 
@@ -129,9 +130,9 @@ def test_friction_grows_with_speed_as_tanh() -> None:
 
 @given(st.floats(-0.2, 0.2), st.lists(st.floats(0.0, 1.7), min_size=3, max_size=3))
 def test_friction_dissipates_energy_and_the_slope_matches(speed: float, q: list[float]) -> None:
-    """The power of the tendon's friction is never positive.
+    """The friction of a tendon never adds power to its motion.
 
-    ``slope`` is at least the loss of tension at each pulley, divided by the speed.
+    ``slope`` is at least the tension that is lost at each pulley, divided by the speed.
     """
     dq = [speed / 0.009] * 3
     torque = [0.0] * 3

@@ -1,6 +1,6 @@
-"""Test a local bus that has the timing of a real wire, on a clock whose time the tests set.
+"""Test a local bus with the timing of a real wire, on a clock whose time the test sets.
 
-At one end is a bus client of handctl, at the other end a simulated hand.
+One end of the bus is a bus client of handctl, and the other end is a simulated hand.
 """
 
 import select
@@ -27,9 +27,9 @@ SYNC_ID, TENSIONS_ID, REGISTERS_ID = 0x80, 0x1A0, 0x7FF
 
 
 class TimedBus:
-    """A simulated hand and a host on a bus that has the timing of a real wire.
+    """A simulated hand and a host on a bus with the timing of a real wire.
 
-    The method ``frames_at`` sets the clock, and processes all events that are due then.
+    The method ``frames_at`` sets the clock, and processes all events that are due at this time.
     """
 
     def __init__(self, words: list[str], hand: bool = True) -> None:

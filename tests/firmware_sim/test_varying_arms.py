@@ -17,7 +17,7 @@ STEP_S = 0.5e-3
 
 @pytest.mark.parametrize("name", ["jamia11", "n_plus_1", "orca_like"])
 def test_the_joints_get_the_work_that_the_tendons_do(name: str, tmp_path: Path) -> None:
-    """Compare the power of tendons and joints: tension times tendon speed equals torque times joint rate.
+    """Compare the power of the tendons and of the joints: tension times tendon speed equals torque times joint rate.
 
     The plant has no friction and no damping.
     """

@@ -1,4 +1,4 @@
-"""Test the simulated wire of a CAN bus: bit times, arbitration, queues, acknowledges and error states."""
+"""Test the simulated wire of a CAN bus: bit times, arbitration, queues, acknowledgement and error states."""
 
 import random
 from itertools import pairwise
@@ -48,7 +48,7 @@ class BusMember:
     def classes(self) -> list[int]:
         """Return the classes of the received error frames.
 
-        The bits that mark error frames and counters are cleared.
+        Bits that mark error frames and counters are not included.
         """
         return [frame.can_id & 0x1FF for frame in self.errors]
 
@@ -65,9 +65,9 @@ def test_both_packages_compute_the_same_maximum_frame_time(frame: Frame) -> None
 
 
 def test_a_frame_whose_bits_were_counted_by_hand() -> None:
-    """A frame with identifier 0 and without data consists of 19 zeros and a CRC of zeros.
+    """A frame with the identifier 0 and without data consists of 19 zeros and a CRC of zeros.
 
-    A stuff bit follows every five zeros.
+    After every five zeros, there is a stuff bit.
     """
     zeros = 1 + 11 + 3 + 4 + 15
     assert ACTUAL_RATES.frame_ns(Frame(0, b"")) == (zeros + zeros // 5 + 13) * 1000

@@ -1,6 +1,6 @@
-"""Test the environments of ``handctl.gym``: interface, determinism and safety.
+"""Test the environments of ``handctl.gym``: their interface, determinism and safety.
 
-The tasks of both environments can be solved.
+Also test that the tasks of both environments can be solved.
 """
 
 import re
@@ -46,16 +46,19 @@ def make_env(name: str, **options: Any) -> Any:
 
 
 def following_action(env: Any, seen: Any) -> Any:
-    """Return the action whose targets equal the reference after the horizon.
+    """Return the action whose targets equal the reference at the time at which the hand reaches them.
 
-    The observation contains this reference.
+    The observation ``seen`` contains the reference.
     """
     first = env.layout.names.index(f"reference_ahead_rad[{env.names[0]}]")
     return env.action_for(np.degrees(seen[first : first + len(env.names)]))
 
 
 def closing_action(env: Any, step: int) -> Any:
-    """Return the action of a scripted grasp in a step. The grasp closes first and then holds."""
+    """Return the action of a scripted grasp in a given step.
+
+    The scripted grasp first closes the hand, and then holds the object.
+    """
     action = np.full(env.action_space.shape, min(1.0, -1.0 + step / 60), np.float32)
     begin, tension = GRASP_PARAMETERS[env.hand.name]
     action[len(env.names) :] = tension if step > begin else -1.0
@@ -157,9 +160,9 @@ def test_a_fault_ends_an_episode() -> None:
 
 
 def test_random_actions_are_limited_and_trip_nothing_on_a_free_hand() -> None:
-    """With each of the 20 seeds, the environment limits random actions to safe targets.
+    """With each of the 20 seeds, the environment keeps random actions within safe limits.
 
-    No fault ends an episode, and the true tensions stay below the limit.
+    No fault ends an episode, and the true tensions stay below the tension limit.
     """
     env = make_env(TRACK_ENV, duration_s=1.0)
     limit = max(tendon.tension_max_N for tendon in env.hand.tendon)

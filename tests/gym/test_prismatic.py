@@ -1,4 +1,4 @@
-"""Follow random references with hands that have prismatic joints, by a stream of targets in mm and deg."""
+"""Hands with prismatic joints follow random references through a stream of targets in mm and deg."""
 
 from pathlib import Path
 

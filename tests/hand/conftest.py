@@ -22,7 +22,7 @@ SPATIAL_HANDS = ("orca_like",)
 def hand(request: pytest.FixtureRequest) -> Hand:
     """Return a packaged hand with planar digits on the palm.
 
-    A test with this fixture runs once for each such hand.
+    A test that uses this fixture runs once for each such hand.
     """
     return load_hand(request.param)
 
@@ -41,9 +41,9 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture
 def refusal() -> Callable[[Mapping[str, Any]], str]:
-    """Return a function that builds a hand from wrong content and returns the error line.
+    """Return a function that builds a hand from wrong content, and returns the error line.
 
-    The line has the file, the key path, the value, and the expected value.
+    This line contains the file, the key path, the wrong value and the expected value.
     """
 
     def refuse(content: Mapping[str, Any]) -> str:

@@ -21,8 +21,9 @@ def mount_on_wrist(name: str, arm: float = WRIST_MOMENT_ARM_M) -> Hand:
 
     Args:
         name: name of a packaged hand.
-        arm: moment arm about the wrist of every tendon of a digit [m]. With 0, the tendons pass through the axis of the
-            wrist. The tendons of digits that close towards -y flex the wrist, the others extend it.
+        arm: moment arm of every digit tendon about the wrist [m]. If it is 0, the tendons pass
+            through the axis of the wrist. The tendons of digits that close towards -y flex the
+            wrist, and the others extend it.
     """
     hand = load_hand(name)
     content: dict[str, Any] = json.loads(json.dumps(hand.content))

@@ -1,4 +1,7 @@
-"""Hands with more motors than the packaged ones. These hands are made from jamia11."""
+"""Hands that have more motors than the packaged hands.
+
+The functions make these hands from jamia11.
+"""
 
 from typing import Any
 
@@ -6,7 +9,7 @@ from handctl.hand.hand_loading import hand_content
 
 
 def fifteen_motors() -> dict[str, Any]:
-    """Describe a hand of five fingers with three joints each, and with a tendon and a motor per joint.
+    """Return the description of a hand with five fingers of three joints, with a motor per joint.
 
     The hand is jamia11 without its thumb and with two more fingers.
     """
@@ -29,7 +32,7 @@ def fifteen_motors() -> dict[str, Any]:
 
 
 def _renamed_section(one: Any, finger: str) -> Any:
-    """Copy a section of a hand file with the name of another finger in place of index."""
+    """Copy a section of a hand file, with the name of another finger in place of index."""
     if isinstance(one, dict):
         return {
             _renamed_section(key, finger): _renamed_section(value, finger)

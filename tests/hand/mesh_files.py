@@ -25,15 +25,15 @@ MESH_RPY_DEG = (20.0, -35.0, 110.0)
 
 
 def tetrahedron_triangles() -> NDArray[np.float64]:
-    """Return the corners of the tetrahedron's triangles (4, 3, 3) [m]."""
+    """Return the corners of the triangles of a tetrahedron (4, 3, 3) [m]."""
     return TETRAHEDRON_CORNERS[TETRAHEDRON_FACES]
 
 
-def tetrahedron_obj(scale: float = 1.0, mixed: bool = False) -> bytes:
-    """Return the tetrahedron as an OBJ file.
+def tetrahedron_obj(scale: float = 1.0, mixed_face_forms: bool = False) -> bytes:
+    """Return the tetrahedron as the text of an OBJ file.
 
-    If ``mixed``, its faces use all forms in which OBJ writes a corner. MuJoCo cannot read such a
-    mixture.
+    If ``mixed_face_forms`` is True, its faces use all forms in which an OBJ file can write a corner. MuJoCo
+    cannot read a file with such a mixture.
     """
     lines = [
         "# a tetrahedron",
@@ -42,7 +42,7 @@ def tetrahedron_obj(scale: float = 1.0, mixed: bool = False) -> bytes:
         "vn 0 0 1",
     ]
     lines += ["vt 0 0", "f 1/1/1 3/1/1 2/1/1", "f -4//1 -3//1 -1//1", "f 1/1 4/1 3/1", "f 2 3 4"]
-    if not mixed:
+    if not mixed_face_forms:
         lines[-4:] = [
             "f 1//1 3//1 2//1",
             "f -4//1 -3//1 -1//1",
@@ -95,7 +95,7 @@ def hand_without_meshes(name: str) -> Hand:
 
 
 def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the corners of each link's mesh in the palm frame [m], as MuJoCo places them."""
+    """Return the corners of the mesh of each link in the palm frame [m], as MuJoCo places them."""
     data = mujoco.MjData(model)
     data.qpos[: len(q)] = q
     mujoco.mj_kinematics(model, data)
@@ -111,7 +111,7 @@ def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarra
 
 
 def corners_of_hand(hand, folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the corners of each link's mesh in the palm frame [m], as the kinematics of handctl places them."""
+    """Return the corners of the mesh of each link in the palm frame [m], as the kinematics of handctl places them."""
     poses = {PALM_LINK: (np.zeros(3), np.eye(3))}
     tree = HandTree.from_hand(hand)
     all_poses = tree.poses(q)
@@ -130,7 +130,7 @@ def corners_of_hand(hand, folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
 def assert_same_places(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
     """Assert that two sets of corners agree for each link.
 
-    Each corner is within a micrometre of a corner of the other set.
+    The distance of each corner from a corner of the other set is at most a micrometre.
     """
     assert found.keys() == expected.keys()
     for link, corners in expected.items():

@@ -1,4 +1,7 @@
-"""Hands whose digits are random chains of links. Axes, orientations, lengths, masses and inertia are random."""
+"""Hands whose digits are random chains of links.
+
+The axes, orientations, lengths, masses and inertias of the links are random.
+"""
 
 from typing import Any
 
@@ -22,10 +25,12 @@ def random_tree(seed: int) -> Hand:
 
 
 def random_hand(seed: int, *counts: int, rng: np.random.Generator | None = None) -> Hand:
-    """Return a hand of random digits with one tendon per joint. ``counts`` are the numbers of their links.
+    """Return a hand of random digits that have one tendon per joint.
 
-    Without counts, the hand has a digit of 1 to 8 links and one of 1 to 7 links. With ``rng``
-    some digits are mounted on others.
+    ``counts`` has the number of links of each digit.
+
+    If it is None, the hand has a digit of 1 to 8 links and a digit of 1 to 7 links. If ``rng`` is
+    given, some digits are mounted on other digits.
     """
     mounted = rng
     rng = np.random.default_rng(seed)
@@ -36,7 +41,8 @@ def random_hand(seed: int, *counts: int, rng: np.random.Generator | None = None)
         mix_in_prismatic_joints(np.random.default_rng((seed, number)), digit)
     line: list[str] = []
     for digit in digits if mounted else ():
-        # A digit is carried by the palm, by the digit before it, or by a carrier of that digit.
+        # A digit is carried by the palm, by the previous digit, or by a digit that carries the
+        # previous digit.
         level = int(rng.integers(0, len(line) + 1))
         if level:
             digit["mount_on"] = line[level - 1]
@@ -69,7 +75,8 @@ def random_hand(seed: int, *counts: int, rng: np.random.Generator | None = None)
 def random_digit(rng: np.random.Generator, name: str, count: int) -> dict[str, Any]:
     """Return a digit of random links.
 
-    Some links have length zero. Some give their centre of mass and their inertia as single numbers.
+    Some links have length zero. For some links, the centre of mass and the inertia are single
+    numbers.
     """
     length = rng.uniform(0.01, 0.05, count)
     length[:-1] *= rng.random(count - 1) > 0.2
@@ -79,8 +86,8 @@ def random_digit(rng: np.random.Generator, name: str, count: int) -> dict[str, A
     com: list[Any] = rng.uniform(-0.004, 0.004, (count, 3)).tolist()
     inertia: list[Any] = []
     for i in range(count):
-        # The inertia is that of a body of random points, so it satisfies all inequalities of real
-        # bodies.
+        # The inertia is that of a body that consists of random points. The inertia therefore
+        # satisfies all inequalities of real bodies.
         points = rng.normal(size=(6, 3)) * 0.3 * np.maximum(length[i] / 3, radius / 2)
         moments = mass[i] / 6 * ((points**2).sum() * np.eye(3) - points.T @ points)
         inertia.append(moments[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)].tolist())
@@ -107,7 +114,10 @@ def random_digit(rng: np.random.Generator, name: str, count: int) -> dict[str, A
 
 
 def mix_in_prismatic_joints(chance: np.random.Generator, digit: dict[str, Any]) -> None:
-    """Make some joints of a digit prismatic. The first digits of some hands have such joints only."""
+    """Make some joints of a digit prismatic.
+
+    In some hands, the first digits have only prismatic joints.
+    """
     count = len(digit["link_length_m"])
     slides = chance.random(count) < (1.0 if chance.random() < 0.2 else 0.5)
     digit["joint_type"] = ["prismatic" if slide else "revolute" for slide in slides]

@@ -1,4 +1,4 @@
-"""Test postures within the joint limits that bring a fingertip as close as possible to a point."""
+"""Test postures that bring a fingertip as close as possible to a point, within the joint limits."""
 
 import time
 
@@ -27,7 +27,7 @@ def palm_digits(hand: str) -> list[DigitModel]:
 
 
 def tip_position(digit: DigitModel, theta: np.ndarray) -> np.ndarray:
-    """Return the position of a digit's tip at given coordinates [m]."""
+    """Return the position of the tip of a digit at given coordinates [m]."""
     return joint_points(digit, digit.coupling @ theta)[-1]
 
 
@@ -47,7 +47,7 @@ def test_a_point_in_reach_is_reached_within_the_limits(hand: str) -> None:
 
 @pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
-    """The expected distance is that of scipy's bounded least squares, started in the middle of the range."""
+    """The expected distance comes from scipy's bounded least squares, which starts in the middle of the range."""
     worse = 0
     for digit in palm_digits(hand):
         low, high = digit.reach
@@ -99,7 +99,7 @@ def test_a_path_of_points_gives_postures_without_jumps() -> None:
 
 @pytest.mark.parametrize("seed", range(SEED_COUNT))
 def test_tips_of_random_chains_are_closest(seed: int) -> None:
-    """The chains have hinges in any direction and one to eight links."""
+    """The chains of this test have one to eight links, and hinges in any direction."""
     random = np.random.default_rng(seed)
     description = random_hand(seed)
     digit = DigitModel.from_hand(description, description.digit_names[0])

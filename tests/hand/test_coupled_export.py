@@ -1,4 +1,4 @@
-"""Test that URDF and MJCF contain the rigid couplings of joints, and no soft ones."""
+"""Test that the exported URDF and MJCF contain the rigid couplings of joints, but no soft couplings."""
 
 from xml.etree import ElementTree as ET
 
@@ -40,7 +40,7 @@ def test_mujoco_keeps_rigidly_coupled_joints_together() -> None:
     turned = data.qpos[[model.joint(name).qposadr[0] for name in ("index_j3", "index_j4")]]
     assert turned[0] > 0.2
     assert turned[1] == pytest.approx(turned[0], abs=0.02)
-    # Each motor of a spool pair pulls both ways.
+    # The motor of a spool pair pulls in both directions.
     assert np.array_equal(model.actuator_ctrlrange[:, 0], -model.actuator_ctrlrange[:, 1])
 
 

@@ -1,4 +1,4 @@
-"""Test the consistency of a hand file: units, references, lengths of lists, limits, identifiers, tendon routes."""
+"""Test the checks of a hand file: units, references, lengths of lists, limits, identifiers and tendon routes."""
 
 import copy
 import math
@@ -16,7 +16,7 @@ JAMIA_CONTENT = hand_content("jamia")
 
 @pytest.fixture
 def refusal_of_edit(refusal):
-    """Return a function that edits the packaged hand and returns the error line without the file name."""
+    """Return a function that edits the packaged hand, and returns the error line without the file name."""
 
     def refuse(edit):
         content = copy.deepcopy(JAMIA_CONTENT)
@@ -61,7 +61,7 @@ def test_the_message_about_a_wrong_unit_suggests_a_unit(refusal_of_edit, section
 
 
 def test_entries_that_are_refused_cause_no_further_message():
-    """Reproduce a defect: a third message asked for at least 1 value."""
+    """Reproduce a defect: a third message demanded at least 1 value."""
     content = copy.deepcopy(JAMIA_CONTENT)
     content["digit"][0]["link_length_m"] = [50, 40]
     lines = [str(mistake.error("x")) for mistake in inspect_content(content).mistakes]

@@ -1,4 +1,4 @@
-"""Test hands from valid files, and the errors of invalid files."""
+"""Test hands from valid files, and the error lines for invalid files."""
 
 import copy
 import re
@@ -76,9 +76,9 @@ def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
 
 
 def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
-    """Reproduce a defect: a hand with other stream limits lost its calibration.
+    """Reproduce a defect: a hand lost its calibration when its stream limits changed.
 
-    The log of a hand with the default limits did not contain these limits.
+    The log of a hand with the default stream limits did not contain these limits.
     """
     slow = hand_from_content(CONTENT_BY_HAND[hand.name] | {"stream": {"speed_deg_s": 200.0}}, "x")
     assert slow.stream != hand.stream
@@ -91,9 +91,9 @@ def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
 
 
 def changeable_values(content):
-    """Yield paths and values of a hand's content.
+    """Yield the path and the value of some numbers in a hand's content.
 
-    Each of these values may change slightly without a change of others.
+    Each of these values may change slightly although all others stay the same.
     """
     for key in ("stiffness_N_per_m", "damping_N_s_per_m", "friction_coefficient", "tension_max_N"):
         yield ("tendon", 0, key), content["tendon"][0][key]
@@ -213,9 +213,9 @@ def test_a_directory_is_no_hand(tmp_path):
 
 
 def test_a_copy_with_other_buses_has_their_names() -> None:
-    """Reproduce a defect: a copy with changed fields kept cached properties of the original.
+    """Reproduce a defect: a copy with changed fields still had the cached properties of the original.
 
-    The names of the buses are such a property.
+    One of these properties is the list of bus names.
     """
     hand = load_hand("jamia")
     assert hand.bus_names == ("main",)

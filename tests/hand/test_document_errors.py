@@ -1,4 +1,7 @@
-"""Test documents such as hand files. For each kind of mistake, the complete error line is compared."""
+"""Test documents such as hand files.
+
+For each kind of mistake, the test compares the complete error line.
+"""
 
 import datetime
 from typing import Annotated, Any, Literal
@@ -11,7 +14,7 @@ from handctl.errors import ConfigError
 
 
 class MoveStep(Document):
-    """Step of a plan with a speed."""
+    """Step of a plan that has a speed."""
 
     kind: Literal["move"]
     speed_deg_s: float = Field(gt=0)
@@ -33,7 +36,7 @@ class PlanPart(Document):
 
 
 class PlanDocument(Document):
-    """Document with a field of each kind."""
+    """Document that has a field of each kind."""
 
     name: str
     part: tuple[PlanPart, ...] = ()
@@ -65,7 +68,7 @@ LINE_BY_MISTAKE: dict[str, tuple[dict[str, Any], str]] = {
         {"name": "a", "step": [MOVE_CONTENT, MOVE_CONTENT | {"speed": 3}]},
         "step[1].speed: unknown key; expected speed_deg_s?",
     ),
-    # Regression: the key belongs to another alternative, and the error line suggested this same
+    # Earlier defect: the key belongs to another alternative, and the error line suggested this same
     # key.
     "unknown in this alternative": (
         {"name": "a", "step": [MOVE_CONTENT | {"tension_N": 1.0}]},

@@ -24,7 +24,7 @@ def hand_with_ratings(
     peak: float | None = None,
     strength: float | None = None,
 ) -> Hand:
-    """Return a hand with the same values for all its parts.
+    """Return a hand in which all parts have the same values.
 
     The values are the rating of a joint [N m], the peak torque of a motor [N m] and the strength of
     a tendon [N].
@@ -46,9 +46,11 @@ def hand_with_ratings(
 
 @pytest.mark.parametrize("name", [name for name in packaged_hands() if name.startswith("jamia")])
 def test_check_warns_of_each_jamia_and_accepts_it(name, capsys):
-    """The motors of each jamia make 250 N and more, and 500 N when they run away.
+    """The motors of each jamia hand make 250 N and more.
 
-    The tendon strength of 620 N is less than 1.5 times 500 N.
+    When a drive runs away, the tension is 500 N.
+
+    The tendon strength of 620 N is less than 1.5 times this tension.
     """
     assert main(["config", "check", "--hand", name]) == 0
     warned = [
@@ -92,7 +94,7 @@ def test_joints_without_rating_are_reported_and_weak_ones_by_name():
     strong, weak = (
         hand_with_ratings(hand, rated=2.26),
         hand_with_ratings(hand, rated=2.24),
-    )  # 500 N at 3 mm, times 1.5, make 2.25 N m
+    )  # 500 N at a moment arm of 3 mm, times 1.5, are 2.25 N m
     assert not any(
         "joint_rated" in line or "its rating" in line for line in strength_warnings(strong)
     )

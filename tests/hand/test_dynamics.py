@@ -1,4 +1,4 @@
-"""Compare the equations of motion with pinocchio and MuJoCo, and with laws that any mechanical system obeys."""
+"""Compare the equations of motion with pinocchio and MuJoCo, and with laws that hold for any mechanical system."""
 
 import mujoco
 import numpy as np
@@ -27,14 +27,14 @@ def random_motions(rng, n, samples=SAMPLE_COUNT):
 
 
 def arrays_agree(mine, reference):
-    """Return True if two arrays agree within a tolerance relative to the largest entry."""
+    """Return True if two arrays agree within a tolerance that is relative to the largest entry."""
     return (
         np.abs(np.asarray(mine) - reference).max() <= RELATIVE_TOLERANCE * np.abs(reference).max()
     )
 
 
 def pinocchio_by_hand(digit: DigitModel, gravity) -> pinocchio.Model:
-    """Build a digit in pinocchio as a chain of hinges and prismatic joints, without its URDF."""
+    """Build a digit in pinocchio as a chain of hinges and prismatic joints, without using its URDF."""
     model, parent = pinocchio.Model(), 0
     place = pinocchio.SE3(np.array(digit.mount_rotation), np.array(digit.mount_position))
     for i in range(digit.joint_count):
@@ -191,9 +191,9 @@ def test_gravity_and_springs_are_gradients_of_their_energies(digits, rng):
 
 
 def test_energy_is_conserved(digits):
-    """The energy of undamped digits with springs and weight is conserved.
+    """In digits without damping, but with springs and weight, the energy stays constant.
 
-    A Runge-Kutta method of fourth order integrates their motion.
+    The test integrates their motion with a Runge-Kutta method of fourth order.
     """
     for digit in digits[::3]:
         digit = digit.with_gravity((4.0, -8.0, 3.0))
@@ -268,10 +268,10 @@ def test_lists_tuples_and_arrays_give_equal_results(digits, rng):
 
 
 def test_known_numbers_of_the_paper_s_finger():
-    """The torque of the straight finger's weight at joint 1 and its reduced inertia equal values computed by hand."""
+    """The torque of a straight finger's weight at joint 1 and its reduced inertia equal computed values."""
     digit = DigitModel.from_hand(load_hand("jamia"), "index").with_gravity(
         (0.0, 9.81, 0.0)
-    )  # gravity along the digit's -y
+    )  # gravity along -y of the digit
     m1, m2, m3 = digit.masses
     weight = 9.81 * (m1 * 0.015 + m2 * 0.0375 + m3 * 0.050)
     assert np.isclose(dynamics.gravity_torque(digit, (0.0, 0.0, 0.0))[0], weight, rtol=1e-12)

@@ -1,4 +1,4 @@
-"""Every mistake in a hand file gives one error line with the key, its value and the expected value."""
+"""Every mistake in a hand file gives one error line with the key, the wrong value and the expected value."""
 
 import copy
 import math
@@ -21,7 +21,7 @@ OPTIONAL_KEYS = {"coupling"}
 
 
 def content_leaves(node, path=()):
-    """Yield the path and the value of everything in a hand's content that is not a table or a list."""
+    """Yield the path and the value of each entry in a hand's content that is neither a table nor a list."""
     entries = (
         node.items()
         if isinstance(node, dict)
@@ -60,7 +60,7 @@ def with_value(content, path, value):
 
 
 def key_path_text(content, path):
-    """Return a key path in the spelling of an error message."""
+    """Return a key path as an error message would write it."""
     text, node = "", content
     for key in path:
         node = node[key]
@@ -79,7 +79,10 @@ HANDS_WITH_PLANAR_DIGITS = tuple(name for name in packaged_hands() if name != "o
 
 
 def one_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
-    """Return one of the cases for each key, from any hand and any entry of a list. At night, return all cases."""
+    """Return one of the cases for each key, from any hand and from any entry of a list.
+
+    In a nightly test run, return all cases.
+    """
     by_key = {re.sub(r"^\w+-|\[[^]]*\]", "", str(case.id)): case for case in reversed(cases)}
     return cases if NIGHTLY else list(by_key.values())
 
@@ -187,7 +190,7 @@ def test_random_change_is_read_or_refused_in_one_line():
 
 
 def usable_or_refused(content):
-    """Return True if a hand can be built from a content and used, or if the content is refused with one line."""
+    """Return True if a hand can be built from a content and used, or if one error line refuses it."""
     try:
         hand = hand_from_content(content, "f")
     except ConfigError as error:

@@ -1,6 +1,7 @@
 """Test schema 2 of hand files.
 
-A file with defaults and templates gives the same hand as a file with all values written out.
+A file with defaults and templates gives the same hand as a file in which all values are written
+out.
 """
 
 import copy
@@ -42,7 +43,7 @@ def jamia_content() -> dict[str, Any]:
 
 
 def hand_of_content(content: dict[str, Any]) -> Hand:
-    """Return the hand of a content, and check that the content has no mistakes."""
+    """Build a hand from a content, and check that the content has no mistakes."""
     hand, mistakes = validate_content(content)
     assert not mistakes
     assert hand

@@ -1,6 +1,6 @@
 """Test the JSON Schema that editors read.
 
-The generated schema equals the packaged file, accepts good hand files, and refuses wrong values.
+The generated schema equals the packaged file, accepts valid hand files, and refuses wrong values.
 """
 
 import copy

@@ -1,4 +1,4 @@
-"""Test the descriptions of keys, which are read from the source of their models."""
+"""Test the descriptions of keys, which are read from the source text of their models."""
 
 from typing import ClassVar
 

@@ -1,6 +1,6 @@
-"""Compare the kinematics with finite differences, their inverse, and the library pinocchio.
+"""Compare the kinematics with finite differences, with their inverse, and with the library pinocchio.
 
-The library reads the exported URDF.
+pinocchio reads the exported URDF.
 """
 
 import math
@@ -32,18 +32,18 @@ from tests.hand.random_chains import random_hand
 
 
 def planar_tip(digit, q):
-    """Return the tip's position in the plane of a planar digit, and the direction of its last link."""
+    """Return the position of the tip in the plane of a planar digit, and the direction of its last link."""
     x, y, _ = from_palm_frame(digit, joint_points(digit, q)[-1])
     return x, y, float(np.sum(q))
 
 
 def random_angles(rng, digit, count=100):
-    """Return random joint angles (count, joints) from below the lower to above the upper limits [rad]."""
+    """Return random joint angles (count, joints) [rad], from below the lower limits to above the upper limits."""
     return rng.uniform(-2.5, 2.5, (count, digit.joint_count))
 
 
 def hand_with_general_mounts() -> Hand:
-    """Return a hand whose digits have general orientations, so that no rotation is the identity or a half turn."""
+    """Return a hand whose digits have general orientations: no rotation is the identity or a half turn."""
     content = load_hand("jamia").content
     tilts = ((25.0, -40.0, 70.0), (-160.0, 15.0, 5.0), (90.0, 0.0, 90.0), (10.0, 85.0, -120.0))
     digits = [

@@ -1,4 +1,4 @@
-"""Test meshes of the links and the palm: their files, refused files, their place on the link, and their export.
+"""Test meshes of links and palm: their files, refused files, their place on the link, their export.
 
 Meshes have no effect on the dynamics.
 """
@@ -58,7 +58,7 @@ def test_a_binary_stl_and_an_obj_have_the_same_triangles() -> None:
         tetrahedron_triangles(), abs=1e-9
     )
     assert mesh_triangles(tetrahedron_obj(), ".OBJ") == pytest.approx(tetrahedron_triangles())
-    assert mesh_triangles(tetrahedron_obj(mixed=True), ".obj") == pytest.approx(
+    assert mesh_triangles(tetrahedron_obj(mixed_face_forms=True), ".obj") == pytest.approx(
         tetrahedron_triangles()
     )
 
@@ -124,7 +124,7 @@ def test_a_file_that_is_no_mesh_is_named_with_what_is_right(tmp_path: Path, kind
 
 
 def hand_with_mesh_keys(name: str, **keys: object):
-    """Return a packaged hand whose digits have given keys in place of their meshes."""
+    """Return a packaged hand whose digits have the given keys in place of their meshes."""
     content = hand_without_meshes(name).content
     content["digit"] = [digit | keys for digit in content["digit"]]
     return hand_from_content(content, name)
@@ -286,7 +286,7 @@ def random_angles(hand, rng: np.random.Generator) -> np.ndarray:
 
 
 def exported_models(hand, mesh_folder: Path) -> dict[str, mujoco.MjModel]:
-    """Return MuJoCo models of a hand: those of its exports, and the one that the simulator draws."""
+    """Return MuJoCo models of a hand: the models that its exports contain, and the model that the simulator draws."""
     output = mesh_folder / "out"
     output.mkdir()
     meshes = exported_meshes(hand, mesh_folder, output)
@@ -328,7 +328,7 @@ def test_meshes_have_no_effect_on_the_dynamics(
         "mjcf": mujoco.MjModel.from_xml_string(mjcf_text(bare)),
         "simulator": mujoco.MjModel.from_xml_string(model_text(simulated, load_scene(None))),
     }
-    # The MuJoCo text that a run simulates is the same as without meshes.
+    # The MuJoCo text that a run simulates is the same with and without meshes.
     meshed_plant = model_text(
         simulated_hand(str(mesh_folder / "hand.toml")), load_scene("cylinder")
     )

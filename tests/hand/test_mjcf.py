@@ -1,6 +1,6 @@
 """Test the MJCF export.
 
-MuJoCo reads the exported file, and the result is compared with the hand's model.
+MuJoCo reads the exported file. The result is compared with the model of the hand.
 """
 
 import mujoco

@@ -1,6 +1,6 @@
 """Test moment arms that depend on the joint angle.
 
-The excursion is the integral of the arms R, and mistakes in a hand file are reported.
+The excursion is the integral of the moment arms R, and mistakes in a hand file are reported.
 """
 
 import numpy as np

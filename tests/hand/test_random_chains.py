@@ -1,4 +1,4 @@
-"""Compare spatial chains with pinocchio and MuJoCo, for twenty random hands with gravity in any direction."""
+"""Compare spatial chains with pinocchio and MuJoCo, for twenty random hands with random directions of gravity."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -43,7 +43,10 @@ EXAMPLE_HAND = str(Path(__file__).parents[2] / "examples" / "hands" / "shadow_li
 
 @pytest.fixture(params=[*RANDOM_CHAIN_SEEDS, *MIXED_SEEDS])
 def random_hand_and_digits(request: pytest.FixtureRequest) -> tuple[Hand, tuple[DigitModel, ...]]:
-    """Return a random hand and its digits. A test with this fixture runs once for each random hand."""
+    """Return a random hand and its digits.
+
+    A test that uses this fixture runs once for each random hand.
+    """
     hand = random_hand(request.param)
     return hand, tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names)
 
@@ -91,7 +94,7 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits
                 hand.mount.gravity_m_s2, digit.mount_position
             )
             assert np.isclose(dynamics.potential_energy(digit, q), energy, rtol=1e-9, atol=1e-15)
-            # The kinetic energy of pinocchio 3 contains the armature of some joint types only.
+            # The kinetic energy in pinocchio 3 includes the armature only for some joint types.
             kinetic = pinocchio.computeKineticEnergy(bare, bare_data, q, dq) + 0.5 * np.dot(
                 digit.armature, dq**2
             )
@@ -99,7 +102,7 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits
 
 
 def inverse_by_mujoco(model, q, dq, ddq):
-    """Return the inverse dynamics and mass matrix of a MuJoCo model without its constraints, damping and springs."""
+    """Return inverse dynamics and mass matrix of a MuJoCo model without constraints, damping and springs."""
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     model.dof_damping[:] = model.jnt_stiffness[:] = model.tendon_damping[:] = 0.0
     data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
@@ -112,9 +115,9 @@ def inverse_by_mujoco(model, q, dq, ddq):
 def test_exports_and_the_simulator_s_own_model_are_the_same_hand(
     random_hand_and_digits, rng, tmp_path
 ):
-    """The MJCF export has the dynamics of the hand.
+    """The exported MJCF has the same dynamics as the hand.
 
-    The model that the simulator makes by separate code also has these dynamics.
+    The model that the simulator makes with separate code also has the same dynamics.
     """
     hand, digits = random_hand_and_digits
     path = tmp_path / "random.toml"
@@ -157,12 +160,12 @@ def test_the_urdf_describes_the_same_hand(random_hand_and_digits, rng):
 
 
 def link_position(link: LinkFrame, q: np.ndarray) -> np.ndarray:
-    """Return the position of a link's origin in its parent, from the transforms of the log."""
+    """Return the position of the origin of a link in the frame of its parent, from the transforms in the log."""
     return link_positions(link, q[[max(link.joint, 0)]])[0]
 
 
 def frames_in_log(hand: Hand, q: np.ndarray) -> dict[str, tuple[np.ndarray, tuple[float, ...]]]:
-    """Return position and orientation of each link frame in the palm frame, from the transforms of the log."""
+    """Return the position and the orientation of each link frame in the palm frame, from the transforms in the log."""
     place = {"palm": (np.zeros(3), (0.0, 0.0, 0.0, 1.0))}
     for link in link_frames(hand.to_toml()):
         position, turn = place[link.parent]
@@ -179,9 +182,9 @@ def frames_in_log(hand: Hand, q: np.ndarray) -> dict[str, tuple[np.ndarray, tupl
 
 
 def test_transforms_of_the_log_are_those_of_the_model(random_hand_and_digits, rng):
-    """The transforms of the log are made from the text of the hand file alone.
+    """The transforms in the log are computed only from the text of the hand file.
 
-    Combined along each digit, they equal the transforms of the model.
+    Combined along each digit, they equal the transforms of the hand model.
     """
     hand, digits = random_hand_and_digits
     q = rng.uniform(-2.0, 2.0, len(hand.joints))
@@ -239,7 +242,7 @@ def test_jacobians_and_levers_are_derivatives(random_hand_and_digits, rng):
 def random_hand_tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
     """Return a hand whose digits are a tree.
 
-    A test with this fixture runs once for each random tree, for the packaged one and for the
+    A test that uses this fixture runs once for each random tree, for the packaged tree and for the
     example ``shadow_like``.
     """
     hand = (
@@ -308,9 +311,9 @@ def test_logged_transforms_of_a_tree_equal_the_model(random_hand_tree, rng):
 
 
 def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tree, rng):
-    """The static torque of a digit in the tree equals that of the same digit alone.
+    """The static torque of a digit in the tree equals the static torque of the same digit without the others.
 
-    All digits that carry this digit are at angle zero.
+    In this comparison, all digits that carry the digit are at angle zero.
     """
     hand, whole = random_hand_tree
     for digit in whole.digits:
@@ -324,7 +327,7 @@ def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tr
 
 
 def test_each_number_of_a_table_matters(rng):
-    """If a number of the middle link changes by a thousandth, the torque leaves the tolerance of these tests."""
+    """A change of one number of the middle link by a thousandth exceeds the tolerance of these tests."""
     hand = random_hand(3, 3)
     digit = DigitModel.from_hand(hand, "d0")
     q, dq, ddq = next(iter(random_motions(rng, 3, 1)))

@@ -1,6 +1,6 @@
 """Test the conversion of hand files from schema 1 to schema 2.
 
-The result is the same hand with its comments, and repeated values are written once.
+The conversion gives the same hand and keeps the comments. Repeated values are written once.
 """
 
 import re

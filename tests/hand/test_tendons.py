@@ -104,7 +104,7 @@ def test_known_numbers_of_the_packaged_tendon():
 
 
 def test_work_of_tendons_is_work_of_joints(digits, rng):
-    """The work f . ds of the tendons equals the work tau . dq of the joints. ds is a difference of the excursion."""
+    """The work f . ds of the tendons equals the work tau . dq of the joints. ds is a difference of the excursions."""
     for digit in digits:
         for _ in range(50):
             q, move = rng.normal(size=(2, digit.joint_count))
@@ -173,7 +173,7 @@ def test_reflected_inertia_is_the_rotors_kinetic_energy(hand, digits, rng):
 def test_one_tendon_per_joint_pulls_the_absolute_torques():
     """With one tendon per joint, the moment arms are R = r S.
 
-    Tension times r is then the difference of neighbouring joint torques.
+    The tension times r then equals the difference of the torques at neighbouring joints.
     """
     digit = DigitModel.from_hand(load_hand("jamia11"), "ring")
     tau = np.array([0.33, 0.15, 0.06])

@@ -1,6 +1,6 @@
 """Test the URDF export as a document.
 
-The tests of dynamics and kinematics compare the mechanics of the exported URDF.
+Other tests compare the dynamics and kinematics of the exported URDF.
 """
 
 from xml.etree import ElementTree as ET
@@ -59,7 +59,7 @@ def test_effort_is_what_the_tendons_may_pull(hand):
 
 
 def test_inertias_are_possible(hand):
-    """The principal moments of each link's inertia obey the triangle inequality."""
+    """The principal moments of inertia of each link obey the triangle inequality."""
     for inertia in ET.fromstring(urdf_text(hand)).iter("inertia"):
         x, y, z = (float(inertia.get(axis)) for axis in ("ixx", "iyy", "izz"))
         assert min(x, y, z) > 0.0

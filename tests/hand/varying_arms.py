@@ -18,10 +18,11 @@ def with_varying_arms(
 
     Args:
         name: name of a packaged hand.
-        fraction: largest variation of each moment arm, relative to the arm.
-        kind: "polynomial" for a straight line, "table" for half a period of a sine. "content"
-            returns the content of the hand file, with its constant arms.
-        encoders: whether the hand has its joint encoders.
+        fraction: largest variation of each moment arm, relative to the constant moment arm.
+        kind: "polynomial" for a straight line, and "table" for half a period of a sine. For
+            "content", the function returns the content of the hand file with its constant moment
+            arms.
+        encoders: True if the hand keeps its joint encoders.
     """
     hand = load_hand(name)
     content = json.loads(json.dumps(hand.content))

@@ -20,7 +20,7 @@ TIME_SCALE = 0.5
 def work_folder(tmp_path, monkeypatch):
     """Change to an empty folder.
 
-    The sockets are in a different folder, because their paths must be short.
+    The sockets are in another folder, because their paths must be short.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)

@@ -1,6 +1,6 @@
 """Test camera videos in an exported dataset.
 
-LeRobot's loader reads the videos back. The tests are skipped if LeRobot is not installed.
+LeRobot's loader reads the exported videos. The tests are skipped if LeRobot is not installed.
 """
 
 import json
@@ -31,9 +31,9 @@ LEVEL_PER_S = 40.0
 
 @pytest.fixture(autouse=True)
 def ffmpeg(tmp_path_factory, monkeypatch):
-    """Add the program ffmpeg of the package imageio to PATH.
+    """Add the program ffmpeg from the package imageio to PATH.
 
-    If PATH already has an ffmpeg, that one has priority.
+    If PATH already contains an ffmpeg, this ffmpeg has priority.
     """
     from imageio_ffmpeg import get_ffmpeg_exe
 
@@ -45,7 +45,7 @@ def ffmpeg(tmp_path_factory, monkeypatch):
 def write_video(path, seconds, width=IMAGE_WIDTH_PX):
     """Write a video whose images become brighter with time, and return its path.
 
-    The brightness of an image thus shows the time at which the image was taken.
+    The brightness of an image therefore shows the time at which it was taken.
     """
     import imageio
 
@@ -56,13 +56,13 @@ def write_video(path, seconds, width=IMAGE_WIDTH_PX):
             image = np.full(
                 (IMAGE_HEIGHT_PX, width, 3), 20 + round(LEVEL_PER_S * i / CAMERA_HZ), np.uint8
             )
-            image[:, : width // 2, 0] = 0  # the left half has no red
+            image[:, : width // 2, 0] = 0  # the left half of the image contains no red
             writer.append_data(image)
     return path
 
 
 def tick_times(log):
-    """Return the start and the end of that part of a log that becomes an episode: the active part [s]."""
+    """Return the start and the end [s] of the part of a log that becomes an episode, in which the hand is active."""
     active = log.t_ns[log.mode == int(HandMode.ACTIVE)] / 1e9
     return active[0], active[-1]
 

@@ -1,6 +1,6 @@
-"""Run the tests of this folder with the real LeRobot, in an environment that this test makes.
+"""Run the tests of this folder with the real LeRobot, in an environment that the test creates.
 
-The test runs only at night, because the packages take 6 GB.
+The test runs only in nightly runs, because the packages take 6 GB.
 """
 
 import os
@@ -25,7 +25,7 @@ MIN_PASSED_TESTS = 13
 
 
 def run_pip(lerobot_python: str, *words: str) -> None:
-    """Install packages into an environment, given by the path of its Python."""
+    """Install packages into the environment that has the given Python."""
     command = [
         lerobot_python,
         "-m",

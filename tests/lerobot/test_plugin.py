@@ -73,7 +73,7 @@ def test_a_robot_observes_follows_limits_and_rests_in_pauses(robot_options) -> N
         for _ in range(40):
             robot.send_action(goal)
             time.sleep(0.02 / TIME_SCALE)
-        time.sleep(1.5 / TIME_SCALE)  # a stale stream makes the hand relax
+        time.sleep(1.5 / TIME_SCALE)  # a stream without new targets makes the hand relax
         seen = robot.get_observation()
         assert np.degrees([seen[name] for name in goal]).mean() == pytest.approx(20.0, abs=2.0)
         robot.send_action(goal)
@@ -125,7 +125,7 @@ def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(robot_options, wor
     ran = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
     assert ran.returncode == 0, ran.stderr[-2000:]
     with RunLog(Path("run.mcap")) as log, RunLog(Path("leader.mcap")) as leader:
-        # Warnings are ignored, because a busy machine causes warnings, for example about a late
+        # The test ignores warnings, because a busy machine causes them, for example for a late
         # frame or a late action.
         assert not [
             row.event.text
@@ -133,6 +133,6 @@ def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(robot_options, wor
             if row.event.name == "fault" and row.event.level == "error"
         ]
         goal = np.degrees(np.nanmax(log.field("q_goal")[:, :9]))
-        # The leader closes its fingers on an object. Coupled joints of the follower share one
-        # angle: the nearest one to those of the leader.
+        # In this test, the leader closes its fingers on an object. Coupled joints of the follower
+        # have one common angle: the angle nearest to the angles of these joints in the leader.
         assert 20.0 < goal < np.degrees(leader.field("q").max()) + 1.0

@@ -1,6 +1,6 @@
 """Write logs with a changed header.
 
-Metadata records are replaced, and all other records stay unchanged.
+Metadata records are replaced. All other records stay unchanged.
 """
 
 import struct
@@ -16,13 +16,14 @@ _RECORD_HEAD_STRUCT = struct.Struct("<BQ")
 
 
 def with_metadata(raw: bytes, change: Callable[[str, MetadataEntries], MetadataEntries]) -> bytes:
-    """Return the bytes of a log with changed metadata.
+    """Return the bytes of a log whose metadata were changed.
 
     The checksums over the whole file are left out.
 
     Args:
         raw: bytes of a complete log.
-        change: function that takes the name and the entries of a metadata record and returns the new entries.
+        change: function that takes the name and the entries of a metadata record, and returns the
+            new entries.
     """
     parts = [MCAP_MAGIC]
     for code, body in _split_records(raw):

@@ -24,7 +24,7 @@ def _chunk_record(compression: str, packed: bytes, size: int, crc: int = 0) -> b
 
 
 def _with_chunks(small_log: Path, chunks: bytes) -> bytes:
-    """Return the bytes of a log: the start of a real log, followed by the given chunks."""
+    """Return the bytes of a log that has the start of a real log, and then the given chunks."""
     file, scan = LogFile(small_log), RecordScan()
     scan_records(file, scan)
     file.close()
@@ -40,7 +40,7 @@ def _zeros_zstd(size: int) -> bytes:
 def hostile_files(small_log: Path) -> dict[str, bytes]:
     """Return the name and the bytes of each hostile file.
 
-    Most of these files begin like a real log.
+    Most hostile files begin like a real log.
     """
     message = struct.pack("<BQHIQQ", 5, 22, 3, 0, 0, 0)
     other = struct.pack("<BQHIQQ", 5, 22, 4, 0, 0, 0)

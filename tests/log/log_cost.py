@@ -1,7 +1,7 @@
 """Measure the CPU time that a log costs per tick.
 
-`python tests/log/log_cost.py` prints microseconds per tick on this machine. The program checks no
-limits.
+`python tests/log/log_cost.py` prints microseconds per tick on this machine. The program prints the
+times, but checks no limits.
 """
 
 import tempfile
@@ -36,7 +36,7 @@ def _write_log(path: Path, run: synthetic_run.RunHeader, bodies: list[bytes]) ->
 
 
 def main() -> None:
-    """Measure the time per tick to pack it, write it to a log, pass it through the pipe in lockstep, and read it."""
+    """Measure the time per tick to pack it, to write it, to pass it through the pipe in lockstep, and to read it."""
     for hand, rate_hz in (("jamia", 500), ("jamia11", 1000)):
         run = synthetic_run.synthetic_header(hand, rate_hz)
         ticks = list(synthetic_run.SyntheticTicks(run, 10.0))

@@ -1,4 +1,4 @@
-"""Read logs with packages of other projects, for comparison with the reader of handctl."""
+"""Read logs with packages of other projects, for a comparison with the reader of handctl."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,7 +25,7 @@ class LoggedMessage(NamedTuple):
 def read_messages(path: Path) -> list[LoggedMessage]:
     """Return all messages of a log in the order of their log times.
 
-    Check all checksums of the file.
+    Also check all checksums of the file.
     """
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)

@@ -1,10 +1,10 @@
-"""Synthetic run with a plausible motion of a hand, for tests of the log and for trials of the viewer.
+"""Generated run in which a hand moves plausibly, for tests of the log and for trials of the viewer.
 
 Command: `python tests/log/synthetic_run.py OUT.mcap [--hand jamia|jamia11] [--seconds 10] [--rate 500]`.
 
 Three fingers and the thumb tighten, close, touch an object one after the other, hold it at a rising
-tension, release and open. The run contains a drive that warms up, a bus error, a change of a gain,
-and a late frame.
+tension, release and open. The run contains a drive that becomes warm, a bus error, a change of a
+gain, and a late frame.
 """
 
 import argparse
@@ -69,7 +69,7 @@ def _phase_at(fraction: float) -> str:
 
 
 class SyntheticTicks:
-    """The ticks of a synthetic run. Equal seeds give equal ticks."""
+    """The ticks of a generated run. Equal seeds give equal ticks."""
 
     def __init__(self, run: RunHeader, seconds: float, seed: int = 0) -> None:
         self.run, self.ticks = run, round(seconds * 1e9 / run.period_ns)
@@ -116,7 +116,7 @@ class SyntheticTicks:
             )
 
     def _closing(self, fraction: float) -> float:
-        """Return the degree to which the hand is closed, from 0 to 1, at a fraction of the run."""
+        """Return how far the hand is closed at a fraction of the run, from 0 to 1."""
         up = float(np.clip((fraction - 0.08) / 0.32, 0, 1))
         down = float(np.clip((fraction - 0.85) / 0.13, 0, 1))
         return (up * up * (3 - 2 * up)) * (1 - down * down * (3 - 2 * down))
@@ -186,7 +186,7 @@ class SyntheticTicks:
 def write_synthetic_run(
     path: Path, run: RunHeader, seconds: float, seed: int = 0
 ) -> dict[str, object]:
-    """Record a synthetic run with a real recorder, and return the recorder's summary."""
+    """Record a generated run with a real recorder, and return the summary of the recorder."""
     recorder = Recorder.start(path, run)
     for tick_in, out in SyntheticTicks(run, seconds, seed):
         recorder.send_record(pack_tick_record(tick_in, out))

@@ -1,7 +1,7 @@
 """Test meshes in a log.
 
-A log contains the meshes up to a maximum size. A reader finds these meshes without the hand file.
-Missing meshes are named.
+A log contains the meshes up to a maximum total size. A reader finds these meshes without the hand
+file. Missing meshes are named.
 """
 
 from pathlib import Path

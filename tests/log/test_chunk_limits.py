@@ -1,4 +1,4 @@
-"""Test the limits on the work that a single chunk of a log can cause for a reader."""
+"""Test the limits on the work that a reader must do for a single chunk of a log."""
 
 import struct
 
@@ -18,7 +18,7 @@ def message_record(number: int) -> bytes:
 def test_a_chunk_may_define_so_many_channels_however_large_it_is() -> None:
     """The limit does not depend on the size of the chunk.
 
-    Regression: `log check` took more than a second for a million channels.
+    Earlier defect: `log check` took more than a second for a chunk with a million channels.
     """
     plenty = 1 << 30
     allowed = channel_record(7) * 2 * MAX_CHANNELS + message_record(7)

@@ -74,9 +74,9 @@ def test_csv_reads_back_bit_for_bit(golden_log: RunLog, tmp_path: Path) -> None:
 
 
 def test_units_are_those_that_the_telemetry_declares() -> None:
-    """The units equal those in `Telemetry`.
+    """The units in the exported files equal those in `Telemetry`.
 
-    The docstring of each field there ends with the unit in brackets, if it has a unit.
+    There, the docstring of each field that has a unit ends with the unit in brackets.
     """
     source = ast.parse(inspect.getsource(tick_types))
     (telemetry,) = (
@@ -147,7 +147,8 @@ def test_time_stamps_of_the_candump_rise(
 ) -> None:
     """On a local bus, a frame gets its time stamp at the moment when it is read.
 
-    This moment may be after the start of the tick, whose own frames come next in the file.
+    This moment may be after the start of the tick. The frames that the tick sends come next in the
+    file.
     """
     path = tmp_path / "x.log"
     ticks = [tick for tick, _ in zip(golden_log.ticks(), range(500), strict=False)]

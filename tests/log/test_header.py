@@ -1,6 +1,6 @@
-"""Test logs of unknown origin, whose headers may contain wrong values.
+"""Test logs from an unknown source, whose headers may contain wrong values.
 
-Every command checks the type and range of each header value with which it computes.
+Every command checks the type and the range of each header value that it uses in a computation.
 """
 
 import json

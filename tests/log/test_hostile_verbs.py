@@ -1,4 +1,4 @@
-"""For a hostile log file, every command ends with one clear line.
+"""If a log file is hostile, every command ends with one clear line.
 
 The command takes at most a second and 256 MiB.
 """

@@ -1,6 +1,6 @@
-"""The reader returns exactly the recorded values of a log.
+"""The reader returns exactly the values that were recorded in a log.
 
-For a bad log it raises a LogError, after a short time and with little memory.
+For a damaged log, it raises a LogError, after a short time and with little memory.
 """
 
 import contextlib
@@ -70,7 +70,9 @@ def test_every_field_comes_back_bit_for_bit(
 def test_a_log_without_the_latest_fields_is_read(
     varied_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A log of an older version may lack a field. For example, logs of version 0.1 lack q_sigma.
+    """A log of an older version may not have every field.
+
+    For example, logs of version 0.1 do not have q_sigma.
 
     All values of a missing field are NaN.
     """

@@ -1,6 +1,6 @@
-"""The record of a tick passes unchanged through the pipe to the recorder.
+"""The record of a tick passes through the pipe to the recorder without a change.
 
-Bytes that are no such record are refused.
+Bytes that are not such a record are refused.
 """
 
 import contextlib

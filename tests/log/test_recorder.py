@@ -1,4 +1,4 @@
-"""The recorder survives the end of the controller, never delays the controller, and reports failed writes."""
+"""The recorder continues when the controller ends, never delays the controller, and reports writes that have failed."""
 
 import os
 import random
@@ -39,7 +39,7 @@ def start_recorder(
 ) -> Iterator[Callable[..., Recorder]]:
     """Yield a function that starts a recorder.
 
-    The pipe of the recorder has the largest size for a user without privileges.
+    The pipe of this recorder has the largest size for a user without special rights.
 
     After the test, end all recorders.
     """
@@ -80,7 +80,7 @@ def _is_finished(path: Path) -> bool:
 def test_a_recorder_that_does_not_start_in_time_is_named(
     start_recorder: Callable[..., Recorder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The error names the time for which the start was awaited, and advises a computer with less load."""
+    """The error has the time for which the command waited, and recommends a computer with less load."""
     python = tmp_path / "python"
     python.write_text("#!/bin/sh\nexec sleep 10\n")
     python.chmod(0o755)
@@ -208,7 +208,7 @@ def test_a_stalled_recorder_never_holds_up_the_controller(
 def test_a_deterministic_run_has_no_event_of_the_time_that_its_recorder_takes(
     start_recorder: Callable[..., Recorder],
 ) -> None:
-    # A deterministic run waits while the pipe is full, and loses no tick. An event about the wait
+    # If the pipe is full, a deterministic run waits, and loses no tick. An event about this wait
     # would make two equal runs differ.
     recorder = start_recorder(deterministic=True)
     os.kill(recorder._child.pid, signal.SIGSTOP)
@@ -319,9 +319,9 @@ Some chunks of a run fit into a file of this size, but not all chunks.
 """
 
 
-def _readable_prefix(path: Path, fed: int) -> None:
+def _readable_prefix(path: Path, log_size: int) -> None:
     with RunLog(path) as log:
-        assert 0 < len(log) < fed
+        assert 0 < len(log) < log_size
         assert log.k.tolist() == list(range(len(log)))
         assert len(list(log.ticks())) == len(log)
 
@@ -460,9 +460,9 @@ def test_recording_a_tick_is_fast(start_recorder: Callable[..., Recorder]) -> No
 def test_the_recorder_needs_no_compiler(tmp_path: Path) -> None:
     """The recorder imports no compiler.
 
-    The import would delay every run, because a run waits for its recorder.
+    The import would delay every run, because a run waits until its recorder is ready.
 
-    Regression: the recorder imported numba, llvmlite and scipy to check a single text.
+    Earlier defect: the recorder imported numba, llvmlite and scipy in order to check a single text.
     """
     run = varied_run.varied_header()
     path = tmp_path / "run.mcap"

@@ -1,4 +1,4 @@
-"""If a log ends early at any byte, exactly its complete chunks are recovered."""
+"""If a log ends at any byte before its end, exactly its complete chunks are recovered."""
 
 import random
 from collections.abc import Iterable
@@ -22,9 +22,9 @@ SAMPLE_COUNT = 500
 def smallest_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write a complete log of at most 68 KiB, and return its path.
 
-    Tests cut this log at every byte.
+    The tests cut this log at every byte.
 
-    The log has eight chunks. It has no URDF, so that it is small.
+    The log has eight chunks. The log has no URDF, so that the log is small.
     """
     path = tmp_path_factory.mktemp("log") / "least.mcap"
     attachments = {

@@ -1,4 +1,7 @@
-"""Test the syncer, which transfers a file to the disk. The log writer does not wait for this."""
+"""Test the syncer, which writes the content of a file to the disk.
+
+The log writer does not wait until this is done.
+"""
 
 import os
 import select

@@ -1,6 +1,7 @@
-"""The topics of a log are complete, and independent of the borders of chunks.
+"""The topics of a log are complete, and do not depend on the borders of the chunks.
 
-Sequence numbers join the topics, and other tools can read them.
+Messages of different topics can be joined by their sequence numbers, and other tools can read the
+topics.
 """
 
 import json
@@ -38,9 +39,9 @@ def _write_log(
     flush_at: frozenset[int] = frozenset(),
     events: tuple[str, ...] = (),
 ) -> Path:
-    """Write a log in this process, with additional chunk borders at ``flush_at``.
+    """Write a log in this process, with additional borders between chunks at ``flush_at``.
 
-    Check the reports of the writer.
+    Also check the reports of the writer.
     """
     path.unlink(missing_ok=True)
     problems: list[str] = []
@@ -239,7 +240,8 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
         ),
         3: (
             target_request_text(StreamTarget("s", 2**63 - 1, 0, ())),
-            target_request_text(StreamTarget("s", 2**70, 0, ())),  # refused, so it has no message
+            # the target was refused, so it has no message
+            target_request_text(StreamTarget("s", 2**70, 0, ())),
             '{"do": "target", nonsense',
             '{"do": "stop"}',
         ),

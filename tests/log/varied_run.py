@@ -1,4 +1,4 @@
-"""A short synthetic run with every kind of content that a log can have."""
+"""A short generated run with every kind of content that a log can have."""
 
 from collections.abc import Iterator
 from dataclasses import replace

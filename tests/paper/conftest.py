@@ -1,6 +1,6 @@
 """Invented results of experiments.
 
-Tests of pages and figures use these results in place of the simulator.
+In tests of pages and figures, these results take the place of simulated results.
 """
 
 from pathlib import Path
@@ -17,7 +17,7 @@ from handctl.paper.figures.gallery import draw_all_figures
 
 @pytest.fixture(scope="session")
 def measured() -> dict[str, Any]:
-    """Return invented results: two tendons with noise, and a load case for each diameter and axis."""
+    """Return generated results: two tendons with noise, and one test of a load for each diameter and axis."""
     chance = np.random.default_rng(11)
     ropes = []
     for knee in map(float, src.KNEE_TENSIONS_N):
@@ -38,7 +38,7 @@ def measured() -> dict[str, Any]:
 
 
 def case(diameter: float, axis: str, k: int) -> dict[str, Any]:
-    """Return a load case in which the load grows to 20 N, and the object slips at 8 to 14 N."""
+    """Return the results of a test in which the load grows to 20 N, and the object slips at 8 to 14 N."""
     load = 8.0 + 3.0 * k
     moved = np.interp(np.linspace(0.0, 20.0, 200), [0.0, load, 20.0], [0.0, 0.3, 6.0])
     names = src.paper_hand().digit_names

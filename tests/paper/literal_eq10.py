@@ -1,7 +1,7 @@
 """A pytest plugin that puts Eq. 10 of the paper into the dynamics of handctl, either with its misprints or corrected.
 
 ``test_literal.py`` runs the tests of the model with this plugin. The environment variable
-HANDCTL_EQ10 selects the version of the equation.
+HANDCTL_EQ10 selects either version of the equation.
 """
 
 import os

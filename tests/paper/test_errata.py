@@ -1,4 +1,4 @@
-"""Test the errata of the paper against equations that sympy derives and numbers from separate arithmetic.
+"""Compare the errata of the paper with equations that sympy derives, and with numbers from separate arithmetic.
 
 No known misprint is missing.
 """
@@ -44,7 +44,7 @@ def derived_energies() -> tuple[list[sp.Expr], sp.Expr]:
 
 
 def in_symbols(expression: sp.Expr) -> sp.Expr:
-    """Return an expression in which the names of the formulas replace functions of time."""
+    """Return an expression in which the names in the formulas replace functions of time."""
     for order in (2, 1, 0):
         expression = expression.subs(
             {
@@ -78,7 +78,7 @@ def test_corrected_torques_follow_from_the_lagrangian(i: int) -> None:
 
 
 def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
-    """With m3 = I3 = 0 the equations describe two links, like those of the thumb of this project."""
+    """With m3 = I3 = 0, the equations describe two links, like the links of the thumb in this project."""
     thumb = DigitModel.from_hand(src.paper_hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
     chance = np.random.default_rng(3)
     states = {
@@ -225,7 +225,7 @@ def test_a_printed_number_of_the_abstract_is_judged_once(printed: str) -> None:
 def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> None:
     """The expected value is tau_1 = g sum(m x), without dynamics code.
 
-    x is the distance of each centre of mass from joint 1.
+    Here x is the distance of each centre of mass from joint 1.
     """
     digit = motion.upright_digit("index")
     base = np.concatenate(([0.0], np.cumsum(digit.lengths)[:-1]))
@@ -235,7 +235,7 @@ def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> 
 
 
 def test_numbers_of_the_paper_are_judged_without_springs() -> None:
-    """The paper's hand has no springs, so its numbers are compared with the torque of the links alone."""
+    """The hand in the paper has no springs, so its numbers are compared with the torque of the links alone."""
     fast = motion.closing_torques("index", motion.CLOSING_DURATIONS_S[-1])
     links = sum(fast.torque_by_cause[part] for part in ("inertia", "Coriolis", "gravity"))
     found = {item.id: item for item in sections.page_items(None)}

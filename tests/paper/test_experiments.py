@@ -1,4 +1,4 @@
-"""Test the experiments of the paper on the simulated hand, and the evaluation of recorded experiments."""
+"""Test the experiments of the paper with the simulated hand, and the evaluation of recorded experiments."""
 
 import json
 import math
@@ -47,9 +47,9 @@ def test_a_blocked_finger_shows_the_knee_of_its_tendon(tmp_path: Path) -> None:
 
 
 def falling_object_truth(speed: float, after: float) -> TruthRecord:
-    """Return a truth record with one row per ms.
+    """Return a truth record with one row per millisecond.
 
-    The object rests until ``after`` and then falls at ``speed`` [m/s].
+    In this record, the object rests until ``after``, and then falls at ``speed`` [m/s].
     """
     t = np.arange(4000)
     z = -speed * np.maximum(0.0, t / 1000.0 - after)

@@ -1,4 +1,4 @@
-"""Test formulas that are written as text: value, physical dimension and typesetting of each formula."""
+"""Test formulas that are written as text: the value, the physical dimension and the typesetting of each formula."""
 
 import numpy as np
 import pytest

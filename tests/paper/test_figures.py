@@ -1,6 +1,6 @@
 """Test the figures about the paper.
 
-No figure is empty, the axes have names, and the printed values are marked.
+No figure is empty, the axes have names, and the numbers printed in the paper are marked.
 """
 
 import re
@@ -38,7 +38,10 @@ def test_pictures_have_content_and_full_resolution(figures_folder: Path, name: s
 
 @pytest.mark.parametrize("name", list(page.FIGURE_CAPTIONS))
 def test_nothing_is_drawn_outside_of_the_picture(figures_folder: Path, name: str) -> None:
-    """The border of a picture has no dark pixels. A text that is cut off would touch the border."""
+    """The border of a picture has no dark pixels.
+
+    A text that is cut off would touch the border of the picture.
+    """
     picture = imread(figures_folder / f"paper-{name}.png")[..., :3]
     frame = np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]])
     assert frame.min() > 0.99
@@ -53,7 +56,7 @@ def test_svg_is_the_same_each_time_and_names_no_place(figures_folder: Path, name
 
 
 def test_units_and_printed_values_are_in_the_figures(figures_folder: Path) -> None:
-    """The comments of an SVG contain the texts, because matplotlib draws the texts as paths."""
+    """The test reads the texts from the comments of the SVG, because matplotlib draws the texts as paths."""
     wanted = {
         "fig2-model": ["X [mm]", "L₁ = 30 mm", "L₃ = 10 mm", "palm"],
         "fig3-path": ["X [mm]", "Y [mm]", "55 mm"],

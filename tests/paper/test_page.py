@@ -24,7 +24,7 @@ RESULTS_FILE = REPOSITORY_ROOT / "docs" / "evidence" / "paper-results.json"
 
 
 def test_the_page_in_the_repository_is_the_generator_s(capsys: pytest.CaptureFixture[str]) -> None:
-    """Every line of the page equals the generated page, including lines with measured values.
+    """Every line of the page equals the line of the generated page, including lines with measured values.
 
     If this test fails, run the command that the page states.
     """

@@ -1,4 +1,4 @@
-"""The decimal places of a printed number and the exact value determine the verdict on the printed number."""
+"""The verdict on a printed number follows from its decimal places and from the exact value."""
 
 from decimal import ROUND_DOWN, ROUND_HALF_EVEN, Decimal
 from fractions import Fraction

@@ -17,7 +17,7 @@ def golden_folder() -> Path:
 
 @pytest.fixture(scope="session")
 def fresh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Record a grasp with a fault, a bus event and requests on this machine, and return the path of the log."""
+    """Record a grasp with a fault, a bus event and requests on this machine, and return the path of its log."""
     import short_runs
 
     from handctl.core.tick_types import IoEvent
@@ -28,6 +28,6 @@ def fresh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     log = folder / "fresh.mcap"
     task, spoil = short_runs.short_task(folder), short_runs.peer_with_silent_index
     short_runs.record_lockstep_run(
-        log, task, rate_hz=200.0, spoil=spoil, io_events=io_events, requests=requests
+        log, task, rate_hz=200.0, wrap_simulator=spoil, io_events=io_events, requests=requests
     )
     return log

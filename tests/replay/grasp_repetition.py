@@ -1,4 +1,4 @@
-"""Compare a grasp and its repetition on a hand, from the logs of both."""
+"""Compare a grasp with its repetition by a hand, using the logs of both."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ SETTLED_S = 0.4
 
 
 def mean_angle_differences(before: RunLog, after: RunLog) -> NDArray[np.float64]:
-    """Return by how much the mean joint angle of each digit differs between the runs (times, digits) [deg]."""
+    """Return the difference of the mean joint angle of each digit between the two runs (times, digits) [deg]."""
     start, end = active_interval(before)
     times = np.arange(0.0, end - start, 0.005)
     hand = load_hand(before.header.metadata["hand"])
@@ -26,7 +26,7 @@ def mean_angle_differences(before: RunLog, after: RunLog) -> NDArray[np.float64]
 
 
 def tensions_held(before: RunLog, after: RunLog) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mean tensions of both runs, each (tendons,), while the grasp is at rest [N]."""
+    """Return the mean tensions of both runs, (tendons,) each, while the grasp is at rest [N]."""
     starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
     start, _ = active_interval(before)
     at_rest = starts["hold"] + SETTLED_S - start, starts["release"] - start
@@ -36,10 +36,12 @@ def tensions_held(before: RunLog, after: RunLog) -> tuple[NDArray[np.float64], N
 
 
 def start_of_repetition_s(log: RunLog) -> float:
-    """Return the time at which the repetition of the recorded motion starts, in the log of the repetition [s]."""
+    """Return the time in the log of the repetition at which the recorded motion starts [s]."""
     return next(change.t_ns * 1e-9 for change in log.phases if change.name == "playback")
 
 
-def _mean_tension(log: RunLog, start_s: float, from_s: float, end_s: float) -> NDArray[np.float64]:
-    at = (log.times >= start_s + from_s) & (log.times <= start_s + end_s)
+def _mean_tension(
+    log: RunLog, start_s: float, offset_s: float, end_s: float
+) -> NDArray[np.float64]:
+    at = (log.times >= start_s + offset_s) & (log.times <= start_s + end_s)
     return np.asarray(log.field("tension")[at].mean(axis=0), np.float64)

@@ -75,10 +75,10 @@ sink_speed_m_s = 0.2
 class PeerWithLostReplies:
     """Wrapper of a lockstep simulator.
 
-    From a given time on, it loses the replies with one identifier.
+    From a given time on, the wrapper drops the replies with one identifier.
 
     Attributes:
-        peer: wrapped simulator, which sends all replies.
+        peer: the wrapped simulator, which sends all replies.
         can_id: identifier of the lost replies.
         since_ns: start of the loss [ns].
     """
@@ -88,7 +88,7 @@ class PeerWithLostReplies:
     since_ns: int
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Step the wrapped simulator, and return those of its replies that are not lost."""
+        """Step the wrapped simulator, and return its replies without the dropped ones."""
         replies = self.peer.step(t_ns, frames)
         return [
             reply
@@ -102,7 +102,7 @@ class PeerWithLostReplies:
 
 
 def short_task(folder: Path) -> TaskProgram:
-    """Return the program of a short grasp, and write its task file into a folder."""
+    """Return the program of a short grasp. The task file is written into a folder."""
     path = folder / "task.toml"
     path.write_text(SHORT_GRASP_TASK)
     return TaskProgram(load_task(path))
@@ -116,7 +116,7 @@ def record_lockstep_run(
     rate_hz: float = 250.0,
     friction: float = 0.5,
     seed: int = 0,
-    spoil: Callable[[LockstepSimulator], LockstepSimulator] = lambda peer: peer,
+    wrap_simulator: Callable[[LockstepSimulator], LockstepSimulator] = lambda peer: peer,
     io_events: dict[int, tuple[IoEvent, ...]] | None = None,
     requests: dict[int, tuple[str, ...]] | None = None,
     truth: Path | None = None,
@@ -128,9 +128,10 @@ def record_lockstep_run(
         program: the program to run.
         hand, rate_hz, seed: name of the hand, control rate [Hz], and seed of the simulator.
         friction: friction coefficient of the cylinder.
-        spoil: function that wraps the simulator, for example to lose some replies.
-        io_events, requests: events of buses and host, and requests, by the number of their tick.
-        truth: path of the truth file, or None to write no truth file.
+        wrap_simulator: function that wraps the simulator, for example to drop some replies.
+        io_events, requests: events of buses and host, and requests, by the number of the tick in
+            which they arrive.
+        truth: path of the truth file. The value is None to write no truth file.
     """
     described = load_hand(hand)
     plan = RunPlan(described, Gains(), rate_hz, ())
@@ -147,7 +148,7 @@ def record_lockstep_run(
         peer = load_simulator(
             "firmware_sim.lockstep_hand:LockstepHand", **options, period_ns=plan.period_ns
         )
-    clock = LockstepClock(spoil(peer), plan.period_ns)
+    clock = LockstepClock(wrap_simulator(peer), plan.period_ns)
     controller = make_controller(described, plan.gains, rate_hz, program, None, arm_at_once=True)
     header = run_header(plan, controller, None, lockstep=True)
     attachments = {
@@ -180,7 +181,7 @@ def record_lockstep_run(
 def peer_with_silent_index(peer: LockstepSimulator) -> LockstepSimulator:
     """Wrap a simulator.
 
-    From 2.2 s on, which is during the hold phase, the replies of its index motor are lost.
+    From 2.2 s on, which is in the hold phase, the replies of the index motor are dropped.
     """
     return PeerWithLostReplies(peer, 0x11, 2_200_000_000)
 
@@ -199,7 +200,7 @@ def write_golden_logs(folder: Path) -> None:
         folder / "jamia-fault.mcap",
         task,
         rate_hz=200.0,
-        spoil=peer_with_silent_index,
+        wrap_simulator=peer_with_silent_index,
         io_events=events,
     )
     record_lockstep_run(folder / "jamia11-grasp.mcap", task, hand="jamia11", rate_hz=200.0)

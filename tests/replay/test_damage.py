@@ -1,6 +1,6 @@
-"""A changed byte in a log is reported, with the first tick that it affects.
+"""If a byte in a log has changed, this is reported, with the first tick that contains a wrong byte.
 
-This holds even if all checksums were adjusted.
+This also works if all checksums were adjusted.
 """
 
 import json
@@ -36,7 +36,7 @@ def _scan_chunks(path: Path) -> tuple[LogFile, RecordScan]:
 def _change_message(path: Path, topic: str, k: int, at: int, fitting: bool) -> None:
     """Change a byte in the message of tick k.
 
-    If `fitting` is True, also adjust all checksums, as a forger would.
+    If `fitting` is True, also adjust all checksums, as somebody would do who forges a log.
     """
     file, scan = _scan_chunks(path)
     names = {
@@ -58,18 +58,18 @@ def _change_message(path: Path, topic: str, k: int, at: int, fitting: bool) -> N
 
 
 def _put_chunk(
-    path: Path, scan: RecordScan, chunk: ChunkLocation, bent: bytes, fitting: bool
+    path: Path, scan: RecordScan, chunk: ChunkLocation, new_content: bytes, fitting: bool
 ) -> None:
     """Write a log in which one chunk has other bytes.
 
     The file then ends before its last checksum.
     """
     raw = path.read_bytes()
-    packed = lz4.frame.compress(bent)
+    packed = lz4.frame.compress(new_content)
     head = bytearray(raw[chunk.offset : chunk.data_offset])
     head[1:9] = (len(head) - 9 + len(packed)).to_bytes(8, "little")
     if fitting:
-        head[33:37] = zlib.crc32(bent).to_bytes(4, "little")
+        head[33:37] = zlib.crc32(new_content).to_bytes(4, "little")
     head[-8:] = len(packed).to_bytes(8, "little")
     path.write_bytes(raw[: chunk.offset] + bytes(head) + packed + raw[chunk.end : scan.end])
 

@@ -1,6 +1,6 @@
-"""Test episodes of a LeRobot dataset as programs.
+"""Test programs that are made from episodes of a LeRobot dataset.
 
-A hand follows an episode in lockstep. An episode that does not fit the hand is refused.
+A hand follows an episode in lockstep. An episode that does not suit the hand is refused.
 """
 
 import json
@@ -64,7 +64,10 @@ def change_action(exported_dataset: Path, frame: int, joint: int, value: float) 
 
 
 def sine_dataset(exported_dataset: Path) -> np.ndarray:
-    """Replace the actions of the first episode by a smooth motion, and return its angles (frames, J) [rad]."""
+    """Replace the actions of the first episode by a smooth motion.
+
+    Return the angles of this motion (frames, J) [rad].
+    """
     path = exported_dataset / "data" / "chunk-000" / "file-000.parquet"
     table = pq.read_table(path)
     rows = np.array(table["action"].to_pylist())
@@ -93,7 +96,7 @@ def test_the_curve_passes_through_the_actions(exported_dataset: Path) -> None:
     slope = np.diff(recording.q, axis=0) / PERIOD_S
     np.testing.assert_allclose(
         slope[:-10], recording.dq[1:-10], atol=0.3
-    )  # near its end the motion stops
+    )  # near its end, the motion stops
 
 
 def test_a_hand_follows_an_episode_in_lockstep(exported_dataset: Path) -> None:

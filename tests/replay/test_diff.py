@@ -38,8 +38,8 @@ def test_a_lost_object_is_seen_in_the_hold_phase(golden_folder: Path) -> None:
         RunLog(golden_folder / "jamia-lost.mcap") as b,
     ):
         compared = compare_logs(a, b, "b")
-    # The tension of a digit in contact determines its joint angles. One newton changes these angles
-    # by some degrees.
+    # While a digit is in contact, its tension determines its joint angles. A difference of one
+    # newton changes these angles by some degrees.
     assert compared["phases"]["preshape"]["joint_deg"]["index_j1"]["peak"] < 5.0
     assert compared["phases"]["hold"]["joint_deg"]["index_j1"]["peak"] > 20.0
 
@@ -99,9 +99,9 @@ def test_unknown_values_have_no_difference_and_no_delay() -> None:
 
 
 def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
-    """The signal of a joint at rest is noise in both runs.
+    """If a joint is at rest, its signal is only noise in both runs.
 
-    Some shift in time always fits the noise best, but this shift is no delay.
+    Some time shift always fits this noise best, but it is no delay.
     """
     noise = np.random.default_rng(3).normal(scale=0.02, size=(2, 400))
     wave = np.sin(np.linspace(0.0, 9.0, 420))
@@ -118,7 +118,7 @@ def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
 def test_unknown_differences_are_not_printed() -> None:
     """In a phase of one or two ticks, the differences are NaN and are not printed.
 
-    If a run is ahead of the other one, its delay is not printed as "-10 ms behind".
+    If the second run is ahead of the first, the delay is not printed as "-10 ms behind".
     """
     unknown = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
     ahead = {"rms": 0.5, "peak": 1.0, "delay_s": -0.01}

@@ -1,4 +1,4 @@
-"""Test the replay of a recorded grasp on a simulated hand."""
+"""Test the repetition of a recorded grasp with a simulated hand."""
 
 from pathlib import Path
 

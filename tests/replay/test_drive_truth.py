@@ -1,9 +1,9 @@
-"""Test the replay of a recorded grasp with true values.
+"""Test the repetition of a recorded grasp, using true values.
 
 The truth files of the simulator contain the angles, tensions and forces of both runs.
 
-Both runs are in lockstep, so the tests always see the same numbers. The second run has another rate
-and other noise.
+Both runs are in lockstep, so the tests get the same numbers every time. The second run has another
+control rate and other sensor noise.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ DIGITS = ("index", "middle", "ring", "thumb")
 
 @dataclass(frozen=True)
 class RunAndRepeat:
-    """A run and its repetition: the logs of both, and the true values of both over the same interval."""
+    """A run and its repetition: the logs of both, and the true values of both in the same interval."""
 
     folder: Path
     raw: bool
@@ -39,7 +39,7 @@ class RunAndRepeat:
         return self.folder / f"again-{self.raw}.mcap"
 
     def truths(self, *names: str) -> tuple[Array, Array, Array]:
-        """Return times since the start of the interval [s], and named true values of both runs (times, names)."""
+        """Return times since the start of the interval [s], and true values of both runs (times, names)."""
         with RunLog(self.folder / "first.mcap") as before, RunLog(self.repeat) as after:
             recorded_start, end = active_interval(before)
             start = next(change.t_ns for change in after.phases if change.name == "playback")
@@ -65,7 +65,7 @@ class RunAndRepeat:
         return starts["hold"] + SETTLED_S - start, starts["release"] - start
 
     def mean_at_rest(self, *names: str) -> tuple[Array, Array]:
-        """Return the means of the named columns (names,) of both runs while the grasp is at rest."""
+        """Return, for both runs, the means of the named columns (names,) while the grasp is at rest."""
         times, before, after = self.truths(*names)
         start, end = self.at_rest()
         inside = (times >= start) & (times <= end)
@@ -74,7 +74,7 @@ class RunAndRepeat:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Record the first run, and return the folder of its log and truth."""
+    """Record the first run, and return the folder that contains its log and its truth file."""
     made = tmp_path_factory.mktemp("pair")
     short_runs.record_lockstep_run(
         made / "first.mcap", short_runs.short_task(made), rate_hz=200.0, truth=made / "first.truth"
@@ -102,12 +102,12 @@ def run_and_repeat(folder: Path, request: pytest.FixtureRequest) -> RunAndRepeat
 
 
 def test_second_replay_gives_the_same_log(run_and_repeat: RunAndRepeat) -> None:
-    """If a replay repeats only tensions, no angle of a moving digit is controlled.
+    """If a replay repeats only the tensions, no control loop corrects the angle of a moving digit.
 
-    Half a newton then turns the digit against its springs by six degrees.
+    An error of half a newton then turns the digit against its springs by six degrees.
 
-    At the first contact of a digit, one newton changes the estimated angles of its joints by two
-    further degrees.
+    When a digit makes its first contact, one newton changes the estimated angles of its joints by
+    two more degrees.
     """
     compared = run_and_repeat.compare_replay()
     worst = (
@@ -127,10 +127,10 @@ def test_second_replay_gives_the_same_log(run_and_repeat: RunAndRepeat) -> None:
 
 @pytest.mark.parametrize("digit", DIGITS)
 def test_second_replay_gives_the_same_truth(run_and_repeat: RunAndRepeat, digit: str) -> None:
-    """The mean joint angle of each digit is compared.
+    """The test compares the mean joint angle of each digit.
 
-    Single joints are not compared, because contact and friction determine how a tendon's motion is
-    divided among the joints.
+    The test does not compare single joints, because contact and friction determine how the motion
+    of a tendon is divided among the joints.
     """
     joints = [f"q/{digit}_j{n}" for n in range(1, 3 if digit == "thumb" else 4)]
     _, before, after = run_and_repeat.truths(*joints)

@@ -1,7 +1,7 @@
-"""Test the execution of a log's ticks.
+"""Test the execution of the ticks in a log.
 
-An unchanged log gives results that are equal to the last bit. After a change, the first affected
-tick is found.
+An unchanged log gives results that are equal to the last bit. If something has changed, the first
+tick with a difference is found.
 """
 
 import math
@@ -76,9 +76,9 @@ def test_golden_logs_decide_the_same_within_1e_9(golden_folder: Path, name: str)
 
 
 def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh_log: Path) -> None:
-    """The changed gain is the integral gain of the tension loop.
+    """The gain that is changed here is the integral gain of the tension loop.
 
-    This gain has an effect from the first tick of the tightening on.
+    This gain has an effect from the first tick in which the tendons are tightened.
     """
     with RunLog(fresh_log) as log:
         gains = logged_gains(log)

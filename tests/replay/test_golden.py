@@ -1,6 +1,9 @@
-"""Re-execute all golden logs. A change of the code for other hands changes no bit of their telemetry.
+"""Re-execute all golden logs.
 
-Regression: a sum of products in another order changed the last bits of ``q_sigma`` in jamia11-grasp.
+Code that was changed for other hands changes no bit in the telemetry of these hands.
+
+Earlier defect: a sum of products was computed in another order, which changed the last bits of
+``q_sigma`` in jamia11-grasp.
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
 """A log contains the gains that were set during its run, and the identified parameters.
 
-Re-execution of such a log therefore agrees to the last bit.
+A re-execution of such a log therefore gives the same results to the last bit.
 """
 
 from pathlib import Path
@@ -52,7 +52,8 @@ def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
 def identified_calibration(hand: Hand, torque_gain: float) -> Calibration:
     """Return the calibration of a hand with known motor zeros.
 
-    In this calibration, the drives make the fraction ``torque_gain`` of a commanded torque.
+    According to this calibration, the drives make the fraction ``torque_gain`` of a commanded
+    torque.
     """
     calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     identified = IdentifiedParameters(
@@ -70,9 +71,10 @@ def identified_calibration(hand: Hand, torque_gain: float) -> Calibration:
 def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
     tmp_path: Path,
 ) -> None:
-    """The drives make 0.8 of each commanded torque.
+    """In this test, the drives make 0.8 of each commanded torque.
 
-    The identified parameters contain this factor, so the controller commands a quarter more torque.
+    The identified parameters contain this factor, so the controller commands a torque that is
+    larger by a quarter.
     """
     hand, log = load_hand("jamia"), tmp_path / "identified.mcap"
     plan = RunPlan(hand, Gains(), 500.0, ())
@@ -100,8 +102,8 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
 def test_a_drive_with_identified_torque_error_is_no_fault(torque_gain: float) -> None:
     """A drive reports its nominal torque, which differs from the corrected command.
 
-    Regression: because of this difference, the controller reported the fault N14 (a command is not
-        obeyed).
+    Earlier defect: because of this difference, the controller reported the fault N14 (a command is
+    not obeyed).
     """
     hand = load_hand("jamia")
     plan = RunPlan(hand, Gains(), 500.0, ())

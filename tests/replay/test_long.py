@@ -1,4 +1,6 @@
-"""Record ten simulated minutes with injected faults, and execute the log again. This test runs at night.
+"""Record ten simulated minutes with injected faults, and execute the log again.
+
+This test runs only in nightly runs.
 
 `python tests/replay/test_long.py OUT.mcap` stores the log.
 """
@@ -30,9 +32,9 @@ MOVE_PHASE = (
 class LossyPeer:
     """Wrapper of a lockstep simulator.
 
-    The wrapper loses one reply in two hundred, and sometimes all replies of two ticks.
+    The wrapper drops one reply in two hundred, and sometimes all replies of two ticks.
 
-    Such losses do not end a run.
+    A run continues after such losses.
     """
 
     peer: LockstepSimulator
@@ -40,7 +42,7 @@ class LossyPeer:
     silent: int = 0
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Step the wrapped simulator, and return those of its replies that are not lost."""
+        """Step the wrapped simulator, and return its replies without the dropped ones."""
         replies = self.peer.step(t_ns, frames)
         if self.chance.random() < 0.002:
             self.silent = 2
@@ -75,7 +77,7 @@ def write_long_log(log: Path) -> None:
         log,
         TaskProgram(load_task(task)),
         rate_hz=RATE_HZ,
-        spoil=spoil,
+        wrap_simulator=spoil,
         io_events=io_events,
         requests=requests,
     )

@@ -1,4 +1,4 @@
-"""Test re-execution of logs with gaps, logs with refused values, and logs of runs that ended early."""
+"""Test the re-execution of logs with gaps, logs with values that are refused, and logs of runs that ended early."""
 
 import json
 import math

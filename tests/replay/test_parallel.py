@@ -1,6 +1,7 @@
 """Test snapshots of the state in a log.
 
-Execution in parallel from the snapshots gives the same result as execution in sequence.
+Execution in parallel from these snapshots gives the same result as execution from the start to the
+end.
 """
 
 from collections.abc import Callable
@@ -32,9 +33,9 @@ ExecuteBothWays = Callable[..., tuple[LogExecution, LogExecution]]
 
 @pytest.fixture
 def execute_both_ways(fresh_log: Path, monkeypatch: pytest.MonkeyPatch) -> ExecuteBothWays:
-    """Return a function that executes a log with one process and with three.
+    """Return a function that executes a log with one process and with three processes.
 
-    The function takes a change that spoils the state of the controller.
+    The argument of this function is a change that makes the state of the controller wrong.
     """
 
     def run(change: StateChange | None = None) -> tuple[LogExecution, LogExecution]:
@@ -63,7 +64,7 @@ def execution_findings(execution: LogExecution) -> dict[str, Any]:
 
 
 def spoil_state(field: str, at: int) -> StateChange:
-    """Return a change that spoils a field of the second tendon before tick ``at``."""
+    """Return a change that makes a field of the second tendon wrong before tick ``at``."""
 
     def change(before: ControllerState, entry: TickIn) -> None:
         if entry.k == at:
@@ -73,7 +74,7 @@ def spoil_state(field: str, at: int) -> StateChange:
 
 
 def test_a_snapshot_restores_the_state_unchanged(fresh_log: Path) -> None:
-    """In every tick of a run with faults and requests, the restored state has the same bytes and hash.
+    """In every tick of a run with faults and requests, the restored state has the same bytes and the same hash.
 
     The next tick from the restored state is also the same.
     """
@@ -126,7 +127,7 @@ def test_three_processes_find_no_difference_where_one_finds_none(
 def test_three_processes_find_the_first_difference_wherever_it_is(
     execute_both_ways: ExecuteBothWays, at: int
 ) -> None:
-    """The changed field is in the part of each of the processes, or at the border between two parts."""
+    """The field is changed in the part of each of the processes, or at the border between two parts."""
     one, three = execute_both_ways(spoil_state("travel", at))
     assert one.first_difference is not None
     assert execution_findings(three) == execution_findings(one)

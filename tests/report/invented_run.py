@@ -1,4 +1,7 @@
-"""Invented runs and true values for tests of the report. All numbers can be checked by hand."""
+"""Generated runs and true values for tests of the report.
+
+All their numbers can be checked by hand.
+"""
 
 import json
 from pathlib import Path
@@ -57,7 +60,7 @@ class InventedLog:
 
 
 def zero_truth(hand: Hand, ticks: int, offset_ns: int = 0) -> TruthRecord:
-    """Create a truth record with one row of zeros per tick, and two further rows before and after the run."""
+    """Create a truth record with one row of zeros for each tick, and two further rows before and after the run."""
     columns = [f"tension/{name}" for name in hand.tendon_names]
     columns += [f"q/{name}" for name in hand.joints]
     columns += [f"contact_force/{name}/{axis}" for name in hand.digit_names for axis in "xyz"]
@@ -69,7 +72,7 @@ def zero_truth(hand: Hand, ticks: int, offset_ns: int = 0) -> TruthRecord:
 def set_truth_column(truth: TruthRecord, name: str, values: np.ndarray | float) -> None:
     """Set a column of a truth record in the ticks of the run.
 
-    The rows outside the run get the first and the last value.
+    The rows outside of the run get the first and the last value.
     """
     column = truth.values[:, truth.columns.index(name)]
     column[2:-2] = values
@@ -77,7 +80,7 @@ def set_truth_column(truth: TruthRecord, name: str, values: np.ndarray | float) 
 
 
 def write_truth(path: Path, truth: TruthRecord) -> None:
-    """Write a truth record to a file in the format of a simulator."""
+    """Write a truth record to a file, in the format of a simulator."""
     rows = np.zeros(len(truth.t_ns), [("t_ns", "<i8"), ("v", "<f8", (len(truth.columns),))])
     rows["t_ns"], rows["v"] = truth.t_ns, truth.values
     path.write_bytes(json.dumps({"columns": list(truth.columns)}).encode() + b"\n" + rows.tobytes())

@@ -37,7 +37,10 @@ def count_frames(golden_ticks: list[TickRecord]) -> tuple[int, ...]:
 
 
 def without_frame(golden_ticks: list[TickRecord], at: int) -> tuple[list[TickRecord], object]:
-    """Return the ticks without the first tension frame of one tick, and the removed frame."""
+    """Return the ticks without the first tension frame of one tick.
+
+    Also return the removed frame.
+    """
     first_tension_frame = make_sensors(JAMIA_HAND).ids[0]
     entry = golden_ticks[at].tick_in
     [lost] = [frame for frame in entry.frames if frame.can_id == first_tension_frame][:1]

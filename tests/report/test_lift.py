@@ -1,6 +1,6 @@
 """Test the judgement of a lift.
 
-The judgement depends on the motions of the table, and of the object in the hand.
+The judgement depends on the motion of the table, and on the motion of the object in the hand.
 """
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ SINK_START_TICK, SINK_END_TICK = 200, 350
 def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[InventedLog, TruthRecord]:
     """Create a log and a truth record.
 
-    Table and object sink linearly from SINK_START_TICK to SINK_END_TICK.
+    In the log and in the truth record, table and object sink linearly from SINK_START_TICK to SINK_END_TICK.
     """
     log = InventedLog(JAMIA, TICK_COUNT, {0: "close", 100: "carry", SINK_END_TICK: "release"})
     truth = zero_truth(JAMIA, TICK_COUNT)
@@ -35,7 +35,7 @@ def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[InventedLog, 
     set_truth_column(truth, "support", sunk_m * fall)
     set_truth_column(
         truth, "object/z", -fallen_m * fall - 0.5 * (np.arange(TICK_COUNT) >= SINK_END_TICK)
-    )  # the object falls when the hand releases it
+    )  # the object falls when the hand opens
     set_truth_column(
         truth, "object/x", 0.05 * (np.arange(TICK_COUNT) < 150)
     )  # the object is pushed before the lift

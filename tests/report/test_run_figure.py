@@ -128,7 +128,7 @@ def test_every_unit_of_the_digits_is_named(drawn: list[Any], name: str, labels: 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_names_of_phases_do_not_overlap_and_are_not_cut_off(seed: int) -> None:
-    """Reproduce a defect: "release" and "open" overlapped, and the end of the axis cut "end" off."""
+    """Reproduce a defect: the texts "release" and "open" overlapped, and the end of the axis cut off the text "end"."""
     limits = (0.4, 9.4)
     width = MARK_WIDTH_FRACTION * (limits[1] - limits[0])
     times = [0.65, 1.0, 3.0, 8.0, 8.1, 9.35, 9.39, 12.0]

@@ -28,7 +28,7 @@ def quiet_run() -> InventedLog:
 def hold_log(ramp: int = 20) -> InventedLog:
     """Create a run of four seconds with a hold phase.
 
-    In this phase the tension goal rises, and index and thumb are in contact.
+    In this phase, the tension goal rises, and index finger and thumb are in contact.
     """
     log = InventedLog(JAMIA, 400, {0: "home", 100: "hold", 300: "release"})
     for name in ("tension", "tension_raw", "tip_force"):
@@ -98,9 +98,9 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
     log.fields["q_goal"][:, joints] = 0.5
     for joint in JAMIA.joints[joints]:
         motion = np.full(200, 0.49)
-        motion[100:120] = 0.2  # in this time, the controller detects contact
-        motion[120:140] = 0.1  # in this time, only the truth has contact
-        motion[140:160] = 0.0  # in this time, the hand is not active
+        motion[100:120] = 0.2  # during this time, the controller detects contact
+        motion[120:140] = 0.1  # during this time, only the true values show contact
+        motion[140:160] = 0.0  # during this time, the hand is not active
         set_truth_column(truth, f"q/{joint}", motion)
     log.fields["contact"][100:120, 0] = 1.0
     force = np.zeros(200)
@@ -119,9 +119,9 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
 
 
 def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
-    """The estimate of a tick is compared with the truth at the tick.
+    """The estimate in a tick is compared with the true value at the time of the tick.
 
-    The load-cell sample was taken one period before.
+    The load-cell sample in a tick was taken one period earlier.
     """
     log, truth = quiet_run(), zero_truth(JAMIA, 200)
     real = 20.0 + np.arange(200) * 0.1
@@ -243,7 +243,7 @@ def test_rms_ignores_nan() -> None:
 
 
 def test_measured_load_equals_a_hand_calculation() -> None:
-    """In a classical frame of 8 bytes, 34 + 64 bits get at most one stuff bit for every four bits.
+    """A classical frame of 8 bytes has at most one stuff bit for every four of its 34 + 64 bits.
 
     The other 13 bits of the frame get no stuff bits.
     """

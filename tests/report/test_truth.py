@@ -1,4 +1,4 @@
-"""Test the reader of truth files with a complete file, a file cut at any byte, and a missing file."""
+"""Test the reader of truth files with a complete file, with a file that is cut at any byte, and with a missing file."""
 
 import json
 from pathlib import Path

@@ -1,6 +1,6 @@
-"""Tests of the contract that every bus must fulfil.
+"""Tests of the contract that the class of every bus must fulfil.
 
-A module that imports these tests must define the fixture ``medium``, which is the bus under test.
+A module that imports these tests must define the fixture ``medium``: the bus under test.
 """
 
 import random
@@ -124,7 +124,7 @@ def test_stamps_are_the_runs_time_of_reception(medium: BusUnderTest) -> None:
     for number in range(20):
         sender.send([Frame(number, b"")])
     stamps = [frame.t_ns - offset for frame in drain_bus(receiver, 20)]
-    slack = 20_000_000  # wall clock and monotonic clock may differ
+    slack = 20_000_000  # the wall clock and the monotonic clock may differ
     assert len(stamps) == 20
     assert stamps == sorted(stamps)
     assert start - slack <= stamps[0]

@@ -1,4 +1,4 @@
-"""Hubs that serve the local bus in tests: the hub of the simulator as a process, and a hub that a test controls."""
+"""Hubs that serve the local bus in tests: the simulator's hub as a process, and a hub under test control."""
 
 import os
 import signal
@@ -16,7 +16,7 @@ RUN_DIR_VARIABLE = "HANDCTL_RUN_DIR"
 def hub_process(name: str, folder: Path) -> Iterator[None]:
     """Run the hub of the simulator in a separate process.
 
-    The hub serves ``local:NAME``, and its socket is in the folder.
+    The hub serves ``local:NAME``. The socket of the hub is in the given folder.
     """
     words = [sys.executable, "-m", "firmware_sim", "bus", name]
     environment = {**os.environ, RUN_DIR_VARIABLE: str(folder)}
@@ -31,7 +31,7 @@ def hub_process(name: str, folder: Path) -> Iterator[None]:
 
 
 class ScriptedHub:
-    """A hub of a local bus with one client. The test itself exchanges bytes with the client."""
+    """A hub of a local bus with one client. The test itself exchanges bytes with this client."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -39,7 +39,7 @@ class ScriptedHub:
         self._listener.listen()
 
     def accept(self) -> socket.socket:
-        """Accept the client and return the hub's end of the connection."""
+        """Accept the client, and return the end of the connection that belongs to the hub."""
         link, _ = self._listener.accept()
         link.settimeout(20.0)
         return link

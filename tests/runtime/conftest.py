@@ -21,7 +21,7 @@ from tests.runtime.processes import (
 def work_folder(tmp_path, monkeypatch):
     """Change to a folder that contains only two tasks.
 
-    The sockets are in a different folder with a short path.
+    The sockets are in another folder whose path is short.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
@@ -45,7 +45,10 @@ def processes():
 
 @pytest.fixture
 def scale(request, repeat_time_scale):
-    """Return the command-line options for the time scale. A test module may set its own ``TIME_SCALE``."""
+    """Return the command-line options for the time scale.
+
+    A test module may define its own ``TIME_SCALE``.
+    """
     return time_scale_options(getattr(request.module, "TIME_SCALE", TIME_SCALE) * repeat_time_scale)
 
 

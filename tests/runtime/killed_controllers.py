@@ -1,10 +1,10 @@
-"""Start controllers one after the other, and kill or stop each at a random time.
+"""Start controllers one after the other, and kill or stop each of them at a random time.
 
-The simulated hand keeps running.
+The simulated hand continues to run.
 
-Each controller is forked from this process, which saves the time of its imports. As in any run, the
-recorder and the simulator are separate processes. The truth file of the simulator shows how the
-drives react.
+Each controller is a fork of this process, so that it need not import its modules again. As in any
+run, the recorder and the simulator are separate processes. The truth file of the simulator shows
+how the drives react.
 """
 
 import json
@@ -76,10 +76,12 @@ class DisturbedRun(NamedTuple):
         sent_signal: signal that was sent to the controller.
         before_signal_ns: time on the simulator's clock just before the signal [ns].
         after_signal_ns: time on the simulator's clock just after the signal [ns].
-        slipped_ns: time after the signal in which the simulator and its drives did not run [ns].
+        slipped_ns: time after the signal during which the simulator and its drives did not run
+            [ns].
         bus_sync_counts: tick counts of the SYNC frames that were on the bus.
         log_sync_counts: tick counts of the SYNC frames that are in the log.
-        warning: text about a damaged or incomplete log file. For a complete log, it is empty.
+        warning: text about a damaged or incomplete log file. The value is empty if the log is
+            complete.
     """
 
     sent_signal: signal.Signals
@@ -92,15 +94,15 @@ class DisturbedRun(NamedTuple):
 
 
 class KillVerdict(NamedTuple):
-    """Result of a comparison between a disturbed run and the truth file of the simulator.
+    """Result for one run: its comparison with the truth file of the simulator.
 
     Attributes:
         run: record of the run.
-        was_taut: True if a tendon was taut at the signal.
-        was_driven: True if a motor made torque at the signal.
+        was_taut: True if a tendon was taut at the time of the signal.
+        was_driven: True if a motor made torque at the time of the signal.
         max_torque_off_ms: time from ``before_signal_ns`` until no motor made torque [ms].
         min_torque_off_ms: time from ``after_signal_ns`` until no motor made torque [ms].
-        tension_left_N: largest tension after the fingers have had time to open [N].
+        tension_left_N: largest tension after a time in which the fingers could open [N].
     """
 
     run: DisturbedRun
@@ -117,9 +119,9 @@ class KillVerdict(NamedTuple):
 
     @property
     def has_complete_log(self) -> bool:
-        """Return True if the log contains every tick that was on the bus.
+        """Return True if the log contains every tick whose SYNC frame was on the bus.
 
-        The last tick may be missing, because the signal may come just after its SYNC.
+        The last tick may be missing, because the signal may come just after its SYNC frame.
         """
         on_bus = self.run.bus_sync_counts
         in_log = self.run.log_sync_counts
@@ -131,10 +133,13 @@ class KillVerdict(NamedTuple):
 
 
 class KillTestHand:
-    """A simulated hand, and the plan from which each controller beside it starts."""
+    """A simulated hand, and the plan with which each controller of this hand starts."""
 
     def __init__(self, folder: Path, scale: float) -> None:
-        """Start the simulator with a time scale. Its truth file and the logs are written to a folder."""
+        """Start the simulator with a time scale.
+
+        The truth file of the simulator and all logs are written to one folder.
+        """
         self.folder = folder
         self.time_scale = scale
         hand = load_hand("jamia")
@@ -162,7 +167,7 @@ class KillTestHand:
         self.simulator = start_hand(self.truth, "--hand", "jamia", *time_scale_options(scale))
 
     def now_ns(self) -> tuple[int, int]:
-        """Return the simulator's time, and the part of this time in which the simulator did not run [ns]."""
+        """Return the time of the simulator, and the part of this time during which the simulator did not run [ns]."""
         reply_path = run_dir() / f"kills-{os.getpid()}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
             link.bind(str(reply_path))
@@ -186,10 +191,12 @@ class KillTestHand:
         finally:
             os._exit(code)
 
-    def disturb_controller(self, number: int, how: signal.Signals, delay_s: float) -> DisturbedRun:
-        """Start a controller, and send it a signal ``delay_s`` after its first SYNC.
+    def disturb_controller(
+        self, number: int, sent_signal: signal.Signals, delay_s: float
+    ) -> DisturbedRun:
+        """Start a controller, and send it a signal ``delay_s`` after its first SYNC frame.
 
-        Return the record of its run.
+        Return the record of this run.
         """
         log = self.folder / f"{number}.mcap"
         with SyncListener() as listener:
@@ -198,11 +205,11 @@ class KillTestHand:
                 listener.wait_for_sync(child)
                 listener.listen(delay_s / self.time_scale)
                 before_ns, slip_ns = self.now_ns()
-                os.kill(child, how)
+                os.kill(child, sent_signal)
                 after_ns, _ = self.now_ns()
                 listener.listen((WATCHDOG_MS * 1e-3 + RELEASE_S) / self.time_scale)
                 slipped_ns = self.now_ns()[1] - slip_ns
-                if how == signal.SIGSTOP:
+                if sent_signal == signal.SIGSTOP:
                     os.kill(child, signal.SIGCONT)
                 wait_for_end(child, listener)
             finally:
@@ -213,27 +220,29 @@ class KillTestHand:
         warning, logged = read_syncs(log)
         log.unlink()
         return DisturbedRun(
-            how, before_ns, after_ns, slipped_ns, bytes(listener.syncs), logged, warning
+            sent_signal, before_ns, after_ns, slipped_ns, bytes(listener.syncs), logged, warning
         )
 
     def kill_verdicts(self, runs: list[DisturbedRun]) -> list[KillVerdict]:
         """Compare the runs with the truth file of the simulator.
 
-        This requires that the simulator has ended.
+        The simulator must have ended before.
         """
         truth = read_truth(self.truth)
         return [verdict_of_kill(truth, run) for run in runs]
 
 
 class SyncListener:
-    """A further node on the bus that collects the tick counts of all SYNC frames of the controller.
+    """A further node on the bus.
+
+    The node collects the tick counts of all SYNC frames from the controller.
 
     Attributes:
         syncs: tick counts of the SYNC frames, one byte each.
     """
 
     def __init__(self) -> None:
-        """Join the bus with an empty list of SYNC frames."""
+        """Join the bus. The list of SYNC frames is empty."""
         self.syncs = bytearray()
         self._partial = b""
 
@@ -247,9 +256,9 @@ class SyncListener:
         self.link.close()
 
     def listen(self, seconds: float) -> None:
-        """Read the bus for a time [s].
+        """Read the bus for a given time [s].
 
-        Without reading, the socket would become full and lose frames.
+        If nobody read, the socket would become full and lose frames.
         """
         until = time.monotonic() + seconds
         while True:
@@ -270,7 +279,7 @@ class SyncListener:
         self._partial = self._partial[end:]
 
     def wait_for_sync(self, child: int) -> None:
-        """Wait until the process of a controller has sent its first SYNC."""
+        """Wait until the process of a controller has sent its first SYNC frame."""
         until = time.monotonic() + PROCESS_TIMEOUT_S
         while not self.syncs:
             assert os.waitpid(child, os.WNOHANG) == (0, 0), "the controller ended before the signal"
@@ -289,7 +298,10 @@ def wait_for_end(child: int, listener: SyncListener) -> None:
 
 
 def read_syncs(path: Path) -> tuple[str, bytes]:
-    """Read a log after its recorder has ended. Return its warning and the tick counts of its SYNC frames."""
+    """Read a log after its recorder has ended.
+
+    Return the warning of the log, and the tick counts of its SYNC frames.
+    """
     until = time.monotonic() + 20.0
     while True:
         with RunLog(path) as log:
@@ -302,7 +314,7 @@ def read_syncs(path: Path) -> tuple[str, bytes]:
 
 
 def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
-    """Judge how the drives reacted to the signal in one run."""
+    """Judge how the drives have reacted to the signal in one run."""
     torque = truth.values[
         :, [i for i, name in enumerate(truth.columns) if name.startswith("torque/")]
     ]
@@ -328,9 +340,9 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
 
 
 def disturb_controllers(folder: Path, times: int, seed: int, scale: float) -> list[KillVerdict]:
-    """Disturb ``times`` controllers of one simulated hand.
+    """Kill or stop ``times`` controllers of one simulated hand.
 
-    The signals are SIGKILL and SIGSTOP in turn.
+    The signals SIGKILL and SIGSTOP alternate.
     """
     chance = random.Random(seed)
     place = KillTestHand(folder, scale)
@@ -352,7 +364,7 @@ After a batch, the truth file of the simulator is read and deleted.
 
 
 def disturb_in_batches(times: int, seed: int, scale: float) -> Iterator[list[KillVerdict]]:
-    """Disturb ``times`` controllers in batches, and yield the verdicts of each batch.
+    """Kill or stop ``times`` controllers in batches, and yield the verdicts of each batch.
 
     For each batch, a new simulator is started.
     """
@@ -365,7 +377,7 @@ def disturb_in_batches(times: int, seed: int, scale: float) -> Iterator[list[Kil
 
 
 def kill_summary(runs: list[KillVerdict]) -> str:
-    """Summarise disturbed runs in one line of text."""
+    """Summarise such runs in one line of text."""
     safe = sum(run.torque_ended_in_time for run in runs)
     complete = sum(run.has_complete_log for run in runs)
     pulled = sum(run.was_taut for run in runs)

@@ -50,7 +50,7 @@ LONG_TASK = (
 
 
 def time_scale_options(scale: float) -> tuple[str, str]:
-    """Return the command-line options that give a simulator or a controller a time scale."""
+    """Return the command-line options that give a time scale to a simulator or a controller."""
     return "--time-scale", f"{scale:g}"
 
 
@@ -91,7 +91,7 @@ def run_handctl(
 
 
 def end_process(process: "subprocess.Popen[str]") -> None:
-    """Terminate a process and close its pipes. If the process does not end, kill it."""
+    """Terminate a process and close its pipes. If the process does not end by itself, kill it."""
     if process.poll() is None:
         process.send_signal(signal.SIGTERM)
         try:
@@ -104,7 +104,7 @@ def end_process(process: "subprocess.Popen[str]") -> None:
 def process_result(
     process: "subprocess.Popen[str]", timeout_s: float = COMMAND_TIMEOUT_S
 ) -> tuple[int, dict[str, object], str]:
-    """Wait for the end of a process, and return its exit code, its JSON output and its standard error."""
+    """Wait until a process ends, and return its exit code, its JSON output and its standard error."""
     out, err = process.communicate(timeout=timeout_s)
     return process.returncode, json.loads(out) if out else {}, err
 
@@ -130,7 +130,7 @@ def socket_names() -> list[str]:
 def write_homed_calibration(path: Path, description: Hand) -> None:
     """Write the calibration of a simulated hand with ``HOMED_OPTIONS``.
 
-    All tares and offsets in it are zero.
+    All tares and zeros in this calibration are zero.
     """
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     calibration = Calibration(
@@ -144,7 +144,7 @@ def write_homed_calibration(path: Path, description: Hand) -> None:
 
 
 def modes_of_complete_log(log: Path) -> list[str]:
-    """Check that a log is complete and return the texts of its mode changes."""
+    """Check that a log is complete, and return the texts of the mode changes in it."""
     with RunLog(log) as run:
         assert not run.warning
         assert run.end["reason"] == "done"

@@ -1,8 +1,8 @@
 """Test the protection against another user of the machine.
 
-The folder for sockets is private, and a request counts as done only after its confirmation. A test
-that needs a second user forks a process, which then changes its user. Without root rights, tests
-with a second user are skipped.
+The folder for sockets is private, and a request counts as done only after the controller has
+confirmed it. A test that needs a second user forks a process, and this process changes its user.
+Without root rights, tests with a second user are skipped.
 """
 
 import json
@@ -47,7 +47,7 @@ UNCONFIRMED_TEXT = "no confirmation from the controller: switch the power off"
 def as_nobody(do) -> str:
     """Call a function in a process of the user ``nobody``.
 
-    Return the result as text, or the name of the raised error.
+    Return the result as text. If the function raises an error, return the name of the error.
     """
     out, into = os.pipe()
     child = os.fork()
@@ -72,7 +72,7 @@ def as_nobody(do) -> str:
 
 @pytest.fixture
 def shared_tmp(monkeypatch):
-    """Return a folder for temporary files in which every user may write, like /tmp.
+    """Return a folder for temporary files in which every user may write, as in /tmp.
 
     The run directory (the folder for sockets) is inside this folder.
     """
@@ -90,7 +90,7 @@ def folder_of_nobody(shared_tmp: Path) -> Path:
 
 
 def check_refusals(word: str) -> None:
-    """Check that controller, simulator and all requests refuse the run directory, with ``word`` in the reason."""
+    """Check that controller, simulator and all requests refuse the run directory for a reason with ``word``."""
     for refused in (
         lambda: Mailbox("local:x"),
         lambda: StatusWatcher("local:x"),
@@ -135,7 +135,7 @@ def test_a_folder_that_another_user_made_is_refused(shared_tmp, mode, deep, caps
 
 @SECOND_USER
 def test_a_folder_above_that_another_user_owns_or_can_write_in_is_refused(shared_tmp, monkeypatch):
-    """The owner of the parent folder could rename the private folder and put another folder in its place."""
+    """The owner of the parent folder could rename the private folder, and create another folder in its place."""
     above = shared_tmp / "above"
     above.mkdir()
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(above / "run"))
@@ -158,9 +158,9 @@ def test_a_folder_that_others_can_write_in_is_refused(shared_tmp, deep):
 
 @pytest.mark.parametrize("make", [run_dir, simulated.run_dir])
 def test_a_new_or_readable_folder_is_made_private(shared_tmp, make):
-    """Even a folder with mode 0755 is made private.
+    """A parent folder with mode 0755 is also made private.
 
-    Earlier versions of handctl made the parent folder with this mode.
+    Earlier versions of handctl created the parent folder with this mode.
     """
     folder = make()
     assert folder == folder_of_nobody(shared_tmp) / "handctl"
@@ -173,7 +173,7 @@ def test_a_new_or_readable_folder_is_made_private(shared_tmp, make):
 
 @pytest.mark.parametrize("deep", [False, True])
 def test_a_link_is_refused(shared_tmp, deep):
-    """A run directory that is a symbolic link is refused, with any target and any owner."""
+    """A run directory that is a symbolic link is refused, whatever its target and its owner are."""
     target = shared_tmp / "elsewhere"
     target.mkdir(mode=0o700)
     if deep:
@@ -195,7 +195,7 @@ def test_a_link_of_another_user_above_is_refused(shared_tmp, monkeypatch):
 def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
     shared_tmp, short_confirmation_wait
 ):
-    """An attacker renames the mailbox and binds another socket to its path.
+    """In this test, an attacker renames the mailbox and binds another socket to its path.
 
     This socket would receive the requests for the hand.
     """
@@ -218,7 +218,7 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
     assert as_nobody(
         lambda: socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).connect(str(mailbox))
     ) == ("PermissionError")
-    for path in (folder, folder.parent):  # now another user has access to the mailbox
+    for path in (folder, folder.parent):  # from here on, another user has access to the mailbox
         path.chmod(0o777)
     started, ready = os.pipe()
     over, finish = os.pipe()
@@ -238,7 +238,7 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
 
 @SECOND_USER
 def test_requests_and_status_lines_of_another_user_are_ignored(shared_tmp):
-    """Even in an open folder they are ignored, because the kernel names the user of each sender."""
+    """Requests of other users are ignored even in an open folder: the kernel names the user of each sender."""
     box = Mailbox("local:x")
     watcher = StatusWatcher("local:x")
     for path in (watcher.path, Path(box.path)):
@@ -291,7 +291,7 @@ def test_a_hub_accepts_only_its_own_user(shared_tmp):
 class AnsweringController:
     """A thread that serves the mailbox of a bus.
 
-    The thread sends the same event texts as a controller.
+    The thread sends the same texts of events as a controller.
     """
 
     def __init__(self, end_with: str = "DISARM -> DONE", deaf_after: str = "") -> None:
@@ -356,7 +356,7 @@ def test_stop_names_a_drive_that_stays_on(work_folder, capsys):
 
 @pytest.fixture
 def short_confirmation_wait(monkeypatch):
-    """Let a request wait for its confirmation for only 0.4 s."""
+    """Let a request wait for its confirmation for at most 0.4 s."""
     monkeypatch.setattr("handctl.runtime.confirmed_requests.CONFIRMATION_TIMEOUT_S", 0.4)
 
 
@@ -398,7 +398,7 @@ def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(work_folder
 
 
 def fill_mailbox(path: Path) -> int:
-    """Send datagrams to the mailbox at a path until it is full, and return their number."""
+    """Send datagrams to the mailbox at a path until it is full, and return the number of datagrams."""
     count = 0
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.setblocking(False)

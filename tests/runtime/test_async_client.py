@@ -14,7 +14,10 @@ REALTIME = pytest.mark.realtime
 
 
 async def use_hand(*options):
-    """Move, stream, observe and cancel with a client. Meanwhile another asyncio task counts."""
+    """Move, stream, observe and cancel with a client.
+
+    During these actions, another asyncio task counts.
+    """
     counted = 0
 
     async def count():
@@ -54,7 +57,8 @@ async def use_hand(*options):
 async def watch(hand):
     """Observe a hand 200 times.
 
-    Return the ticks of the observations, and the range of the first joint angle [deg].
+    Return the ticks of the observations, and the range that the first joint angle has covered
+    [deg].
     """
     ticks, angles = [], []
     async for one in hand.observations():
@@ -124,7 +128,7 @@ def test_a_controller_that_cannot_start_is_one_error(work_folder):
 
 
 def test_every_call_has_its_coroutine():
-    """For each method of the ordinary client, with a few exceptions, the asyncio client has a coroutine."""
+    """With a few exceptions, the asyncio client has a coroutine for each method of the ordinary client."""
     apart = {
         "open",
         "close",

@@ -1,4 +1,6 @@
-"""Test clients that misbehave, in real time. The true values of the simulator show the effects.
+"""Test clients that misbehave, in real time.
+
+The true values of the simulator show the effects of these clients.
 
 tests/controller/test_target_streams.py contains similar tests in lockstep.
 """

@@ -1,7 +1,7 @@
-"""Test unusual batches of frames on all buses.
+"""Test unusual batches of frames on all kinds of buses.
 
-The batches contain frames of mixed kinds and of 0 to 64 bytes, more frames than a buffer holds, or
-error frames.
+The batches contain frames of mixed kinds and of 0 to 64 bytes, more frames than a buffer can store,
+or error frames.
 """
 
 import random
@@ -62,7 +62,7 @@ def frame_contents(frames: Frames) -> list[tuple[int, bytes, int, int]]:
 
 
 def has_zeros_behind_payloads(frames: Frames) -> bool:
-    """Return True if frame records have only zeros behind each payload.
+    """Return True if frame records contain only zeros after each payload.
 
     Also check the width of the records.
     """
@@ -101,9 +101,9 @@ def drain_frames(bus: Bus, count: int) -> Frames:
 
 
 def kernel_datagram(frame: Frame, garbage: bytes = b"") -> bytes:
-    """Return a frame as the kernel delivers it, with garbage behind the payload.
+    """Return a frame as the kernel may deliver it, with arbitrary bytes after the payload.
 
-    A driver may leave such bytes there.
+    The driver of an adapter may leave such bytes there.
     """
     can_id, data, flags, *_ = frame
     if flags & FDF:

@@ -1,6 +1,6 @@
-"""Compare decoded error frames with the kernel's header file.
+"""Compare decoded error frames with the header file of the kernel.
 
-Test states of a CAN controller that are reported as long as they last.
+Test states of a CAN controller that are reported for as long as they last.
 """
 
 import errno
@@ -34,7 +34,7 @@ def event_kinds(events: BusEvents) -> set[str]:
 def test_error_frame_gives_the_events_of_its_class(
     can_id: int, status: int, expected: set[str]
 ) -> None:
-    """The numbers in the cases are CAN_ERR_* and CAN_ERR_CRTL_* of the Linux header ``can/error.h``."""
+    """The numbers in these cases are CAN_ERR_* and CAN_ERR_CRTL_* in the Linux header ``can/error.h``."""
     events = BusEvents("can0")
     events.add_error_frame(ERROR_FLAG | can_id, bytes((0, status, 0, 0, 0, 0, 0, 0)))
     assert event_kinds(events) == expected

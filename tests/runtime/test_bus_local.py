@@ -1,4 +1,4 @@
-"""Test edge cases of the local bus: records in several parts, a slow or lost hub, dropped frames, error frames."""
+"""Test edge cases of the local bus: partial records, a slow or lost hub, dropped frames, error frames."""
 
 import socket
 import time

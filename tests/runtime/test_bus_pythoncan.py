@@ -21,7 +21,7 @@ from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record, h
 
 
 class BrokenCanBus(can.BusABC):
-    """A python-can interface whose calls fail with a given error: always, or the first few times."""
+    """A python-can interface whose calls fail with a given error, either always or the first few times."""
 
     def __init__(self, error: Exception, times: int = 1_000_000) -> None:
         super().__init__("broken")
@@ -49,9 +49,9 @@ def virtual_bus() -> Iterator[PythonCanBus]:
 
 
 def test_frames_that_an_adapter_echoes_are_not_received(virtual_bus: PythonCanBus) -> None:
-    """A gs_usb adapter returns every sent frame as a received frame.
+    """A gs_usb adapter returns every frame that the host sends as a received frame.
 
-    If handctl did not discard this echo, it would look like a frame of a second controller.
+    If handctl did not discard this echo, it would regard it as a frame of a second controller.
     """
     virtual_bus._bus.shutdown()
     virtual_bus._bus = can.Bus("broken", interface="virtual", receive_own_messages=True)
@@ -159,7 +159,7 @@ def test_fd_can_be_disabled(handctl_bus: Bus) -> None:
         received = theirs.recv(5.0)
         while (
             received is not None and received.arbitration_id < 0x6F1
-        ):  # skip frames of an earlier client
+        ):  # skip the frames of an earlier client
             received = theirs.recv(5.0)
     assert received is not None
     assert received.arbitration_id == 0x6F2
@@ -185,9 +185,9 @@ def test_a_notifier_receives_messages(handctl_bus: Bus) -> None:
 
 
 def test_a_notifier_in_an_event_loop_receives_a_complete_batch(handctl_bus: Bus) -> None:
-    """The notifier of python-can reads one message per event of the file descriptor.
+    """The notifier of python-can reads one message for each event of the file descriptor.
 
-    The file descriptor must stay readable while messages wait.
+    So the file descriptor must stay readable as long as messages wait.
     """
     received: list[int] = []
 

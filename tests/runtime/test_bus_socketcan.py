@@ -18,7 +18,7 @@ FD_FRAME_STRUCT = struct.Struct("=IBB2x64s")
 
 @pytest.fixture
 def udp_bus() -> Iterator[tuple[SocketCanBus, socket.socket]]:
-    """Yield a bus and the socket of its other end, connected over UDP.
+    """Yield a bus, and the socket at its other end. Both are connected over UDP.
 
     Like CAN sockets, UDP sockets have time stamps and count dropped datagrams.
     """
@@ -75,7 +75,8 @@ def test_the_size_of_a_datagram_distinguishes_fd_from_classical(
     udp_bus: tuple[SocketCanBus, socket.socket],
 ) -> None:
     bus, far = udp_bus
-    far.send(FD_FRAME_STRUCT.pack(1, 8, 0, bytes(8)))  # like kernels before 6.1, without CANFD_FDF
+    # like kernels before 6.1, which do not have CANFD_FDF
+    far.send(FD_FRAME_STRUCT.pack(1, 8, 0, bytes(8)))
     far.send(CLASSICAL_FRAME_STRUCT.pack(1, 8, bytes(8)))
     assert [frame.flags for frame in wait_for_frames(bus, 2)] == [FDF, 0]
 
@@ -123,9 +124,10 @@ def test_stamps_are_times_of_arrival_not_of_reading(
 def test_stamps_never_run_backwards_or_ahead(
     udp_bus: tuple[SocketCanBus, socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The wall clock is set while frames wait in the socket.
+    """In this test, the wall clock is set while frames wait in the socket.
 
-    The time stamps of these frames are nevertheless in order, and not in the future.
+    The time stamps of these frames are in order and not in the future, although the wall clock was
+    set.
     """
     bus, far = udp_bus
     real = time.time_ns
@@ -144,7 +146,7 @@ def test_stamps_never_run_backwards_or_ahead(
 def test_stamps_are_right_although_the_wall_clock_was_set(
     udp_bus: tuple[SocketCanBus, socket.socket], step_ns: int
 ) -> None:
-    """The offset between the clocks is measured first.
+    """First, the offset between the two clocks is measured.
 
     Then the wall clock is set, and the kernel stamps the frame.
     """
@@ -161,16 +163,16 @@ def test_stamps_are_right_although_the_wall_clock_was_set(
     assert before - slack <= wait_for_frames(bus, 1)[0].t_ns <= after + slack
 
 
-def overflow_socket(bus: SocketCanBus, far: socket.socket) -> None:
-    """Send more frames than a small receive buffer holds, and then one that brings the count of drops."""
+def overflow_socket(bus: SocketCanBus, far_end: socket.socket) -> None:
+    """Send more frames than a small buffer can store, then one with the number of dropped frames."""
     with socket.socket(fileno=bus.fileno()) as link:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         link.detach()
     for _ in range(2000):
-        far.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
+        far_end.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
     while bus.drain():
         pass
-    far.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
+    far_end.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
     wait_for_frames(bus, 1)
 
 
@@ -178,9 +180,9 @@ def overflow_socket(bus: SocketCanBus, far: socket.socket) -> None:
 def test_after_a_loss_frames_are_converted_as_batches_again(
     udp_bus: tuple[SocketCanBus, socket.socket], monkeypatch: pytest.MonkeyPatch, fd_flag: int
 ) -> None:
-    """Reproduce a defect: after the first loss, every frame of the run took the slow way.
+    """Reproduce a defect: after the first loss, every frame of the run was processed in the slow way.
 
-    The kernel adds the counter of lost frames to each later frame.
+    After a loss, the kernel adds the counter of lost frames to each frame.
     """
     bus, far = udp_bus
     time.sleep(KERNEL_STAMPS_S)
@@ -203,7 +205,7 @@ def test_after_a_loss_frames_are_converted_as_batches_again(
             (frame,) = wait_for_frames(bus, 1)
             assert frame[:4] == (number, data, fd_flag, 1)
             assert frame.t_ns > time.monotonic_ns() - 10**9
-        # A frame that comes more than MAX_STAMP_STEP_NS after the last one is converted alone.
+        # A frame that arrives more than MAX_STAMP_STEP_NS after the last frame is converted alone.
         assert len(slow_batches) < 20
         assert bus.take_events() == []
 
@@ -222,7 +224,8 @@ def test_frames_that_overflow_the_socket_are_counted(
         for number in range(2000):
             far.send(CLASSICAL_FRAME_STRUCT.pack(number & 0x7FF, 0, b""))
         received += len(bus.drain())
-        far.send(CLASSICAL_FRAME_STRUCT.pack(0, 0, b""))  # brings the count of drops
+        # this frame carries the number of dropped frames
+        far.send(CLASSICAL_FRAME_STRUCT.pack(0, 0, b""))
         received += len(wait_for_frames(bus, 1))
         sent += 2001
         dropped += [number for kind, _, number in bus.take_events() if kind == "dropped"]

@@ -1,6 +1,6 @@
-"""``handctl bus watch`` reads every drive and load cell of a hand.
+"""The command ``handctl bus watch`` reads every drive and every load cell of a hand.
 
-Meanwhile no motor makes torque.
+While it runs, no motor makes torque.
 """
 
 import json
@@ -102,7 +102,7 @@ def test_every_protocol_is_read_without_torque(protocol, tmp_path):
     assert watch.states[0].position == pytest.approx(TURNED_RAD, abs=0.01)
     assert (
         all(not math.isnan(state.temperature) for state in watch.states) or protocol == "cia402"
-    )  # CiA 402 has no object for the temperature
+    )  # CiA 402 has no object for a temperature
     tensions = [reading.value_at(place.t_ns) for reading in watch.tensions.values()]
     assert len(tensions) == len(place.motors)
     assert all(abs(tension) < 8.0 for tension in tensions)
@@ -143,7 +143,7 @@ def test_amplifiers_are_set_up_and_read(value, tmp_path):
 
 @pytest.mark.parametrize("missed", [0, 1, 50])
 def test_missed_ticks_are_skipped_and_not_executed_later(missed):
-    """Reproduce a defect: after a host stall, all missed requests were sent back to back."""
+    """Reproduce a defect: after a stall of the host, the requests of all missed ticks were sent at once."""
     place, watch = watched_hand("jamia")
     for _ in range(120):
         watch.run_tick()

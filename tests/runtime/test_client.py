@@ -55,7 +55,7 @@ def test_every_numeric_type_is_accepted(unserved_client, number, monkeypatch):
     "number", [float("nan"), 10**400, "3", True, np.True_, None, np.array([3.0, 4.0]), 1e9]
 )
 def test_an_invalid_angle_is_refused_before_it_is_sent(unserved_client, number):
-    """The client refuses such an angle before sending.
+    """The client refuses such an angle before it sends a request.
 
     A controller that refuses three requests in a second relaxes the hand.
     """
@@ -75,7 +75,7 @@ def status_with_events(*texts):
     "theirs", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"]
 )
 def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, theirs):
-    """Reproduce a defect: two programs used one hand, and one of them reported refused requests of the other one."""
+    """Reproduce a defect: of two programs with one hand, one program reported the refused requests of the other."""
     sent = []
     monkeypatch.setattr(
         unserved_client._watcher, "send", lambda data, timeout: sent.append(json.loads(data))
@@ -116,8 +116,8 @@ def test_a_hold_without_a_tension_brings_the_hand_to_rest(unserved_client, monke
 def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
     """Reproduce a defect.
 
-    A mapping as first argument was taken as the duration, and the client raised the error "no
-    digit".
+    Earlier defect: the client regarded a mapping as the first argument as the duration, and raised
+    the error "no digit".
     """
     requests = []
     monkeypatch.setattr(unserved_client, "_set_goal", requests.append)
@@ -139,7 +139,7 @@ def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
 
 
 def test_an_unknown_space_of_a_stream_names_all_spaces(unserved_client):
-    """Reproduce a defect: the message left out the space ``fingertip``."""
+    """Reproduce a defect: the message did not name the space ``fingertip``."""
     right = "stream.space: 'torque'; expected joint or digit or tension or tip_force or fingertip"
     with pytest.raises(ConfigError, match=right):
         unserved_client.stream(100, space="torque")

@@ -1,4 +1,4 @@
-"""Test the contract of all clocks: the clocks for real time, scaled time and virtual time."""
+"""Test the contract that all clocks fulfil: the clocks for real time, scaled time and virtual time."""
 
 import statistics
 import time
@@ -16,7 +16,10 @@ PERIOD_NS = 2_000_000
 
 
 class FakeMonotonicClock:
-    """A simulated CLOCK_MONOTONIC. A sleep advances it by the duration of the sleep and an overshoot."""
+    """A simulated CLOCK_MONOTONIC.
+
+    A sleep advances it by the duration of the sleep, and by some additional time.
+    """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, overshoot_ns: int = 0) -> None:
         self.now_ns = 5_000_000_000
@@ -62,7 +65,7 @@ def test_lateness_is_in_the_runs_time_and_shifts_no_later_deadline(
     clock.wait(0)
     wall.now_ns = (
         clock.start_ns + 25 * PERIOD_NS
-    )  # tick 1 is due after 10 periods of wall time, tick 2 after 20
+    )  # tick 1 is due after 10 periods of wall time, and tick 2 after 20
     assert clock.wait(1) == pytest.approx(1.5 * PERIOD_NS, abs=1000)
     assert clock.wait(2) == pytest.approx(0.5 * PERIOD_NS, abs=1000)
     assert clock.wait(3) < 1000
@@ -110,9 +113,9 @@ def test_the_granted_priority_is_described() -> None:
 
 
 class RecordingPeer:
-    """A fake simulator for the lockstep clock. This simulator records its steps.
+    """A fake simulator for the lockstep clock. This fake simulator records its steps.
 
-    The reply to a frame has an identifier that is larger by 0x10.
+    The identifier of the reply to a frame is larger by 0x10 than that of the frame.
     """
 
     def __init__(self, fail: str = "") -> None:
@@ -179,7 +182,7 @@ def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
 class RecordPeer(RecordingPeer):
     """A fake simulator for the lockstep clock.
 
-    This simulator exchanges frames as packed records and not as objects.
+    This fake simulator exchanges frames as packed records, and not as objects.
     """
 
     def exchange(self, t_ns: int, records: RecordArray) -> RecordArray:

@@ -1,6 +1,6 @@
 """Test the conformance checks on simulated drives in virtual time.
 
-A good drive passes all checks. A broken drive fails the check for its fault.
+A good drive passes all checks. A broken drive fails the check that is made for its fault.
 """
 
 import random
@@ -55,9 +55,9 @@ def test_a_good_drive_passes_every_conformance_check(protocol):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_good_drive_passes_although_the_host_is_late(protocol, seed, monkeypatch):
-    """Every 40th tick on average, the host misses up to six ticks in a row.
+    """In this test, the host misses up to six ticks in a row, on average at every 40th tick.
 
-    Such stalls are shorter than the watchdog of the drive.
+    Such a stall is shorter than the watchdog time of the drive.
     """
     source = random.Random(seed)
     wait = VirtualBench.wait
@@ -79,7 +79,7 @@ def test_a_good_drive_passes_although_the_host_is_late(protocol, seed, monkeypat
 def test_a_good_drive_passes_three_times_running(protocol):
     """Reproduce a defect: after the checks, ODrives and CiA 402 drives had a latched error.
 
-    These drives then failed the second series of checks.
+    So these drives failed when the checks ran a second time.
     """
     place = VirtualBench(protocol)
     for _ in range(3):
@@ -159,7 +159,7 @@ def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(fault):
 
 
 def test_a_second_drive_never_turns(protocol):
-    """The second drive is never enabled, because the checks stop as soon as a second drive replies."""
+    """The second drive is never enabled, because the checks stop when a second drive replies."""
     _, place, _ = check_results(protocol, "twin")
     assert place.largest_torque == 0.0
 
@@ -186,7 +186,7 @@ def test_an_odrive_without_watchdog_fails_that_check_only():
 
 
 def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
-    """An earlier client may have left the register CTRL_MODE at 3, the velocity mode."""
+    """An earlier client may have left the value 3 (velocity mode) in the register CTRL_MODE."""
     place = VirtualBench("mit")
     node = place.bench.nodes[0]
     node.registers.write(10, (3).to_bytes(4, "little"))
@@ -200,7 +200,7 @@ def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
 def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answers):
     """Reproduce a defect: the host waited for a reply to the clear command.
 
-    Without this reply, it never found the motor ready.
+    Without this reply, the host never regarded the motor as ready.
     """
     place = VirtualBench("mit", clear_answers=answers)
     rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
@@ -217,7 +217,7 @@ def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answer
 def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog):
     """Register requests do not reset the watchdog.
 
-    Regression: the watchdog of a disabled motor fired, and the motor was in fault before arming.
+    Earlier defect: the watchdog of a disabled motor fired, so the motor had a fault before arming.
     """
     place = VirtualBench("mit", watchdog=watchdog)
     rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)

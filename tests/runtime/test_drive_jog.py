@@ -1,4 +1,4 @@
-"""Test how a simulated drive is jogged in virtual time: modes, limits, guards, and the final state of the drive."""
+"""Test jogging of a simulated drive in virtual time: modes, limits, protections, final state."""
 
 import math
 import struct
@@ -113,7 +113,7 @@ def test_no_command_beyond_its_range_is_encoded(protocol, mode, value):
 def test_a_drive_that_is_turned_away_stays_where_it_is_when_it_is_enabled(protocol, mode):
     """The drive starts at 5 rad.
 
-    If enabling set the position command to zero, the drive would move by this angle.
+    If the position command were zero when the drive is enabled, the drive would move by this angle.
     """
     place, rig, torque_drive = bench_of(protocol, mode)
     place.bench.motors[0].theta = 5.0
@@ -198,16 +198,16 @@ def test_a_blocked_cia402_drive_reports_its_following_error():
 
 
 def stall_host(place, rig, after_s, missed):
-    """Let the host miss ticks in a row, ``after_s`` seconds after the drive is enabled.
+    """Let the host miss consecutive ticks, ``after_s`` seconds after the drive was enabled.
 
-    Return the list of (time [ns], command) of all ticks with an enabled drive.
+    Return the time [ns] and the command of all ticks in which the drive is enabled.
     """
     wait, advance_drive = place.wait, rig.drive.advance
     commands = []
     stalls = [missed]
 
     class NotedDrive:
-        """Drive that notes the commands of the host."""
+        """Drive that stores the commands of the host."""
 
         def __getattr__(self, name):
             return getattr(drive, name)
@@ -219,7 +219,8 @@ def stall_host(place, rig, after_s, missed):
 
     def wait_and_stall(k):
         if stalls and commands and (k * PERIOD_NS - commands[0][0]) * 1e-9 >= after_s:
-            # The drive gets its commands from elsewhere, so that its watchdog does not end the jog.
+            # The drive gets its commands from another source, so that its watchdog does not end the
+            # jog.
             for n in range(stalls.pop()):
                 wait(k + n)
                 command = commands[-1][1]
@@ -235,7 +236,7 @@ def stall_host(place, rig, after_s, missed):
 @pytest.mark.parametrize("after_s", [0.1, 1.98])
 @pytest.mark.parametrize("mode", [DriveMode.TORQUE, DriveMode.POSITION, DriveMode.VELOCITY])
 def test_a_ramp_keeps_its_time_although_ticks_are_missed(mode, after_s, missed):
-    """Reproduce a defect: after a host stall, the commands of all missed ticks were sent back to back."""
+    """Reproduce a defect: after a stall of the host, the commands of all missed ticks were sent at once."""
     ramps = []
     for stall in (0, missed):
         place, rig, _ = bench_of("mit", mode)
@@ -250,8 +251,8 @@ def test_a_ramp_keeps_its_time_although_ticks_are_missed(mode, after_s, missed):
     assert max(gaps) == (missed + 1) * PERIOD_NS
     at_time = dict(whole)
     late = gaps.index(max(gaps)) + 1
-    # The command of the late tick was computed before the stall. The next ones are on the ramp again.
-    # A stall beyond the end of the motion delays this end.
+    # The command of the late tick was computed before the stall. The commands after it are on the
+    # ramp again. If a stall lasts beyond the planned end of the motion, the motion ends later.
     if after_s < 1.0:
         for t_ns, command in ramp[late + 1 : late + 20]:
             assert command == pytest.approx(at_time[t_ns], abs=1e-6)
@@ -260,7 +261,7 @@ def test_a_ramp_keeps_its_time_although_ticks_are_missed(mode, after_s, missed):
 
 @pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
 def test_a_host_that_misses_too_many_ticks_ends_the_jog(protocol, mode):
-    """The drive gets commands meanwhile, so that its watchdog is not the reason."""
+    """The drive gets commands during the stall, so its watchdog is not the reason."""
     place, rig, _ = bench_of(protocol, mode)
     commands = stall_host(place, rig, 0.5, MAX_MISSED_TICKS + 1)
     result = jog_drive(rig, goal_of(mode, 1.0))

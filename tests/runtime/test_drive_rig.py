@@ -11,9 +11,9 @@ from tests.drives.virtual_bench import OPTIONS_BY_PROTOCOL, VirtualBench, drive_
 
 
 def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reproduce a defect: at the first command, the rig compiled code for a second.
+    """Reproduce a defect: at the first command, the rig compiled code, which took a second.
 
-    In this second the watchdog of the drive fired.
+    During this second, the watchdog of the drive fired.
     """
     order = []
 
@@ -30,7 +30,7 @@ def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.Monk
 @pytest.mark.parametrize("protocol", OPTIONS_BY_PROTOCOL)
 @pytest.mark.parametrize("missed", [1, 3, 100])
 def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed: int) -> None:
-    """Reproduce a defect: after a host stall, the rig sent the commands of all missed ticks back to back."""
+    """Reproduce a defect: after a stall of the host, the rig sent the commands of all missed ticks at once."""
     place = VirtualBench(protocol)
     rig = drive_rig_on(place, protocol, 0.1)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0)
@@ -41,7 +41,7 @@ def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed: 
     place.send = lambda frames: times.append(place.now_ns()) or send(frames)  # type: ignore[method-assign]
     for _ in range(5):
         rig.run_tick(DriveTarget.POLL)
-    # The time before the first tick is the half period after its deadline.
+    # The time before the first tick is the half period after the deadline of the tick.
     assert [t_ns // PERIOD_NS for t_ns in times] == [first - 1 + missed + i for i in range(5)]
     assert rig.t_ns == (first - 1 + missed + 5) * PERIOD_NS
     assert rig.missed_ticks == 0
@@ -52,7 +52,11 @@ def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed: 
 def test_the_velocity_after_missed_ticks_is_that_of_the_shaft(
     missed: int, delay_ticks: int
 ) -> None:
-    """Reproduce a defect: the positions after a stall counted as those of adjacent ticks, and the shaft as too fast."""
+    """Reproduce a defect.
+
+    Positions before and after a stall were compared as if their ticks were adjacent, so the shaft
+    seemed too fast.
+    """
     place = VirtualBench("mit", delay_ticks=delay_ticks)
     motor = place.bench.motors[0]
     wait = place.wait

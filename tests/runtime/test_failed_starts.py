@@ -1,4 +1,4 @@
-"""Test starts of a run that fail: the recorder and the buses that were opened before are closed again."""
+"""Test starts of a run that fail: the recorder and the buses that are already open are closed again."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
 
 
 class StartError(Exception):
-    """Error that a test raises during the start of a run."""
+    """Error that a test raises while a run starts."""
 
 
 class ClosableBus:
@@ -94,7 +94,7 @@ def check_closed(recorder: Recorder, log: Path) -> None:
 
 
 def check_failed_lockstep_run(recorders, folder, start_display):
-    """Check that a run in lockstep whose display fails has closed its recorder."""
+    """Check that a run in lockstep closes its recorder if its display fails."""
     path, plan, controller = plan_and_controller(folder, start_display)
     log = folder / "run.mcap"
     with (

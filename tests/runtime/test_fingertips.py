@@ -1,4 +1,4 @@
-"""Test the fingertip positions of a client without a running hand."""
+"""Test the fingertip positions of a client, without a running hand."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_wrong_digits_are_refused(digits):
 
 
 class StreamOwner:
-    """Fake client that owns a stream. The hand of this client is at rest."""
+    """Fake client to which a stream belongs. The hand of this client is at rest."""
 
     description = HAND
 
@@ -65,7 +65,7 @@ class StreamOwner:
 
 
 class StoringSender:
-    """Fake sender that stores streamed targets."""
+    """Fake sender that stores the streamed targets."""
 
     def __init__(self):
         self.sent = []

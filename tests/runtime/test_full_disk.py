@@ -1,7 +1,7 @@
 """Test a run whose disk becomes full.
 
-The full disk is reported at once, the hand keeps running, and the written part of the log can be
-read.
+The full disk is reported at once, the hand continues to run, and the part of the log that was
+written can be read.
 """
 
 import contextlib
@@ -64,7 +64,10 @@ def fill_disk(path):
 
 
 def seconds_until(process, word, timeout_s=20.0):
-    """Wait until a run prints a word to standard error, and return the time of waiting [s]."""
+    """Wait until a run prints a given word to standard error.
+
+    Return the duration of the wait [s].
+    """
     start = time.monotonic()
     output = b""
     while time.monotonic() - start < timeout_s:

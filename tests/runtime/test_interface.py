@@ -9,7 +9,7 @@ from handctl.runtime.buses.link import parse_link
 
 
 def ip_output(nominal: int | None, data: int | None) -> str:
-    """Return a shortened output of iproute2 6.1 about a CAN interface with given bit rates."""
+    """Return the output of iproute2 6.1 (shortened) about a CAN interface with given bit rates."""
     info = {} if nominal is None else {"state": "ERROR-ACTIVE", "bittiming": {"bitrate": nominal}}
     info |= {} if data is None else {"data_bittiming": {"bitrate": data}}
     return json.dumps(

@@ -1,6 +1,6 @@
 """Kill or stop controllers at random times.
 
-Afterwards the drives remove the torque within their watchdog time, and the logs are complete.
+Afterwards the drives remove the torque within their watchdog time, and all logs are complete.
 """
 
 import multiprocessing
@@ -16,14 +16,14 @@ TIME_SCALE = 0.7
 
 
 def all_batches(times, seed, scale):
-    """Disturb ``times`` controllers, and return the verdict on each."""
+    """Kill or stop ``times`` controllers, and return the verdict on each run."""
     return [run for batch in disturb_in_batches(times, seed, scale) for run in batch]
 
 
 @pytest.mark.timeout(300 + 15 * CONTROLLER_COUNT)
 def test_drives_remove_torque_and_logs_end_with_the_last_tick(repeat_time_scale):
-    # A forked controller locks all its memory. It is therefore forked from a small process, and not
-    # from the large process of all tests.
+    # A forked controller locks all its memory. The forked controller is therefore a fork of a small
+    # process, and not of the large process of all tests.
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         runs = pool.apply(all_batches, (CONTROLLER_COUNT, 20261121, TIME_SCALE * repeat_time_scale))
     assert [run for run in runs if not run.torque_ended_in_time] == [], (

@@ -1,6 +1,6 @@
 """Test findings about a CAN interface from the output of ``ip``.
 
-The texts were written for these tests, in the format of iproute2.
+The texts were written for these tests. The texts have the format of iproute2.
 """
 
 import json
@@ -20,7 +20,7 @@ MEGABIT_PER_S = 1_000_000
 
 
 def link_json(**changes) -> str:
-    """Return an output of ``ip -details -statistics -json`` about a good CAN interface, with changed values."""
+    """Return the output of ``ip -details -statistics -json`` about a good CAN interface, with some values changed."""
     data = {
         "state": "ERROR-ACTIVE",
         "berr_counter": {"tx": 0, "rx": 0},
@@ -87,7 +87,10 @@ def test_missing_fd_is_found_where_the_hand_needs_it():
 
 @pytest.mark.parametrize("data_bitrate", [None, 5 * MEGABIT_PER_S])
 def test_the_set_up_of_a_finding_is_that_of_bus_up(data_bitrate):
-    """Reproduce a defect: the command in a finding left out ``restart-ms``, and the next finding then asked for it."""
+    """Reproduce a defect.
+
+    The command in a finding did not contain ``restart-ms``, and the next finding then demanded it.
+    """
     (finding, *_) = bad_findings(link_json(link={"flags": ["NOARP"]}), data_bitrate)
     commands = set_up_commands("can0", MEGABIT_PER_S, data_bitrate, exists=True)
     assert finding.fix.split(" && ") == ["sudo " + " ".join(command) for command in commands]
@@ -109,7 +112,10 @@ def test_invalid_output_of_ip_is_no_link(text):
 
 
 def usb_interface(folder, driver="gs_usb", speed="12", serial="0042"):
-    """Make a folder like /sys/class/net. Its only interface is can0, which belongs to a USB adapter."""
+    """Make a folder like /sys/class/net.
+
+    The only interface in the folder is can0, which belongs to a USB adapter.
+    """
     usb = folder / "usb1" / "1-1"
     (usb / "1-1:1.0").mkdir(parents=True)
     (folder / "drivers" / driver).mkdir(parents=True)

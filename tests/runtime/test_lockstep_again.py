@@ -1,6 +1,6 @@
-"""Test two runs on one lockstep clock with drives of each protocol.
+"""Test two consecutive runs on one lockstep clock, with drives of each protocol.
 
-The second run starts with the drives in the state that the first run has left.
+At the start of the second run, the drives are in the state in which the first run has left them.
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ RUN_COUNT = 2
 
 
 PROTOCOL_CASES = [
-    ("cia402", None),  # CiA 402 drives still get frames after they are off
+    ("cia402", None),  # CiA 402 drives still get frames after they were disabled
     *(
         pytest.param(name, None, marks=pytest.mark.nightly)
         for name in sorted(PROTOCOL_ENTRIES)

@@ -1,6 +1,6 @@
 """Test a run in lockstep in which a fault holds the hand.
 
-In lockstep no operator can clear the fault, so the run must end by a time limit.
+In lockstep no operator can clear the fault, so a time limit must end the run.
 """
 
 from pathlib import Path
@@ -24,7 +24,7 @@ from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
 def test_a_run_held_by_a_fault_ends_with_its_reason(tmp_path: Path) -> None:
     """While a fault holds the hand, the task makes no progress.
 
-    Regression: such a run never ended.
+    Earlier defect: a run in which a fault held the hand never ended.
     """
     task = tmp_path / "bend.toml"
     task.write_text(TASK_HEAD + MOVE_PHASE.format(name="bend", angle=10.0, duration=0.5))

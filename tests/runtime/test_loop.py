@@ -1,4 +1,4 @@
-"""Test the control loop on a scripted clock.
+"""Test the control loop with a scripted clock.
 
 The loop skips missed ticks, loses no frame, and disables the drives after every error.
 """
@@ -26,9 +26,9 @@ CUT_FRAMES = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
 
 @dataclass
 class ScriptedClock:
-    """A clock whose first waits end late by the given times [ns], and all later waits in time.
+    """A clock whose first waits end late by the given times [ns]. All later waits end in time.
 
-    The clock records all waits.
+    The clock stores all waits.
     """
 
     late: list[int] = field(default_factory=list)
@@ -143,7 +143,10 @@ def test_ticks_follow_one_another_at_their_times() -> None:
 
 
 def test_the_warm_up_tick_has_no_effect() -> None:
-    """The warm-up tick runs before the clock starts. It sends and records nothing, and its state is discarded."""
+    """The tick for warming up runs before the clock starts.
+
+    This tick sends and records nothing, and its state is discarded.
+    """
     run = RecordedLoop(frames=(Frame(7, b""),))
     run.go()
     assert len(run.entries) == 6
@@ -244,7 +247,7 @@ def test_frames_that_a_bus_refuses_are_counted_as_refused_not_as_sent() -> None:
 
 
 class StageError(Exception):
-    """Error that a stage of a tick raises in a test."""
+    """Error that a test raises in a stage of a tick."""
 
 
 def raise_error(*_: object) -> None:
@@ -279,7 +282,8 @@ def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
         owner = run.clock if stage == "wait" else left
         whole = getattr(owner, stage)
         setattr(owner, stage, lambda *words: raise_error() if run.recorded else whole(*words))
-    with pytest.raises(PowerError if stage == "send" else StageError):  # the cut was not sent
+    # the cut frames were not sent
+    with pytest.raises(PowerError if stage == "send" else StageError):
         run.go()
     assert right.sent[-1] == (CUT_FRAMES[1],)
     if stage != "send":
@@ -288,9 +292,11 @@ def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
 
 
 def poll_times(run: RecordedLoop, answers: list[tuple[str, ...]]) -> list[int]:
-    """Let a loop fail in its third tick, and return the times at which it then polled the drives [ns].
+    """Let a loop fail in its third tick.
 
-    ``answers`` lists, for each poll, the drives that have not confirmed that they are off.
+    Return the times at which the loop then polled the drives [ns].
+
+    For each poll, ``answers`` lists the drives that have not confirmed that they are disabled.
     """
     times: list[int] = []
 
@@ -312,7 +318,8 @@ def test_an_error_after_the_commands_disables_from_the_state_with_these_commands
 ) -> None:
     """Reproduce a defect.
 
-    The loop used the state before the tick, in which drives that were just enabled had no command.
+    Earlier defect: the loop used the state before the tick. In this state, drives that had just
+        been enabled had no command.
     """
     bus = FakeBus()
     run = RecordedLoop(5, buses=[bus], frames=(Frame(9, b"enable"),))
@@ -364,7 +371,10 @@ def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
 
 
 def test_after_a_stall_drives_are_polled_from_the_present_time_on() -> None:
-    """Reproduce a defect: the polls began at the missed ticks, all at once, so that no time was left for answers."""
+    """Reproduce a defect.
+
+    The polls began at the times of the missed ticks, all at once, so there was no time for answers.
+    """
     run = RecordedLoop(600, clock=ScriptedClock([0, 600 * PERIOD_NS]))
     times: list[int] = []
 
@@ -392,7 +402,8 @@ def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
 def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
     """The frames of a cut must not be lost.
 
-    No later tick repeats them, and a drive without a watchdog would keep its torque.
+    No later tick repeats the frames of a cut. A drive without a watchdog would therefore keep its
+    torque.
     """
     left = FakeBus()
     right = FakeBus(1)
@@ -417,7 +428,7 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
 def test_a_bus_that_refuses_every_cut_delays_no_other(
     refusing: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The other bus gets its cut before the first retry, and the retries end."""
+    """The other bus gets its cut frames before the first retry, and the retries end."""
     pauses: list[float] = []
     monkeypatch.setattr(loop.time, "sleep", pauses.append)
     tries: list[tuple[int, int]] = []

@@ -1,6 +1,7 @@
-"""Test a client that dies or hangs while the hand holds a tension for it.
+"""Test a client that dies or hangs while the hand holds a tension for this client.
 
-The hand relaxes when the lease of the client has ended. The truth file of the simulator shows this.
+The hand relaxes when the lease of this client has ended. The truth file of the simulator shows
+this.
 """
 
 import re
@@ -36,7 +37,7 @@ with handctl.connect("jamia", {LOCAL_BUS!r}, **{{options}}) as hand:
 def start_holding_client(**options):
     """Start another client in a separate process.
 
-    This client requests a tension and then does nothing.
+    This client requests a tension, and then does nothing.
     """
     command = [sys.executable, "-c", CLIENT_PROGRAM.format(options=options)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -46,9 +47,9 @@ def start_holding_client(**options):
 
 
 def wait_for_end(client, seconds):
-    """Wait until the run ends, and return the reason for its end.
+    """Wait until the run ends, and return the reason why it ended.
 
-    Wait at most ``seconds`` on the hand's clock.
+    The wait takes at most ``seconds`` on the clock of the hand.
     """
     start = client.observe().t_s
     try:
@@ -65,7 +66,7 @@ def wait_for_end(client, seconds):
     ["suspended", *[pytest.param(how, marks=pytest.mark.nightly) for how in ("killed", "hangs")]],
 )
 def test_a_lost_client_makes_the_hand_relax(work_folder, hand, calibrated, scale, how):
-    """Reproduce a defect: the hand kept the tension of a lost client without a time limit."""
+    """Reproduce a defect: without a time limit, the hand kept the tension of a client that was lost."""
     factor = float(scale[1])
     client = library.connect(
         "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
@@ -141,9 +142,9 @@ def test_a_wrong_lease_is_one_line(options, line):
 
 
 def test_a_watchdog_stops_the_signs_of_life(work_folder):
-    """A watchdog notices that the program makes no calls, and stops its signs of life.
+    """If the program makes no calls, a watchdog in the client notices this, and ends the signs of life.
 
-    The next call resumes the signs.
+    With the next call, the signs of life begin again.
     """
     box = Mailbox("local:beats")
     beats = Heartbeat("local:beats", "one", 0.01, 0.15)

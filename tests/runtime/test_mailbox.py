@@ -1,7 +1,7 @@
 """Test the socket for requests.
 
-Requests arrive in order and never block. A bus has at most one controller. Watchers get status
-lines.
+Requests arrive in order and never block. A bus can have only one controller at a time. Watchers get
+status lines.
 """
 
 import json
@@ -104,7 +104,7 @@ def test_a_second_controller_is_refused_and_disturbs_nothing() -> None:
 def test_a_mailbox_that_fails_leaves_no_lock_and_no_socket(
     stage: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Reproduce a defect: after a failed start, a retry in the same process found its own lock."""
+    """Reproduce a defect: if a start had failed, a retry in the same process was refused because of its own lock."""
     path = mailbox_path("local:x")
     open_before = set(os.listdir("/proc/self/fd"))
     with monkeypatch.context() as patch:
@@ -149,7 +149,7 @@ def test_a_hand_whose_second_bus_has_a_controller_is_refused(
 
 
 def test_a_killed_controller_leaves_no_lock(run_folder: Path) -> None:
-    """The socket file of the killed controller remains.
+    """The socket file of the killed controller still exists.
 
     The next controller can still use the same name.
     """

@@ -1,4 +1,4 @@
-"""After the control loop, a process gives back its real-time priority and unlocks its memory."""
+"""After the control loop has ended, a process gives back its real-time priority and unlocks its memory."""
 
 import os
 import sys
@@ -23,7 +23,7 @@ def open_files() -> set[str]:
     """Return the paths of all files that this process has open."""
     paths = set()
     for descriptor in os.listdir("/proc/self/fd"):
-        with suppress(OSError):  # the descriptor for the listing itself is closed by now
+        with suppress(OSError):  # the descriptor that was used for this list is already closed
             paths.add(os.readlink(f"/proc/self/fd/{descriptor}"))
     return paths
 
@@ -41,9 +41,9 @@ def test_the_doctor_tries_real_time_priority_and_resets_it() -> None:
 
 
 def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reproduce a defect: the process locked its memory when it already had real-time priority (SCHED_FIFO).
+    """Reproduce a defect: the process locked its memory while it had real-time priority (SCHED_FIFO).
 
-    The lock then blocked all other processes on the core for a tenth of a second.
+    Locking the memory blocked all other processes on the core for a tenth of a second.
     """
     calls: list[str] = []
     monkeypatch.setattr(priority, "_lock_memory", lambda: calls.append("memory") is None)
@@ -53,7 +53,7 @@ def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyP
 
 
 def test_only_ticks_have_realtime_priority() -> None:
-    """Reproduce a defect: a loop that was starting or was closing its log blocked all other processes on its core."""
+    """Reproduce a defect: while a loop started, or closed its log, it blocked all other processes on its core."""
     granted = priority.prepare_priority()
     seen = []
     assert scheduling_policy() == os.SCHED_OTHER
@@ -66,7 +66,10 @@ def test_only_ticks_have_realtime_priority() -> None:
 
 
 def test_processors_stay_awake_only_during_the_ticks(tmp_path, monkeypatch) -> None:
-    """Processors must not sleep during ticks: in a virtual machine, an idle processor took a millisecond to wake up."""
+    """Processors must not sleep during ticks.
+
+    In a virtual machine, an idle processor needs a millisecond to wake up.
+    """
     latency = tmp_path / "cpu_dma_latency"
     latency.touch()
     monkeypatch.setattr(priority, "LATENCY_FILE", str(latency))

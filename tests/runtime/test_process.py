@@ -1,7 +1,7 @@
 """Test handctl in a process with the simulated hand in another process, on the real clock.
 
-These tests cover the beginning and the end of runs. The time scale is slow, because a stall of the
-machine would end a run in real time.
+These tests cover the start and the end of runs. The tests run in slowed time, because in real time
+a stall of the machine would end a run.
 """
 
 import itertools
@@ -62,7 +62,7 @@ def test_a_run_commissions_moves_and_reports_its_result(work_folder, processes, 
 
 
 def start_long(processes, calibrated, *more):
-    """Start a run that stays in its last phase until it is stopped.
+    """Start a run that stays in its last phase until somebody stops it.
 
     Wait until the run is in this phase.
     """

@@ -1,4 +1,4 @@
-"""The Python program of the README works unchanged with the simulated hand of the README."""
+"""The Python program in the README works without changes with the simulated hand in the README."""
 
 import re
 import select
@@ -16,7 +16,7 @@ LOAD_PROGRAM = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: 
 
 
 def readme_blocks(language: str, *containing: str) -> list[str]:
-    """Return the code blocks of the README that are in ``language`` and contain all given texts."""
+    """Return the code blocks of the README in the language ``language`` that contain all given texts."""
     texts = re.findall(rf"^```{language}\n(.*?)^```$", README_TEXT, re.MULTILINE | re.DOTALL)
     return [block for block in texts if all(text in block for text in containing)]
 

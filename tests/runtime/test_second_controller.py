@@ -1,6 +1,6 @@
-"""A second controller on a bus is refused with one error line.
+"""If a controller already runs on a bus, a second controller is refused with one error line.
 
-The first controller keeps running.
+The first controller continues to run.
 """
 
 import time

@@ -1,4 +1,4 @@
-"""Test the shared clock of controller and simulator: its pauses, and the time that the simulator reads."""
+"""Test the clock that controller and simulator share: its pauses, and the time that the simulator reads."""
 
 import random
 import signal
@@ -21,12 +21,12 @@ NS_PER_MS = 1_000_000
 
 
 class SharedClockPair:
-    """A simulator and a controller on a simulated CLOCK_MONOTONIC.
+    """A simulator and a controller, with a simulated CLOCK_MONOTONIC.
 
     Attributes:
         now: time of the simulated CLOCK_MONOTONIC [ns].
-        overshoots: times by which the next sleeps are too long [ns]. All later sleeps are too long
-            by 10 us.
+        overshoots: times by which the next sleeps last too long [ns]. All later sleeps last too
+            long by 10 us.
         simulator: clock of the simulator.
         controller: clock of the controller.
         between: function that is called at the end of each sleep.
@@ -47,7 +47,7 @@ class SharedClockPair:
         self.between()
 
     def answer(self) -> None:
-        """Let the simulator report that it has reached its time and replied to all frames."""
+        """Let the simulator report that it has reached the present time and has replied to all frames."""
         self.simulator.note_reached(self.simulator.now_ns())
         self.simulator.note_answered(self.simulator.ticks_sent())
 
@@ -94,7 +94,7 @@ def test_the_clock_pauses_for_a_late_controller(clock_pair, late_ms) -> None:
 
 
 def test_ticks_of_a_controller_that_was_stopped_are_missed(clock_pair) -> None:
-    """If a user stops the controller, the clock does not pause, because the watchdogs of the drives must trip."""
+    """If a user stops the controller, the clock does not pause, because the watchdogs of the drives must fire."""
     clock = clock_pair.controller
     clock.start()
     clock.wait(0)
@@ -125,7 +125,7 @@ def test_the_clock_waits_for_the_simulator(clock_pair) -> None:
 
 
 def test_a_simulator_that_stopped_is_not_waited_for_again(clock_pair) -> None:
-    """The controller waits once and then continues.
+    """The controller waits once, and then continues.
 
     The missing frames cause the same faults as on a real bus.
     """
@@ -151,10 +151,10 @@ def test_a_simulator_that_stopped_is_not_waited_for_again(clock_pair) -> None:
 
 
 def test_a_simulator_behind_its_time_is_waited_for(clock_pair) -> None:
-    """The simulator has replied to all frames.
+    """In this test, the simulator has replied to all frames.
 
-    The controller still waits for the simulator, because the simulated sensors must send frames up
-    to the present time.
+    The controller still waits for the simulator, because the simulated sensors must send all frames
+    up to the present time.
     """
     clock = clock_pair.controller
     clock.start()
@@ -195,9 +195,9 @@ def test_a_closed_clock_opens_the_gate(clock_pair, tmp_path) -> None:
 
 
 def test_a_time_stamp_before_the_last_pause_is_converted(clock_pair) -> None:
-    """A client stamps its targets with CLOCK_MONOTONIC, which never pauses.
+    """A client stamps its targets with CLOCK_MONOTONIC. This clock never pauses.
 
-    The controller converts the stamp to the time of the run.
+    The controller therefore converts the time stamp to the time of the run.
     """
     clock = clock_pair.controller
     clock.start()
@@ -253,9 +253,9 @@ def test_only_buses_of_this_machine_share_a_clock() -> None:
 @pytest.mark.realtime
 @pytest.mark.parametrize("victim", ["simulator", "controller"])
 def test_a_short_stop_of_a_process_is_no_fault(hand, calibrated, processes, victim) -> None:
-    """The test stops a process repeatedly for 20 ms, as a busy machine may do.
+    """The test repeatedly stops a process for 20 ms, as a busy machine may do.
 
-    Without the shared clock, ten ticks would be late after each stop.
+    Without the shared clock, ten ticks would be late after each such stop.
     """
     processes.append(
         start_handctl("run", *calibrated, "--task", "short.toml", "--log", "run.mcap", "--json")

@@ -1,6 +1,6 @@
 """Signals of an operator or a terminal become requests to the control loop.
 
-No signal is lost. Afterwards the old signal handlers are restored.
+No signal is lost. After the run, the old signal handlers are restored.
 """
 
 import os

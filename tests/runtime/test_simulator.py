@@ -1,4 +1,4 @@
-"""An injected fault reaches a running simulator, and the simulator reports its effect."""
+"""An injected fault reaches a running simulator, and the simulator reports the effect of the fault."""
 
 import json
 import subprocess

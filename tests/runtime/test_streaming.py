@@ -1,4 +1,4 @@
-"""Test how other programs use a hand in real time: streams, observations, several clients, and failing clients."""
+"""Test programs that use a hand in real time: streams, observations, several clients, and clients that fail."""
 
 import re
 import select
@@ -103,9 +103,9 @@ def test_a_move_ends_with_an_error_if_another_client_takes_over(live_hand):
 
 @REALTIME
 def test_only_one_of_several_clients_commands_the_hand(live_hand):
-    """Reproduce a defect: when one client disconnected, the hand stopped although other clients used it.
+    """Reproduce a defect: when one of several clients disconnected, the hand stopped.
 
-    Two threads of one client did not get the results of their moves.
+    Earlier defect: two threads of one client did not get the results of their moves.
     """
     live_hand.move(index=10.0, duration_s=0.3)
     with library.connect("jamia", LOCAL_BUS) as other:
@@ -145,7 +145,10 @@ def test_only_one_of_several_clients_commands_the_hand(live_hand):
 
 
 def test_every_watcher_gets_its_lines(work_folder):
-    """Every watcher gets status lines. Regression: a fifth watcher displaced the first one."""
+    """Every watcher gets status lines.
+
+    Earlier defect: when a fifth watcher subscribed, the first one got no more status lines.
+    """
     box = Mailbox("local:many")
     watchers = [StatusWatcher("local:many") for _ in range(MAX_WATCHERS + 3)]
     for watcher in watchers:

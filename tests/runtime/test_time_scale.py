@@ -1,6 +1,7 @@
 """Test the time scale of a run.
 
-By default the run takes the time scale of the simulator. The operator can request another one.
+By default the run takes the time scale of the simulator. The operator can request another time
+scale.
 """
 
 import pytest

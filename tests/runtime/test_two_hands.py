@@ -50,7 +50,7 @@ def test_a_stop_of_one_hand_leaves_the_other_moving(work_folder, processes, scal
         assert stopped.returncode == 0, stopped.stderr
         code, result, err = process_result(runs[0])
         assert (code, result["failure"]) == (0, ""), err
-        # The stop of the first hand does not affect the second hand, which still holds its goal.
+        # A stop of the first hand has no effect on the second hand, which still holds its goal.
         assert runs[1].poll() is None
         wait_for_phase("stay", watchers[1], runs[1])
     finally:

@@ -1,4 +1,4 @@
-"""Cases of each fault: input that shows the fault, input just below its limit, its action, and who may clear it."""
+"""Cases for each fault: input that shows the fault, input just below its limit, its action, and who may clear it."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -44,8 +44,8 @@ LOAD_CELLS_NODE = TENDON_COUNT
 class TickInput(NamedTuple):
     """Input of the safety monitor for one tick.
 
-    The input has the rows of the state that differ from a hand at rest, by field and index. The
-    input also has the reports of buses and host.
+    The input contains those rows of the state that differ from a hand at rest, by field and index.
+    The input also contains the reports of buses and host.
     """
 
     rows: Mapping[str, dict[object, float]] = MappingProxyType({})
@@ -60,10 +60,10 @@ class FaultCase(NamedTuple):
 
     Attributes:
         input_with_fault: input that shows the fault.
-        input_below_limit: input that is just below its limit.
+        input_below_limit: input that is just below the limit of the fault.
         instance: name of the part that has the fault. debounce: ticks until the fault counts. action: action that the
             fault demands. latched: whether only an operator ends the fault.
-        only_while_armed: whether the fault does not count while no drive is armed.
+        only_while_armed: True if the fault does not count while no drive is armed.
     """
 
     input_with_fault: TickInput
@@ -76,15 +76,18 @@ class FaultCase(NamedTuple):
 
 
 def state_rows(**cells: object) -> TickInput:
-    """Return an input with rows of the state. A row is one number for a field of the run, or numbers by index."""
+    """Return an input with rows of the state.
+
+    A row is a single number for a field of the run. For other fields, it is a number by index.
+    """
     return TickInput({name: c if isinstance(c, dict) else {...: c} for name, c in cells.items()})  # type: ignore[misc]
 
 
 def frame_ages(field: str, **late: int) -> TickInput:
-    """Return an input with the ages of frames in ticks.
+    """Return an input with the ages of frames, in ticks.
 
-    A keyword names a node and gives the age of its frame: motor 1 (m1=...), load cell 1 (t1=...) or
-    joint encoder 1 (j1=...).
+    Each keyword names a node, and its value is the age of the frame of this node: motor 1 (m1=...),
+    load cell 1 (t1=...) or joint encoder 1 (j1=...).
     """
     first = TENDON_COUNT if field == "group_ns" and min(late)[0] == "j" else 0
     return state_rows(
@@ -105,10 +108,10 @@ def late_sensors(**late: int) -> TickInput:
 
 
 def lost_frames(**number: int) -> TickInput:
-    """Return an input in which nodes have lost their frames in the ticks before the present tick.
+    """Return an input in which nodes have lost frames in the ticks before the present tick.
 
-    A keyword names a node and gives its number of lost frames: motor 1 (m1=...) or the load cells
-    (cells=...).
+    Each keyword names a node, and its value is the number of frames that this node has lost: motor
+    1 (m1=...) or the load cells (cells=...).
     """
     return state_rows(
         lost={
@@ -119,7 +122,7 @@ def lost_frames(**number: int) -> TickInput:
 
 
 def malformed_frames(node: int, before: int) -> TickInput:
-    """Return an input with frames of a wrong length from a node, one in this tick and ``before`` in earlier ticks."""
+    """Return an input with frames of a wrong length from one node: one now, and ``before`` in earlier ticks."""
     return state_rows(misread_now={node: 1}, misshapen={node: (1 << before) - 1})
 
 
@@ -163,21 +166,21 @@ def merge_inputs(*tick_input: TickInput) -> TickInput:
 
 
 def without_torque(tick_input: TickInput) -> TickInput:
-    """Return an input like a given one, but in the mode of a hand that is ready to be armed."""
+    """Return a copy of an input in the mode of a hand that is ready to be armed."""
     return TickInput({**tick_input.rows, "mode": {...: int(HandMode.READY)}}, tick_input.reports)
 
 
 def slack_tendon(before: int, tendon: int = 3) -> TickInput:
-    """Return an input with a tendon that is slack now and was slack in the ``before`` ticks before."""
+    """Return an input with a tendon that is slack now, and was slack in the last ``before`` ticks."""
     return state_rows(
         slack_ticks={tendon: before}, taut_ago={tendon: 5}, residual={(TENSION, tendon): 0.0}
     )
 
 
 def derailed_tendon(tendon: int, deg: float) -> TickInput:
-    """Return an input with an angle between the joint and the spool of a tendon [deg].
+    """Return an input with an angle difference between the joint and the spool of a tendon [deg].
 
-    The input has the third such reading in a row.
+    The input has this difference for the third reading in a row.
     """
     excursion = -20.0 / 1e5 - 0.02 * np.radians(deg)
     return state_rows(joints_read=1, taut_s={tendon: 1.0}, slip_from={tendon: 0.0}, derailed={tendon: 2.0},
@@ -232,7 +235,7 @@ def swinging_tension(tendon: int, before: float) -> TickInput:
 
 
 def partial_torque_reports(motor: int, part: float) -> TickInput:
-    """Return an input with a motor that reports a fraction ``part`` of its command changes."""
+    """Return an input with a motor that reports only a fraction ``part`` of the changes in its command."""
     return state_rows(
         report_moments={
             (row, motor): value for row, value in enumerate((1.0, part, part, 1.0, 0.95))
@@ -362,11 +365,17 @@ OTHER_SIGNS_BY_FAULT = {
 
 
 def rested_monitor() -> SyntheticMonitor:
-    """Return the safety monitor of a hand at rest. The residuals of the hand keep the values that a test sets."""
+    """Return the safety monitor of a hand at rest.
+
+    The residuals of the hand keep the values that a test has set.
+    """
     return SyntheticMonitor(EIGHT_TENDON_LIMITS, residual_fraction=0.0, coulomb=0.0, stiffness=1e5)
 
 
 def reset_for_input(monitor: SyntheticMonitor, tick_input: TickInput) -> StateRows:
-    """Reset a monitor to a hand at rest, and return the rows of an input that are to be set for one tick."""
+    """Reset a monitor to a hand at rest.
+
+    Return the rows of an input that must be set for one tick.
+    """
     monitor.reset_to_rest()
     return dict(tick_input.rows)

@@ -1,4 +1,4 @@
-"""Safety monitor of a synthetic hand: a test sets rows of the state, and one call is one tick of ``find_faults``."""
+"""Safety monitor of a generated hand: a test sets rows of the state, and each call is one tick of ``find_faults``."""
 
 from collections.abc import Iterable
 from types import FunctionType, SimpleNamespace
@@ -54,7 +54,10 @@ StateRows = dict[str, Any]
 
 
 def synthetic_limits(tendons: int) -> SafetyLimits:
-    """Return limits of a synthetic hand with tendons t0, t1, ..., each with one motor and one joint."""
+    """Return limits of a generated hand with the tendons t0, t1, ...
+
+    Each tendon has one motor and one joint.
+    """
     names = [tuple(f"{letter}{i}" for i in range(tendons)) for letter in "tmj"]
     return SafetyLimits(
         *names, tension_trip=(140.0,) * tendons, drive_limit=(160.0,) * tendons, tension_rail=244.0, tension_low=-5.0,
@@ -67,11 +70,11 @@ class SyntheticMonitor:
 
     Each tendon has a motor, a joint, and separate frames for its load cell and its joint encoder.
 
-    The hand is active and at rest, and all nodes have just replied. Load cells, motors and commands
-    are at 20 N.
+    The hand is active and at rest, and all nodes have just replied. The load cells, the motors and
+    the commands are at 20 N.
 
     Attributes:
-        limits: names of the hand's parts, and thresholds of its faults.
+        limits: names of the parts of the hand, and thresholds of its faults.
         layout, block: layout and block of the state. constants_layout, constants: layout and block of the
             constants. Tests may change them.
         latched, reported_faults: latched and reported faults, as ``safety.tick_verdict`` keeps them.
@@ -153,23 +156,26 @@ class SyntheticMonitor:
         return list(self.view(name).tolist())
 
     def reset_to_rest(self) -> None:
-        """Reset all values to those of a hand at rest, except the time for which each fault has been present."""
+        """Reset all values to those of a hand at rest.
+
+        Only the time for which each fault has been present is kept.
+        """
         present = self.view("fault_ticks").copy()
         self.block[:] = self.block_at_rest
         self.set_rows({"fault_ticks": present})
 
     @property
     def state_tables(self) -> StateTables:
-        """Return the tables of the state, in the form that interpreted functions take."""
+        """Return the tables of the state in the form that interpreted functions need."""
         return _uncompiled(state_tables)(self.block, self.layout.places)
 
     @property
     def hand_tables(self) -> ConstantTables:
-        """Return the tables of the constants, in the form that interpreted functions take."""
+        """Return the tables of the constants in the form that interpreted functions need."""
         return _uncompiled(constant_tables)(self.constants, self.constants_layout.places)
 
     def tick(self, rows: StateRows | None = None, **more: Any) -> dict[str, dict[str, float]]:
-        """Set rows of the state and find the faults of one tick.
+        """Set rows of the state, and find the faults of one tick.
 
         Return the value of each finding by fault and instance.
         """
@@ -190,7 +196,7 @@ class SyntheticMonitor:
         return reported
 
     def observe_readings(self, rows: StateRows | None = None) -> None:
-        """Convert received values to measurements and screen positions, as a tick does before the detectors run."""
+        """Convert received values to measurements, and reject impossible positions, as before the detectors."""
         self.set_rows(rows or {})
         tick_stages.observe_tick(
             self.block,
@@ -231,7 +237,10 @@ class SyntheticMonitor:
         self.latched, self.reported_faults = state.latched, state.decisions.reported_faults
 
     def instance_name(self, kind: str, i: int) -> str:
-        """Return the name of the part that has a fault, or an empty text for a fault of the whole hand."""
+        """Return the name of the part that has a fault.
+
+        If the whole hand has the fault, the text is empty.
+        """
         names = {
             TENDON_INSTANCE: self.limits.tendons,
             MOTOR_INSTANCE: self.limits.motors,
@@ -250,9 +259,9 @@ class SyntheticMonitor:
 
 
 def _uncompiled(function: Any) -> Any:
-    """Return an uncompiled copy of an inner function.
+    """Return an uncompiled copy of a function that only kernels call.
 
-    The inner functions that it calls are copied in the same way.
+    Functions of this kind that it calls are copied in the same way.
     """
     if not hasattr(function, "py_func"):
         return function
@@ -267,9 +276,9 @@ def _uncompiled(function: Any) -> Any:
 
 
 def call_interpreted(function: Any, *arguments: Any) -> Any:
-    """Call an inner function in uncompiled form.
+    """Call a function that only kernels call in uncompiled form.
 
-    The function may call other inner functions of its module.
+    Such a function may call other such functions of its module.
     """
     with np.errstate(all="ignore"):
         return _uncompiled(function)(*arguments)

@@ -1,4 +1,7 @@
-"""A new fault needs only its declaration and its detector. The test adds such a fault to a copy of the package."""
+"""A new fault needs only its declaration and its detector.
+
+The test adds a fault of this kind to a copy of the package.
+"""
 
 import json
 import os

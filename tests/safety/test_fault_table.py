@@ -61,7 +61,8 @@ def check_fault_alone(
 ) -> tuple[SyntheticMonitor, list[SafetyAction], list[tuple[str, str]]]:
     """Judge several ticks.
 
-    Return the monitor, the action of one fault in each tick, and the findings of this fault.
+    Return the monitor, the action that one fault demands in each tick, and the findings of this
+    fault.
     """
     monitor, actions, reported = monitor or rested_monitor(), [], []
     for tick_input in ticks:
@@ -268,9 +269,9 @@ def test_a_time_is_rounded_to_ticks(seconds: float, period: float, least: int, t
 
 
 def trace_fault(id_: str) -> list[tuple[SafetyAction, int]]:
-    """Return the action and the number of findings of one fault in each tick, from before its onset to its end.
+    """Return the action and the number of findings of one fault in each tick, from before its onset on.
 
-    Interpreted code debounces the fault.
+    In this test, interpreted code debounces the fault.
     """
     case, monitor, seen = CASE_BY_FAULT[id_], rested_monitor(), []
     kept = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_}
@@ -296,7 +297,7 @@ def trace_fault(id_: str) -> list[tuple[SafetyAction, int]]:
 
 @pytest.fixture
 def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
-    """Return a function that replaces the declaration of a fault by a changed one."""
+    """Return a function that replaces the declaration of a fault by a changed declaration."""
 
     def declare_fault(other: Fault) -> None:
         found = tuple(
@@ -319,9 +320,9 @@ def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 
 @pytest.mark.parametrize("id_", CASE_BY_FAULT)
 def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
-    """If a number or a word of a row is changed by one step, the cases of its fault fail.
+    """If a number or a word in a row is changed by one step, the cases of the fault fail.
 
-    This shows that the cases can fail.
+    This shows that the cases are able to fail.
     """
     fault = FAULT_BY_ID[id_]
     other = ENDED_BY_ITSELF if fault.latched else ENDED_BY_OPERATOR

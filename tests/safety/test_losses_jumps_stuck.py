@@ -1,4 +1,7 @@
-"""Test the rules for lost frames, position jumps and stuck readings, each just below and just above its limit."""
+"""Test the rules for lost frames, position jumps and stuck readings.
+
+Each rule is tested just below and just above its limit.
+"""
 
 from types import SimpleNamespace
 from typing import Any
@@ -26,17 +29,23 @@ NAN = np.nan
 
 
 def loss_bits(text: str) -> int:
-    """Return the bits of a text of 0 and 1. The last character is the newest tick."""
+    """Return the bits that a text of 0 and 1 describes.
+
+    The last character of the text is the newest tick.
+    """
     return int(text, 2)
 
 
 def window_words(window: int) -> tuple[int, int]:
-    """Return the two words that store a window of losses: the newer and the older half of its bits."""
+    """Return the two words that store a window of losses: its newer half and its older half."""
     return window & frame_losses.WORD_MASK, window >> frame_losses.BITS_PER_WORD
 
 
 class LossWindows(SyntheticMonitor):
-    """A motor and its load cell. For each there is a window with one bit for each tick, set if a frame was lost."""
+    """A motor and its load cell.
+
+    Both have a window with one bit for each tick. The bit is set if a frame was lost.
+    """
 
     def __init__(self, motor: int = 0, cells: int = 0, **constants: Any) -> None:
         super().__init__(synthetic_limits(1), **constants)
@@ -52,7 +61,10 @@ class LossWindows(SyntheticMonitor):
     def run_tick_without_replies(
         self, motor: bool = False, cells: bool = False, **rows: Any
     ) -> tuple[int, int]:
-        """Run one tick in which the given nodes have not replied, and return their windows of losses."""
+        """Run one tick in which the given nodes have not replied.
+
+        Return the windows of losses of both nodes.
+        """
         self.tick(
             {"feedback_ns": NOW_NS - motor * PERIOD_NS, "group_ns": NOW_NS - cells * PERIOD_NS},
             **rows,
@@ -61,7 +73,7 @@ class LossWindows(SyntheticMonitor):
 
     @property
     def loss_windows(self) -> tuple[int, int]:
-        """Return the losses of motor and load cells, one bit per tick."""
+        """Return the losses of the motor and the load cells, with one bit for each tick."""
         lost = self.view("lost")
         return tuple(
             int(lost[1, node]) << frame_losses.BITS_PER_WORD | int(lost[0, node]) for node in (0, 1)
@@ -77,7 +89,7 @@ HALF_WINDOW = LOSS_WINDOW_TICKS // 2
     ((0, 0), (True, True), (0b1, 0b1)),
     ((0b1, 0b0), (False, True), (0b10, 0b1)),
     ((0b101, 0b1), (True, True), (0b1011, 0b11)),
-    # The bit of the oldest tick leaves the window.
+    # In this tick, the bit of the oldest tick leaves the window.
     ((1 << (LOSS_WINDOW_TICKS - 1), 0), (False, False), (0, 0)),
     ((1 << (LOSS_WINDOW_TICKS - 1), 0), (True, False), (1, 0)),
     ((1 << (LOSS_WINDOW_TICKS - 2), 0), (False, False), (1 << (LOSS_WINDOW_TICKS - 1), 0)),
@@ -127,9 +139,11 @@ def test_missing_every_second_tick_is_detected(pattern, half):
 
 
 def test_the_count_of_unknown_frames_decays_in_a_second():
-    def unknown_count_after(unknown: float, strange: int = 0, rate: float = 100.0) -> float:
+    def unknown_count_after(
+        unknown: float, new_unknown_frames: int = 0, rate: float = 100.0
+    ) -> float:
         window = LossWindows(period=1.0 / rate)
-        window.run_tick_without_replies(strange=strange, unknown=unknown)
+        window.run_tick_without_replies(strange=new_unknown_frames, unknown=unknown)
         return float(window.view("unknown").item())
 
     assert unknown_count_after(0.0, 3) == 3.0
@@ -140,7 +154,7 @@ def test_the_count_of_unknown_frames_decays_in_a_second():
 
 
 def refusal_counter(rate: float) -> Any:
-    """Return a function that counts the targets refused in tick k.
+    """Return a function that counts the targets that were refused in tick k.
 
     The function returns the ticks of all refusals that still count.
     """
@@ -178,9 +192,9 @@ def test_lost_and_malformed_replies_are_counted_separately():
 
 
 class ScreenedPositions(SyntheticMonitor):
-    """Motors whose reported positions are screened.
+    """Motors whose reported positions are checked for jumps.
 
-    Each motor has its own largest permitted step per period [rad].
+    Each motor has its own largest permitted step in a period [rad].
     """
 
     def __init__(self, limits: list[float], **before: list[float]) -> None:
@@ -188,7 +202,10 @@ class ScreenedPositions(SyntheticMonitor):
         self.set_rows(before)
 
     def screen_positions(self, value: list[float], missed: int = 0) -> list[float]:
-        """Screen one position per motor, NaN where it is missing, and return the size of the jump of each."""
+        """Check one position per motor, NaN where it is missing.
+
+        Return the size of the jump of each motor.
+        """
         given = np.array(value)
         self.observe_readings({"answered": ~np.isnan(given), "position": given, "missed": missed})
         return self.field_values("jump")
@@ -255,17 +272,17 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
 
 
 @pytest.mark.parametrize(("missed", "steps", "allowed_steps"), [
-    # Steps of readings are in units of the step that one period allows. A jump is marked with 1.
-    # The first reading after skipped ticks may answer a request from before or after these ticks.
-    # The second reading may then be late by the same time.
+    # In these cases, the unit of a step between readings is the step that one period allows. The
+    # number 1 marks a jump. The first reading after missed ticks may answer a request from before
+    # or after these ticks. The second reading may then be later by the same time.
     (0, (1.0, 1.0), (0, 0)), (0, (1.1, 0.9), (1, 0)), (0, (1.0, 1.1), (0, 1)),
     (1, (2.0, 1.0), (0, 0)), (1, (1.0, 2.0), (0, 0)), (1, (2.1, 0.0), (1, 0)), (1, (1.0, 2.1), (0, 1)),
     (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),
 ])  # fmt: skip
 def test_allowed_step_grows_over_skipped_ticks(missed, steps, allowed_steps):
-    """In one run, the position of the other motor is known.
+    """In one run of this test, the position of the other motor is known.
 
-    In a second run, this motor has never been read.
+    In a second run, the other motor has never been read.
     """
     for other in (0.0, NAN):
         positions, at, seen = ScreenedPositions([1.0] * 2, accepted=[0.0, other]), 0.0, []
@@ -286,8 +303,8 @@ def add_reading(
 ) -> tuple[int, float, float]:
     """Run a tick with an encoder reading, a target and a tension.
 
-    Return the number of ticks without a change of the reading, and the motion of target and tension
-    since the last change of the reading.
+    Return the number of ticks without a change of the reading. Also return how far target and
+    tension have moved since the last change of the reading.
     """
     rows: StateRows = {"measured_position": value, "followed": goal, "residual": {TENSION: tension}}
     monitor.tick(rows)
@@ -300,9 +317,9 @@ def add_reading(
 
 
 def ticks_and_motion(values, witnesses):
-    """Return the monitor, and for each tick the results of ``add_reading``.
+    """Return the monitor and, for each tick, the results of ``add_reading``.
 
-    The correlated signals of a reading are its target and its tension.
+    In this test, the signals that are correlated with a reading are its target and its tension.
     """
     monitor = SyntheticMonitor(synthetic_limits(1), residual_fraction=0.0)
     return monitor, [
@@ -318,9 +335,9 @@ def test_constant_reading_counts_while_its_references_move():
 
 
 def test_an_encoder_is_stuck_although_the_carrier_of_its_digit_moves():
-    """The motion of a wrist changes the travel of tendons that pass it.
+    """The motion of a wrist changes the travel of the tendons that pass the wrist.
 
-    Such a change does not show that the motors of these tendons turn.
+    This change does not show that the motors of these tendons turn.
     """
     monitor = SyntheticMonitor(synthetic_limits(1), residual_fraction=0.0)
     for k in range(5):
@@ -344,7 +361,10 @@ def test_missing_reference_is_used_once_it_is_read():
 
 
 def test_goal_jump_moves_the_reference_of_the_stuck_test():
-    """A target jumps when it is reset to the measured position. No motor has to follow this jump."""
+    """When a target is reset to the measured position, it jumps.
+
+    No motor has to follow this jump.
+    """
     monitor = SyntheticMonitor(synthetic_limits(3), moment_arms=0.02 * np.eye(3))
     rows = {
         "followed": [0.0, 1e-3, 2e-3], "motor_anchor": [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "motor_stuck": [7, 8, 9],

@@ -1,6 +1,6 @@
-"""Test the state that the safety monitor keeps between ticks.
+"""Test the state that the safety monitor keeps from one tick to the next.
 
-Two synthetic tendons show each fault just below and above its limit.
+Two generated tendons show each fault just below and just above its limit.
 """
 
 from dataclasses import replace
@@ -45,7 +45,7 @@ def make_monitor(
 ) -> SyntheticMonitor:
     """Return the safety monitor of two tendons.
 
-    Stiffness [N/m] and sampling periods of motors and joints [s] are given.
+    The arguments are stiffnesses [N/m] and the sampling periods of motors and joints [s].
     """
     arms = np.array([0.02, 0.01])
     monitor = SyntheticMonitor(
@@ -78,8 +78,8 @@ def resting_tick(**given: Any) -> dict[str, Any]:
         "read": False,
     }
     facts |= given
-    # Travel and position come from the same encoder. The travel is the position times the radius of
-    # the spool.
+    # The travel and the position come from the same encoder. The travel is the position times the
+    # radius of the spool.
     facts.setdefault("position", np.asarray(facts["travel"]) / SPOOL_RADIUS_M)
     return {FIELD_BY_NAME[name]: value for name, value in facts.items()}
 
@@ -94,9 +94,9 @@ def monitor_at_20_newton(monitor: SyntheticMonitor | None = None, **given: Any) 
 def run_ticks(
     number: int, monitor: SyntheticMonitor | None = None, **given: Any
 ) -> tuple[SyntheticMonitor, FindingsByFault]:
-    """Run the same tick several times. Return the monitor and the last findings.
+    """Run the same tick several times. Return the monitor and the findings of the last tick.
 
-    A value may be a function of the tick's number.
+    A value may be a function of the number of the tick.
     """
     monitor, found = monitor or monitor_at_20_newton(), {}
     for k in range(number):
@@ -119,7 +119,8 @@ def test_at_rest_nothing_is_reported():
 def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
     """The filters start at the values that are present when the hand is armed.
 
-    Tension and force have not changed since then. Constant readings therefore show no stuck sensor.
+    The tension and the force have not changed since then. Constant readings therefore do not show a
+    stuck sensor.
     """
     _, found = run_ticks(200, monitor_at_20_newton(wanted=NAN, followed=NAN, asked=NAN))
     assert found == {}
@@ -176,7 +177,10 @@ def unexplained_tensions(monitor: SyntheticMonitor) -> list[float]:
     ("tension", "residual"), [(29.8, 4.8), (30.2, 5.2), (9.7, 5.3), (5.0, 10.0), (20.0, 0.0)]
 )
 def test_lasting_residual_is_a_fault(tension, residual):
-    """Friction explains 3 N of the residual. The tolerance of the torque constant explains a tenth of 20 N."""
+    """In this test, friction explains 3 N of the residual.
+
+    The tolerance of the torque constant explains a tenth of 20 N.
+    """
     monitor, found = run_ticks(1200, tension=tension)
     assert unexplained_tensions(monitor) == pytest.approx([residual] * 2, abs=0.05)
     all_cells = {name: pytest.approx(residual, abs=0.05) for name in "ab"}
@@ -196,7 +200,7 @@ def test_lasting_residual_is_a_fault(tension, residual):
     ],
 )
 def test_missing_torque_is_a_fault(commanded, force, is_reported):
-    """Check the limit without load cell: 15 N, or 6 N and a quarter of the command, whichever is smaller."""
+    """Check the limit without a load cell: the smaller of 15 N, and 6 N plus a quarter of the command."""
     monitor = monitor_at_20_newton(asked=commanded, wanted=commanded)
     monitor.set_constants(cell_group=[-1, -1])
     _, found = run_ticks(600, monitor, force=force, tension=force)
@@ -207,7 +211,7 @@ def test_missing_torque_is_a_fault(commanded, force, is_reported):
 
 @pytest.mark.parametrize(("rub", "is_reported"), [(5.8, False), (6.1, True)])
 def test_friction_above_the_hand_file_is_a_fault(rub, is_reported):
-    """Friction is a fault if, after seconds of motion, it exceeds the model by more than a limit.
+    """Friction is a fault if it exceeds the friction of the model by more than a limit, after seconds of motion.
 
     The limit is 3 N plus a tenth of the force of 29 N, which is the tolerance of the torque
     constant.
@@ -221,7 +225,7 @@ def test_friction_above_the_hand_file_is_a_fault(rub, is_reported):
 
 
 def test_a_noisy_encoder_is_detected():
-    """The position of the encoder alternates between -d and d.
+    """In this test, the position of the encoder alternates between -d and d.
 
     The mean squared second difference of this position is 16 d^2.
     """
@@ -244,7 +248,7 @@ def test_a_slack_tendon_and_a_torn_tendon_are_distinguished():
 
 
 def test_joint_and_spool_are_compared_once_the_tendon_is_taut():
-    """The moment arms of tendon a have a sum of 20 mm, so an angle of 3 deg is 1.05 mm.
+    """The moment arms of tendon a have a sum of 20 mm, so an angle of 3 deg corresponds to 1.05 mm.
 
     The limit of 15 deg applies to unfiltered readings.
     """
@@ -288,7 +292,10 @@ TICKS_PER_JOINT_READING = 4
 def run_sparse_joints(
     number: int, monitor: SyntheticMonitor, **given: Any
 ) -> list[FindingsByFault]:
-    """Run ticks of a hand whose joints are read in every fourth tick, and return the findings of each tick."""
+    """Run ticks of a hand whose joints are read only in every fourth tick.
+
+    Return the findings of each tick.
+    """
     reported = []
     for k in range(number):
         read = (
@@ -323,7 +330,7 @@ def test_good_reading_restarts_the_count_of_derailed_readings():
 
 
 def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
-    """With a step to 3.5 deg, the filtered angle reaches 3 deg after 0.3 s ln 7 = 0.58 s."""
+    """After a step to 3.5 deg, the filtered angle reaches 3 deg after 0.3 s ln 7 = 0.58 s."""
     for every in (1, TICKS_PER_JOINT_READING):
         monitor = monitor_at_20_newton(make_monitor(joint_period=every * PERIOD_S))
         run_ticks(100, monitor, excursion=0.0, read=True)
@@ -406,7 +413,7 @@ def test_constant_joint_reading_is_stuck_while_the_spool_turns():
 
 
 def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
-    """While a tendon is slack, its spool turns without its joint.
+    """While a tendon is slack, its spool turns without moving its joint.
 
     Spool and joint move together only after the tendon has become taut.
     """
@@ -438,7 +445,7 @@ def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(tension, e
 
 
 def test_each_joint_is_checked_with_its_own_tendons():
-    """A slack tendon a does not change the check of joint b, which has tendon b."""
+    """If tendon a is slack, this does not change the check of joint b, which tendon b moves."""
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
     monitor, _ = run_ticks(200, None, tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
     travel = [np.radians(12.0) / 50.0, np.radians(12.0) / 100.0]
@@ -462,10 +469,10 @@ def test_constant_load_cell_is_stuck_while_the_torque_moves(number, force, tensi
 
 @pytest.mark.parametrize("late", [0, 1])
 def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
-    """After a gap, one reading shows the motion of five ticks.
+    """After a gap of missing readings, one reading shows the motion of five ticks.
 
-    This reading comes in the first tick after the gap or, if the reply is late by a tick, in the
-    second.
+    This reading arrives in the first tick after the gap. If the reply is late by a tick, it arrives
+    in the second.
     """
 
     def run_over_gap(missed):
@@ -487,9 +494,9 @@ def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
 def screen_positions(
     monitor: SyntheticMonitor, motors: list[float], joints: list[float] | None, missed: int = 0
 ) -> tuple[Any, Any]:
-    """Screen positions of motors and joints, and return the size of each jump.
+    """Check the positions of motors and joints for jumps. Return the size of each jump.
 
-    ``joints`` is None if none was read.
+    ``joints`` is None if no joint was read.
     """
     read = {"joint_fresh": joints is not None, "joint_angle": joints or 0.0}
     monitor.observe_readings({"answered": 1, "position": motors, "missed": missed, **read})
@@ -527,8 +534,8 @@ def test_missed_ticks_increase_the_allowed_step_of_motors_and_joints():
 def rows_with_ages(**ages: int) -> dict[str, Any]:
     """Return rows of the state with the ages of replies in ticks.
 
-    The keyword ``ma`` is the age for the motor of tendon a, the keyword ``a`` the age for its load
-    cell.
+    The keyword ``ma`` is the age of the frame of the motor of tendon a. The keyword ``a`` is the
+    age of the frame of its load cell.
     """
     heard = {name: NOW_NS - ages.get(name, 0) * PERIOD_NS for name in ("ma", "mb", "a", "b")}
     return {"feedback_ns": [heard["ma"], heard["mb"]], "group_ns": {0: heard["a"], 1: heard["b"]}}

@@ -1,4 +1,4 @@
-"""Test the state that the safety monitor keeps between ticks exactly at its limits, to the last bit."""
+"""Test the state that the safety monitor keeps from one tick to the next, exactly at its limits, to the last bit."""
 
 import math
 from typing import Any
@@ -29,7 +29,10 @@ JOINTS_READ = {"excursion": 0.0, "joints": 0.0, "read": True}
 
 @pytest.fixture
 def monitor() -> SyntheticMonitor:
-    """Return the safety monitor of two tendons. A test sets their filtered tensions and forces."""
+    """Return the safety monitor of two tendons.
+
+    A test sets the filtered tensions and forces of these tendons.
+    """
     monitor = make_monitor(SOFT_STIFFNESS)
     monitor.set_constants(residual_fraction=0.0)
     monitor.set_rows({"filtered": 1, "residual": {TENSION: 20.0, QUICK_FORCE: 20.0}})
@@ -47,7 +50,10 @@ def joint_turns(monitor: SyntheticMonitor, **given: Any) -> list[float]:
 
 
 def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: SyntheticMonitor) -> None:
-    """When the tension grows, the spool winds the stretch of the tendon. The joint does not move by this part."""
+    """When the tension rises, the spool winds up the length by which the tendon stretches.
+
+    The joint does not move by this length.
+    """
     np.testing.assert_allclose(
         joint_turns(monitor, travel=20.0 / SOFT_STIFFNESS, **JOINTS_READ), 0.0, atol=1e-12
     )
@@ -84,19 +90,19 @@ def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(
 
 
 def stuck_names(
-    monitor: SyntheticMonitor, before: int, value: float, away: dict[str, list[float]]
+    monitor: SyntheticMonitor, before: int, value: float, changed_state: dict[str, list[float]]
 ) -> dict[str, list[str]]:
-    """Return the names of the stuck sensors after one more equal reading.
+    """Return the names of the sensors that count as stuck after one more equal reading.
 
-    ``away`` is the motion of the signals that are correlated with their readings.
+    ``changed_state`` is how far the signals that are correlated with their readings have moved.
     """
     zero = [0.0, 0.0]
     found = monitor.tick(
         resting_tick(tension=value, **JOINTS_READ), motor_stuck=before, cell_stuck=before, joint_stuck=before,
-        motor_value=0.0, cell_value=value, joint_value=0.0, followed=away.get("goal", zero),
-        motor_anchor=[zero, 20.0 - np.array(away.get("tension", zero))],
-        cell_anchor=20.0 - np.array(away.get("pushed", zero)),
-        joint_anchor=np.array(away.get("turned", zero)) - 20.0 / SOFT_STIFFNESS * np.array([50.0, 100.0]),
+        motor_value=0.0, cell_value=value, joint_value=0.0, followed=changed_state.get("goal", zero),
+        motor_anchor=[zero, 20.0 - np.array(changed_state.get("tension", zero))],
+        cell_anchor=20.0 - np.array(changed_state.get("pushed", zero)),
+        joint_anchor=np.array(changed_state.get("turned", zero)) - 20.0 / SOFT_STIFFNESS * np.array([50.0, 100.0]),
     )  # fmt: skip
     stands = found.get("N04", {})
     return {
@@ -145,9 +151,9 @@ def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
 def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
     monitor: SyntheticMonitor, group: list[int], limit: float
 ) -> None:
-    """Interpreted code is called with excursions whose angles are within four bits of the limit.
+    """The test calls interpreted code with excursions whose angles are within four bits of the limit.
 
-    The limit of a tendon without load cell is smaller.
+    The limit of a tendon without a load cell is smaller.
     """
     monitor.set_constants(cell_group=group)
 

@@ -1,6 +1,6 @@
-"""Test the open requests to drives.
+"""Test requests to drives that have no reply yet.
 
-An outstanding reply may be late, and a reply without a request is a duplicate.
+A reply to such a request may be late. A reply without any request is a duplicate.
 """
 
 import pytest
@@ -18,7 +18,7 @@ RequestTicks = tuple[tuple[int, ...], ...]
 
 
 class OpenRequests(SyntheticMonitor):
-    """Motors that still owe replies to requests of earlier ticks."""
+    """Motors that have not yet replied to requests of earlier ticks."""
 
     def __init__(self, outstanding: RequestTicks) -> None:
         super().__init__(synthetic_limits(len(outstanding)))
@@ -29,28 +29,31 @@ class OpenRequests(SyntheticMonitor):
 
     @property
     def outstanding(self) -> RequestTicks:
-        """Return the ticks of the open requests of each motor."""
+        """Return, for each motor, the ticks of the requests that have no reply yet."""
         numbers, ticks = (
             self.view("open_questions"),
             self.view("question").reshape(MAX_REQUESTS, -1),
         )
         return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
 
-    def send_requests(self, k: int, able: tuple[bool, ...] | None = None) -> None:
-        """Send one request to every motor. A motor that is not able may leave its request unanswered."""
-        if able:
+    def send_requests(self, k: int, must_reply: tuple[bool, ...] | None = None) -> None:
+        """Send one request to every motor.
+
+        A motor that is not in ``must_reply`` may leave its request unanswered.
+        """
+        if must_reply:
             self.set_rows(
                 {
                     "phase_before": [
-                        int(DrivePhase.READY if one else DrivePhase.READY - 1) for one in able
+                        int(DrivePhase.READY if one else DrivePhase.READY - 1) for one in must_reply
                     ]
                 }
             )
         call_interpreted(add_requests, self.state_tables, k)
 
-    def receive_replies(self, came: list[int]) -> list[int]:
-        """Receive ``came`` replies from each motor, and return the indices of motors that replied too often."""
-        self.set_rows({"answered": came})
+    def receive_replies(self, reply_counts: list[int]) -> list[int]:
+        """Receive ``reply_counts`` replies from each motor, and return the indices of motors that replied too often."""
+        self.set_rows({"answered": reply_counts})
         some = call_interpreted(close_answered_requests, self.state_tables, self.hand_tables)
         surplus = self.view("surplus")
         assert some == bool(surplus.any())
@@ -85,10 +88,12 @@ def test_outstanding_requests_are_limited() -> None:
 @pytest.mark.parametrize(("outstanding", "came", "after", "too_many"), [
     (((1,), (1,)), [1, 1], ((), ()), []),
     (((1,), (1,)), [1, 0], ((), (1,)), []),
-    (((1, 2), (2,)), [2, 1], ((), ()), []),                   # a late and a new reply arrive in one tick
+    # a late reply and a new reply arrive in one tick
+    (((1, 2), (2,)), [2, 1], ((), ()), []),
     (((1,), (1,)), [2, 1], ((), ()), [0]),
     (((), (1,)), [1, 3], ((), ()), [0, 1]),
-    (((1, 2, 3), ()), [1, 0], ((1, 2), ()), []),              # requests with lost replies stay open
+    # requests whose replies are lost stay open
+    (((1, 2, 3), ()), [1, 0], ((1, 2), ()), []),
     (((), ()), [0, 0], ((), ()), []),
     (((1,), (1, 2)), [1, 1], ((), (1,)), []),
     (((1,), ()), [1, 1], ((), ()), [1]),
@@ -104,7 +109,10 @@ def test_replies_match_requests_and_the_rest_is_excess(outstanding, came, after,
 
 @pytest.mark.parametrize("ticks", [2, 3, MAX_REQUESTS - 1])
 def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(ticks: int) -> None:
-    """After some ticks without a reply, all missing replies may arrive at once. One reply more is a duplicate."""
+    """After some ticks without a reply, all missing replies may arrive at once.
+
+    One reply more than that is a duplicate.
+    """
     questions = OpenRequests(((),))
     for start in range(2 * LOSS_WINDOW_TICKS):
         questions.set_rows({"open_questions": 0})

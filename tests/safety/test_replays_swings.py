@@ -1,6 +1,6 @@
-"""Test the detection of repeated load-cell readings and of oscillating tensions.
+"""Test the detection of load-cell readings that are repeated, and of tensions that oscillate.
 
-Without such readings or oscillations, neither is reported.
+If there are no such readings or oscillations, nothing is reported.
 """
 
 import math
@@ -31,9 +31,9 @@ def noisy_readings(seed: int, ticks: int, noise: float, n: int = 4) -> np.ndarra
 
 
 def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
-    """Return the first tick with repeated readings, and the tendons with their readings' ages.
+    """Return the first tick in which repeated readings are detected, and the ages of the readings of these tendons.
 
-    The tick is -1 if none are found.
+    If none are detected, the tick is -1.
     """
     monitor = SyntheticMonitor(synthetic_limits(rows.shape[1]))
     for k, row in enumerate(rows):
@@ -58,9 +58,9 @@ def test_repeated_content_is_found_within_sixteen_ticks(seed: int, age: int) -> 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.05, 0.1, 0.5, 1.5])
 @pytest.mark.parametrize("seed", range(20 if NIGHTLY else 4))
 def test_fresh_readings_are_no_repetition_at_any_noise(seed: int, noise: float) -> None:
-    """Fresh readings with any noise are not taken for repeated readings.
+    """New readings with any noise are not regarded as repeated readings.
 
-    This also holds for readings that are constant or toggle between two counts.
+    This also holds for readings that are constant, or that alternate between two counts.
     """
     assert first_found(noisy_readings(seed, 20_000 if NIGHTLY else 3_000, noise)) == (-1, [])
 
@@ -69,9 +69,9 @@ def test_fresh_readings_are_no_repetition_at_any_noise(seed: int, noise: float) 
     "cycle", [[3.0], [3.0, 2.9375], [2.9375, 3.0, 3.0], [3.0, 3.0625, 3.0, 2.9375, 3.0]]
 )
 def test_limit_cycle_of_a_few_counts_is_no_repetition(cycle: list[float]) -> None:
-    """A tension loop with coarse load cells has a limit cycle without noise.
+    """If the load cells are coarse, a tension loop has a limit cycle even without noise.
 
-    Such a cycle once occurred in commissioning.
+    Such a limit cycle has occurred during commissioning.
     """
     assert first_found(np.array([[cycle[k % len(cycle)]] for k in range(500)])) == (-1, [])
 
@@ -83,9 +83,9 @@ def test_a_missing_reading_is_no_repetition() -> None:
 
 
 def first_oscillation(deviation: np.ndarray, period: float) -> tuple[float, float]:
-    """Return the time [s] at which a tension deviation [N] first counts as oscillation, and its RMS then [N].
+    """Return the time [s] at which a tension deviation [N] first counts as oscillation, and its RMS [N].
 
-    The time is -1 if it never counts as an oscillation.
+    If it never counts as an oscillation, the time is -1.
     """
     monitor = SyntheticMonitor(synthetic_limits(2), period=period)
     for k, value in enumerate(deviation):

@@ -1,6 +1,7 @@
 """Test several faults at once.
 
-The most severe action wins, latched faults stay, and further faults never weaken the action.
+The most severe action is executed, latched faults stay, and further faults never make the action
+weaker.
 """
 
 from itertools import pairwise
@@ -65,7 +66,10 @@ def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_rep
     [*FAULT_PAIRS, ("B02", "N16"), ("N16", "B02"), ("B18", "T03"), ("N16", "T09")],
 )
 def test_a_second_fault_neither_ends_nor_hides_the_first(first: str, second: str) -> None:
-    """The first fault ends before the second begins. The first stays latched, and the second is still reported."""
+    """In this test, the first fault ends before the second begins.
+
+    The first fault stays latched, and the second is still reported.
+    """
     a, b = CASE_BY_FAULT[first], CASE_BY_FAULT[second]
     monitor, first_verdicts = check_ticks(*[a.input_with_fault] * a.debounce, INPUT_AT_REST)
     _, verdicts = check_ticks(*[b.input_with_fault] * b.debounce, monitor=monitor)
@@ -128,9 +132,11 @@ course_of_faults = st.lists(st.tuples(inputs_with_faults, fault_ids, st.booleans
 def test_additional_faults_never_weaken_the_action(
     ticks: list[tuple[TickInput, list[str], bool]],
 ) -> None:
-    """Two runs have the same clear requests, and one of them has additional faults in some ticks.
+    """Two runs have the same requests to clear faults.
 
-    The action of this run is never weaker than that of the other.
+    One of them has additional faults in some ticks.
+
+    The action of this run is never weaker than the action of the other run.
     """
     less, more = rested_monitor(), rested_monitor()
     for tick_input, extra, cleared in ticks:

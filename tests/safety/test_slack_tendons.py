@@ -1,4 +1,4 @@
-"""Test tendons that are taut, slack, snapped, or still pulled after a cut.
+"""Test tendons that are taut or slack, that have snapped, or that a motor still pulls after a cut.
 
 Each rule is tested just below and above its limit.
 """
@@ -20,7 +20,7 @@ TensionList = list[float]
 
 
 class FilteredTendons(SyntheticMonitor):
-    """Tendons whose filtered tensions are set by a test."""
+    """Tendons whose filtered tensions are set by the test."""
 
     def __init__(self, count: int, **rows: Any) -> None:
         super().__init__(synthetic_limits(count), residual_fraction=0.0)
@@ -29,9 +29,10 @@ class FilteredTendons(SyntheticMonitor):
     def run_tick(
         self, tension: TensionList, wanted: TensionList, **rows: Any
     ) -> list[tuple[int, int]]:
-        """Run a tick with tensions and commands.
+        """Run a tick with given tensions and commands.
 
-        Return for each tendon the ticks since it was taut, and its ticks of slack.
+        Return, for each tendon, the number of ticks since it was taut, and the number of ticks in
+        which it was slack.
         """
         self.reported = self.tick(residual={TENSION: tension}, wanted=wanted, **rows)
         return list(
@@ -39,7 +40,10 @@ class FilteredTendons(SyntheticMonitor):
         )
 
     def run_tick_after_cut(self, tension: TensionList, **rows: Any) -> dict[str, float]:
-        """Run a tick with load-cell readings after the torque was cut. Return the tendons that are still pulled."""
+        """Run a tick with load-cell readings after the torque was cut.
+
+        Return the tendons that a motor still pulls.
+        """
         return self.tick(measured_tension=tension, mode=int(HandMode.CUT), **rows).get("N16", {})
 
 
@@ -47,16 +51,17 @@ class FilteredTendons(SyntheticMonitor):
     # tension, commanded tension, (ticks since taut, ticks slack) before and after
     (2.6, 20.0, (-1, 0), (0, 0)),     # taut for the first time
     (2.6, 20.0, (7, 5), (0, 0)),      # taut again
-    (2.5, 20.0, (-1, 0), (-1, 0)),    # never taut yet, so it cannot go slack
+    (2.5, 20.0, (-1, 0), (-1, 0)),    # the tendon has never been taut, so it cannot become slack
     (0.0, 20.0, (-1, 0), (-1, 0)),
     (2.5, 20.0, (0, 0), (1, 0)),      # the tension is between slack and taut
-    (2.0, 20.0, (3, 4), (4, 0)),      # just not slack, so the count of slack restarts
+    # the tendon is just not slack, so the count of slack ticks begins again
+    (2.0, 20.0, (3, 4), (4, 0)),
     (1.9, 20.0, (3, 4), (4, 5)),
     (1.9, 2.5, (3, 4), (4, 0)),       # the commanded tension is so low that slack is allowed
     (1.9, 2.6, (3, 4), (4, 5)),
-    (1.9, NAN, (3, 4), (-1, 0)),      # a limp tendon may be slack, and must become taut again
+    (1.9, NAN, (3, 4), (-1, 0)),      # a limp tendon may be slack, but must become taut again
     (30.0, NAN, (3, 4), (-1, 0)),
-    (NAN, 20.0, (3, 4), (4, 0)),      # without a sample a tendon is neither slack nor taut
+    (NAN, 20.0, (3, 4), (4, 0)),      # without a reading, a tendon is neither slack nor taut
 ])  # fmt: skip
 def test_slack_detector_updates_its_counts_in_each_tick(cell, goal, before, after):
     tendons = FilteredTendons(1, taut_ago=before[0], slack_ticks=before[1])
@@ -90,7 +95,7 @@ def test_slack_is_reported_by_name_and_in_seconds():
     (0, 4.7, 24.0, 0.05, True),
     (0, 4.81, 24.0, 0.05, False),     # more than a fifth of the tension is left
     (0, 4.0, 20.0, 0.05, False),      # exactly a fifth of the tension is left
-    (0, 0.0, 8.0, 0.05, False),       # the commanded tension was too low to decide
+    (0, 0.0, 8.0, 0.05, False),       # the commanded tension was too low for a decision
     (0, 0.0, 8.1, 0.05, True),
     (0, 0.0, 24.0, 0.03, False),      # the spool is too slow
     (0, 0.0, 24.0, 0.031, True),
@@ -100,9 +105,9 @@ def test_slack_is_reported_by_name_and_in_seconds():
     (0, 0.0, 24.0, NAN, False),
 ])  # fmt: skip
 def test_a_snapped_tendon_is_detected(ago, cell, goal, speed, found):
-    """The tested tendon is neither slack nor taut.
+    """The tendon of this test is neither slack nor taut.
 
-    Its count of ticks since it was taut therefore continues. The other tendon is taut.
+    The count of ticks since it was taut therefore continues. The other tendon is taut.
     """
     tendons = FilteredTendons(2, taut_ago=[0, ago - 1 if ago > 0 else ago])
     taut = 20.0 if ago == 0 else 2.2
@@ -160,16 +165,16 @@ def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading(
     (50, 30.0, 30.0, True),
     (51, 30.0, 30.0, True),
     (50, 30.0, 15.1, True),
-    (50, 30.0, 14.9, False),          # the tension fell below half
-    (50, 24.0, 12.0, False),          # the tension fell to exactly half
-    (50, 10.0, 10.0, False),          # no more than the tension by springs and weight
+    (50, 30.0, 14.9, False),          # the tension has fallen below half
+    (50, 24.0, 12.0, False),          # the tension has fallen to exactly half
+    (50, 10.0, 10.0, False),          # the tension is no more than springs and weight cause
     (50, 10.1, 10.1, True),
     (50, 5.0, 40.0, True),            # the tension has grown
     (50, 30.0, NAN, False),
     (50, NAN, 30.0, False),           # the tendon had no reading before this tick
 ])  # fmt: skip
 def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, found):
-    """A tendon without an earlier reading takes its first reading as its reference.
+    """If a tendon has no earlier reading, its first reading is the reference.
 
     The first reading itself is not below this reference.
     """
@@ -185,7 +190,7 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, foun
 
 
 def test_the_last_tension_counts_if_the_latest_sample_is_missing():
-    """The check uses readings that are taken at least 80 ms after the cut.
+    """The check uses readings from at least 80 ms after the cut.
 
     Earlier readings do not show whether the motor has released the tendon.
     """
@@ -201,20 +206,21 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
 
 @pytest.mark.parametrize(("before", "now", "found"), [
     # reported force [N] in the last tick under torque, and 100 ms after the cut
-    (8.5, 8.5, True),        # less than a load cell may read by springs and weight
+    # the force is less than a load cell may read because of springs and weight
+    (8.5, 8.5, True),
     (-1.4, -1.4, True),      # a spool pair that pulls its other tendon
     (8.5, 0.05, False),
-    (8.5, 4.2, False),       # the force fell below half
-    (0.9, 0.9, False),       # no more than the noise of a current sensor
+    (8.5, 4.2, False),       # the force has fallen below half
+    (0.9, 0.9, False),       # the force is no more than the noise of a current sensor
     (8.5, NAN, False),
     (NAN, 8.5, False),       # the drive has never reported under torque
 ])  # fmt: skip
 @pytest.mark.parametrize("group", [-1, 0])
 def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(group, before, now, found):
-    """Detect a drive that keeps its torque after a cut by the torque that it reports.
+    """A drive that keeps its torque after a cut is detected by the torque that it reports.
 
-    Regression: without load cells, such a drive was not reported (N16). With a load cell, a drive
-    that kept 9 N was not reported either.
+    Earlier defect: without load cells, such a drive was not reported (N16). With a load cell, a
+    drive that kept 9 N was not reported either.
     """
     tendons = FilteredTendons(1)
     tendons.set_constants(cell_group=group)
@@ -228,7 +234,8 @@ def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(group, before
 def test_a_step_of_a_coarse_torque_report_is_no_pull(step, found):
     """Reproduce a defect.
 
-    A CubeMars AK70-10 has no code for zero torque. After a cut it reports 1.2 N, which was N16.
+    A CubeMars AK70-10 has no code for zero torque. After a cut it reports 1.2 N. Earlier defect:
+    this caused the fault N16 (a drive does not release).
     """
     tendons = FilteredTendons(1)
     tendons.set_constants(torque_step=step)
@@ -238,7 +245,10 @@ def test_a_step_of_a_coarse_torque_report_is_no_pull(step, found):
 
 
 def test_an_old_torque_is_no_sign_of_a_drive_that_does_not_release():
-    """Ignore the torque of drives that send none after a cut, as ODrives with torque feedback."""
+    """If a drive sends no torque after a cut, its torque is ignored.
+
+    An example is an ODrive with torque feedback.
+    """
     tendons = FilteredTendons(1)
     tendons.set_constants(answers_once=0)
     tendons.tick(measured_force=20.0, asked=20.0)

@@ -51,7 +51,7 @@ class MotorWithTendon(SyntheticMonitor):
     def run_tick(
         self, tension: float, force: float, speed: float = 0.0, asked: float | None = None
     ) -> None:
-        """Run one tick with a measured tension, a reported motor force, a speed, and a commanded force."""
+        """Run one tick with a measured tension, a reported motor force, a speed and a commanded force."""
         commanded = force if asked is None else asked
         self.tick(speed=speed, measured_tension=tension, measured_force=force, asked=commanded)
 
@@ -61,14 +61,14 @@ class MotorWithTendon(SyntheticMonitor):
 
     @property
     def unexplained_tension(self) -> float:
-        """Return the part of the tension that motor, inertia, friction and tolerances do not explain [N]."""
+        """Return the part of the tension that motor, inertia, friction and tolerances leave unexplained [N]."""
         return float(
             call_interpreted(residuals.unexplained_tension, self.state_tables, self.hand_tables, 0)
         )
 
     @property
     def excess_friction(self) -> float:
-        """Return the friction of the motor in excess of the modelled friction [N]."""
+        """Return by how much the friction of the motor exceeds the friction of the model [N]."""
         return float(call_interpreted(residuals.excess_friction, self.state_tables, 0))
 
 
@@ -77,7 +77,10 @@ def residuals_after(
     asked: TimeFunction | None = None,
     noise: float = 0.5,
 ) -> MotorWithTendon:  # fmt: skip
-    """Return a motor and its tendon after ``seconds``. Tension, force and speed are functions of time."""
+    """Return a motor and its tendon after ``seconds`` have passed.
+
+    The tension, the force and the speed are functions of time.
+    """
     rotor = MotorWithTendon()
     for k in range(round(seconds / PERIOD_S)):
         t = k * PERIOD_S
@@ -93,7 +96,10 @@ def test_a_tendon_at_rest_leaves_no_residual(held):
 
 
 def test_inertia_friction_and_damping_are_explained():
-    """The tendon speed oscillates by 10 mm/s at 2 Hz. The friction is that of the hand file."""
+    """In this test, the tendon speed oscillates by 10 mm/s at 2 Hz.
+
+    The friction equals that in the hand file.
+    """
     w, a = 2 * np.pi * 2.0, 0.01
 
     def speed(t):
@@ -108,7 +114,10 @@ def test_inertia_friction_and_damping_are_explained():
 
 
 def test_acceleration_torque_is_no_residual():
-    """A rotor accelerates at 10 m/s2 for 0.1 s, which takes 52 N of the motor force. This force is no residual."""
+    """In this test, a rotor accelerates with 10 m/s2 for 0.1 s.
+
+    This takes 52 N of the motor force. The residual does not contain this force.
+    """
 
     def force(t):
         speed = 10.0 * t
@@ -132,7 +141,7 @@ def test_a_torque_constant_within_its_tolerance_is_no_fault():
 
 
 def test_friction_that_has_grown_is_seen_in_motion_only():
-    """The friction is 8 N above that of the hand file.
+    """In this test, the friction is 8 N above that in the hand file.
 
     When the motor moves to and fro for 15 s, this causes the fault T09 (friction has grown).
     """
@@ -153,7 +162,7 @@ def test_friction_that_has_grown_is_seen_in_motion_only():
 
 
 def test_missing_torque_is_detected():
-    """A missing motor force of 39 N exceeds the limit of a fault within 20 ticks.
+    """If 39 N of the motor force are missing, the limit of a fault is exceeded within 20 ticks.
 
     A missing force of 14.9 N stays below it.
     """
@@ -164,7 +173,7 @@ def test_missing_torque_is_detected():
 
 
 def test_noise_causes_no_fault_in_ten_thousand_hours():
-    """The filtered noise of a hand at rest stays below all warning limits, even with load cells of triple noise."""
+    """The filtered noise of a hand at rest stays below all warning limits, even with triple load-cell noise."""
     left = np.array(
         [
             residuals_after(1.0, lambda t: 24.0, lambda t: 24.0, noise=1.5).filtered_residual(

@@ -1,4 +1,7 @@
-"""Test the correlation of torque reports with torque commands. Some drives follow their commands, others do not."""
+"""Test the correlation of torque reports with torque commands.
+
+In these tests, some drives follow their commands, and others do not.
+"""
 
 import numpy as np
 import pytest
@@ -15,7 +18,7 @@ COMMAND_TICKS = 1000
 
 
 class ReportingMotors(SyntheticMonitor):
-    """Two motors with commanded and reported forces, and the safety monitor that compares the forces in each tick."""
+    """Two motors with commanded and reported forces, and the safety monitor that compares these forces in each tick."""
 
     def __init__(self, torque_step: float = 0.078) -> None:
         super().__init__(synthetic_limits(2), torque_step=torque_step)
@@ -36,7 +39,7 @@ class ReportingMotors(SyntheticMonitor):
 
     @property
     def reported_fractions(self) -> list[float]:
-        """Return for each motor the fraction of a command change that its reports show."""
+        """Return, for each motor, the fraction of a change in the command that its reports show."""
         return [
             call_interpreted(fraction_of_command_reported, self.state_tables, n) for n in range(2)
         ]
@@ -75,7 +78,7 @@ def test_a_report_that_follows_is_never_doubted(seed: int, size: float) -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("fraction", [0.1, 0.2, 0.3, 0.5, 1.0])
 def test_a_report_in_coarse_steps_is_never_doubted(seed: int, fraction: float) -> None:
-    """Reproduce a defect: commissioning ended with the fault N17 (drives exchanged, or obeying late).
+    """Reproduce a defect: the commissioning ended with the fault N17 (drives are exchanged, or obey late).
 
     One count of an AK80-6 motor's torque report is 1.17 N at a spool of 5 mm.
     """
@@ -126,19 +129,19 @@ def test_one_outlier_is_not_a_fault() -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("size", [0.02, 0.1, 1.0])
 def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, size: float) -> None:
-    """Reproduce a defect: a demo in real time ended with the fault N17 (drives exchanged, or obeying late).
+    """Reproduce a defect: a demo in real time ended with the fault N17 (drives are exchanged, or obey late).
 
-    A busy host had read every reply one tick late.
+    A busy host had read each reply one tick late.
     """
     commanded = noisy_commands(seed, size)
     assert not doubted_motors(commanded, delayed_reports(commanded, 2)).any()
 
 
 def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands (COMMAND_TICKS, 2) [N] and the reports of drives that obey, on a bus that sometimes stands still.
+    """Return commands (COMMAND_TICKS, 2) [N], and reports of drives that obey, on a bus that sometimes stops.
 
-    A standstill lasts one to five ticks, and commands change meanwhile. The first reports after a
-    standstill still show the command from before it.
+    Such a stop lasts one to five ticks. The commands continue to change during it. The first
+    reports after a stop still show the command from before the stop.
     """
     random = np.random.default_rng(seed)
     commanded, made = noisy_commands(seed), np.full((COMMAND_TICKS, 2), np.nan)
@@ -157,7 +160,7 @@ def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def doubted_motors(commanded: np.ndarray, made: np.ndarray) -> np.ndarray:
-    """Return for both motors whether any tick reported that the motor does not follow its commands."""
+    """Return, for both motors, True if in any tick a motor was reported that does not follow its commands."""
     return motors_after(commanded, made).ever_unfollowed
 
 
@@ -175,23 +178,29 @@ def test_swapped_reports_are_found_between_standstills(seed: int) -> None:
 def diverging_commands() -> np.ndarray:
     """Return commands (20, 2) [N] of two position loops that drive each other.
 
-    They grow from 1 N by a factor e every 8 ms, as on orca_like.
+    The commands grow from 1 N by a factor e every 8 ms, as they did on orca_like.
     """
     growth = np.exp(np.arange(20) / 4.0)
     return np.column_stack((growth, -growth))
 
 
 def test_exchanged_drives_are_found_before_their_rotors_gain_speed() -> None:
-    """Detect N14 below 40 N. Regression: on orca_like it came at 80 N, and tendons reached 208 N."""
+    """Detect N14 below 40 N.
+
+    Earlier defect: on orca_like, this report came only at 80 N, and tendons reached 208 N.
+    """
     commanded = diverging_commands()
     made = delayed_reports(commanded)[:, ::-1]
-    made[0] = 0.0  # delayed_reports puts the last command here
+    made[0] = 0.0  # delayed_reports takes the last command from here
     motors = motors_after(commanded, made)
     assert abs(commanded[motors.disobeyed[0]]).max() < 40.0
 
 
 def test_a_drive_without_torque_is_found_although_its_command_is_small() -> None:
-    """Detect a missing torque of 9 N within 60 ms. Regression: on orca_like it took 280 ms."""
+    """A missing torque of 9 N is detected within 60 ms.
+
+    Earlier defect: on orca_like, this detection took 280 ms.
+    """
     commanded = np.full((100, 2), 9.0)
     silent = np.zeros((100, 2))
     assert motors_after(commanded, silent).disobeyed[0] <= 30
@@ -203,7 +212,7 @@ def test_a_drive_without_torque_is_found_although_its_command_is_small() -> None
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("ticks", [1, 2])
 def test_a_drive_that_obeys_fast_commands_is_not_a_fault(seed: int, ticks: int) -> None:
-    """Command jumps of up to 50 N and ramps of 10 N per tick, and lose some reports and commands."""
+    """The commands jump by up to 50 N and have ramps of 10 N per tick, and some reports and commands are lost."""
     random = np.random.default_rng(seed)
     jumps = (
         50.0
@@ -219,7 +228,7 @@ def test_a_drive_that_obeys_fast_commands_is_not_a_fault(seed: int, ticks: int) 
 
 
 def test_a_drive_with_a_slow_current_and_a_wrong_torque_constant_is_not_a_fault() -> None:
-    """Simulate a current that follows with 4 ms, and a torque constant that is 15 % too low."""
+    """The simulated current follows with 4 ms, and the torque constant is 15 % too low."""
     commanded = 24.0 + 36.0 * (np.arange(COMMAND_TICKS) // 50 % 2)[:, None] * np.ones(2)
     made = np.zeros_like(commanded)
     for k in range(1, COMMAND_TICKS):
@@ -248,7 +257,10 @@ def test_one_report_that_contradicts_its_command_is_not_a_fault() -> None:
 def test_a_late_report_is_no_fault_with_a_load_cell_or_at_a_high_rate(
     group: list[int], period_s: float
 ) -> None:
-    """Reproduce a defect: at 1 kHz on a computer that was busy for 4 ms, a run ended with N14."""
+    """Reproduce a defect.
+
+    At 1 kHz, on a computer that was busy for 4 ms, a run ended with N14 (a command is not obeyed).
+    """
     motors = ReportingMotors()
     motors.set_constants(cell_group=group, period=period_s)
     commanded = np.repeat(np.array([[9.0, 9.0], [40.0, 40.0]]), 40, axis=0)

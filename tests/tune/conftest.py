@@ -1,4 +1,4 @@
-"""Fixtures with models of hands. A model is made only once for all tests."""
+"""Fixtures with models of hands. Each model is made only once, for all tests."""
 
 import pytest
 

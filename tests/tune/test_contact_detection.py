@@ -1,7 +1,7 @@
 """Test the detection of contact during the sweeps of a digit.
 
-The fit of the digit's parameters reveals the contact. Parameters that depend on the contact are not
-stored.
+The fit of the parameters of the digit shows the contact. Parameters that depend on the contact are
+not stored.
 """
 
 from pathlib import Path
@@ -44,7 +44,7 @@ def with_near_thumb(hand: str, thumb_mm: int, folder: Path) -> str:
 def identify_touching_finger(
     hand: str, thumb_mm: int, seed: int, folder: Path
 ) -> dict[str, TendonResult]:
-    """Identify a middle finger that touches the thumb in its sweeps, and return the results."""
+    """Identify a middle finger that touches the thumb during its sweeps, and return the results."""
     path = with_near_thumb(hand, thumb_mm, folder)
     found, row = excite_and_fit(path, "middle", seed, {"spring": SPRING_FACTOR}, Gains(), folder)
     assert "failure" not in row
@@ -65,7 +65,7 @@ UNDISTURBED_SAMPLE = {("jamia", 5)}
 def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     tmp_path: Path, hand: str, thumb_mm: int, seed: int
 ) -> None:
-    """Reproduce a defect: spring parameters of 1.41 and 1.73 were accepted without a message.
+    """Reproduce a defect: the values 1.41 and 1.73 of a spring parameter were accepted without a message.
 
     The true value of this parameter is 1.2.
     """
@@ -76,7 +76,7 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     real = true_parameters(
         load_hand(hand), next(iter(found)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0)
     )
-    for one in found.values():  # the other parameters stay correct
+    for one in found.values():  # the other parameters are still right
         for name in set(one.identified_names) & {
             "torque_gain",
             "motor_inertia",
@@ -94,7 +94,7 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
 def test_parameters_of_a_digit_without_contact_are_kept(
     tmp_path: Path, hand: str, seed: int
 ) -> None:
-    """Report no contact for a digit without contact.
+    """No contact is reported for a digit without contact.
 
     The parameters of the simulated hand differ by up to 30 % from the hand file.
     """
@@ -112,7 +112,7 @@ def test_parameters_of_a_digit_without_contact_are_kept(
 def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
     """The true springs are stiffer than in the hand file, and the controller has detuned gains.
 
-    Nevertheless the fit reports no contact, and identifies the springs.
+    The fit nevertheless reports no contact, and identifies the springs.
     """
     found, row = excite_and_fit(
         "jamia", "index", 8, draw_plant(8), draw_gains(Gains(), 8), tmp_path
@@ -128,7 +128,8 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
 def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> ResidualRamp | None:
     """Fit a straight line to data, and return the steepest ramp in the residuals.
 
-    The data are noise in two sweeps, plus a rise by ``kink`` per unit of angle beyond ``begin``.
+    The data are noise in two sweeps, plus a rise by ``kink`` per unit of angle beyond the angle
+    ``begin``.
     """
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROW_COUNT)) * 0.6

@@ -32,7 +32,7 @@ from tests.conftest import NIGHTLY
 MANY_PLANTS = 8
 """Number of plants of the default ensemble of `tune design`."""
 FEW_PLANTS = 2
-"""Number of plants for a hand with many different tendons, when the tests run by day."""
+"""Number of plants for a hand with many different tendons, in an ordinary test run."""
 
 
 @pytest.mark.parametrize("name", packaged_hands())
@@ -53,7 +53,7 @@ def test_the_packaged_gains_keep_their_margins(name: str) -> None:
 def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     """The margins of a tendon limit the force weight of this tendon.
 
-    The force weights of other tendons are not affected.
+    The force weights of all other tendons are not affected.
     """
     hand = load_hand("t42")
     left, right = hand.digit
@@ -72,7 +72,7 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     assert light.name == "right_flexor"
     assert light.motion_force_N == pytest.approx(both.gains.motion.force_N, rel=0.1)
     assert found.gains.motion.force_N < 0.5 * both.gains.motion.force_N
-    # Without separate force weights, the tendons of both digits would have the low weight of the
+    # Without separate force weights, the tendons of both digits would have the small weight of the
     # heavy digit.
     shared = found.gains.model_copy(update={"tendon": ()})
     assert model_with_gains(model, shared).motion.stiffness[1] < 0.6 * found_stiffness(
@@ -120,7 +120,7 @@ def test_a_filter_that_leaves_no_margin_is_refused(jamia: HandModel) -> None:
 
 @pytest.mark.parametrize("hz", [3.0, 6.0])
 def test_the_closed_loop_has_the_requested_poles(jamia: HandModel, hz: float) -> None:
-    """Compare with a single mass (rotor and digit) under sampled state feedback.
+    """Compare the design with a single mass (rotor and digit) under sampled state feedback.
 
     The control rate is far above the poles.
     """
@@ -144,7 +144,7 @@ def test_the_closed_loop_has_the_requested_poles(jamia: HandModel, hz: float) ->
 def test_placed_poles_that_no_weights_have_are_refused(
     jamia: HandModel, hz: tuple[float, float], damping: float, right: str
 ) -> None:
-    """The error message proposes poles, or a weight, that would be possible."""
+    """The error message proposes poles or a weight that would be possible."""
     with pytest.raises(ValueError, match=right):
         design_with_poles(jamia, (PlantFactors(),), *hz, damping)
 
@@ -159,12 +159,12 @@ def test_an_ensemble_is_at_least_as_wide_as_its_minimum_spread() -> None:
     assert mass.min() < 0.65
 
 
-def identification_of_tendon(stiffness: float, half: float) -> IdentifiedParameters:
-    """Return identified parameters of one tendon: its stiffness with the half width of the interval, and a delay."""
+def identification_of_tendon(stiffness: float, half_width: float) -> IdentifiedParameters:
+    """Return identified parameters of one tendon: a stiffness with its interval half width, and a delay."""
     return IdentifiedParameters(
         names=("tendon_stiffness", "delay"),
         values=(stiffness, 1e-3),
-        half_widths=(half, 1e-4),
+        half_widths=(half_width, 1e-4),
         covariance=((1.0, 0.0), (0.0, 1.0)),
     )
 

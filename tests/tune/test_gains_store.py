@@ -1,6 +1,6 @@
 """Test gain files on disk.
 
-Every change can be undone, and a reader never sees a partly written file.
+Every change can be undone, and a reader never sees a file that is only partly written.
 """
 
 import os

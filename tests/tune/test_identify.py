@@ -58,7 +58,7 @@ WEAK_MOTOR, STIFF_MOTOR = (23, "thumb"), (39, "thumb")
 def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
     tmp_path: Path, seed: int, digit: str
 ) -> None:
-    """A motor with 29 % less torque is not mistaken for a wrong load cell.
+    """If a motor makes 29 % less torque, this is not mistaken for a wrong load cell.
 
     Even a motor with high friction moves its tendon.
     """
@@ -74,9 +74,9 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
 
 
 def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path: Path) -> None:
-    """Joint encoders make the spring stiffness of such a digit identifiable.
+    """In such a digit, the spring stiffness can be identified because of the joint encoders.
 
-    At 200 Hz a motor's inertia and friction are less accurate.
+    At 200 Hz, the inertia and the friction of a motor are less accurate.
 
     The intervals of these two parameters are therefore wider.
     """
@@ -218,9 +218,9 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
 
 
 def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
-    """The model and the centre of the ensemble use the identified parameters.
+    """The hand model and the centre of the ensemble use the identified parameters.
 
-    The gains still belong to the hand of the hand file.
+    The gains still belong to the hand that the hand file describes.
     """
     hand, path = load_hand("jamia"), tmp_path / "c.toml"
     rows = dict.fromkeys(
@@ -249,9 +249,10 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
 
 
 def test_delay_is_judged_by_an_absolute_limit() -> None:
-    """The interval of a delay is compared with an absolute limit, because a delay may be zero.
+    """The interval of a delay is compared with an absolute limit, because the delay itself may be zero.
 
-    Other intervals are compared with a fraction of the value, but a fraction of zero is no limit.
+    Other intervals are compared with a fraction of the value. For a value of zero, this would be no
+    limit.
     """
     rows = np.ones((3, len(PARAMETER_NAMES)))
     assert (
@@ -264,7 +265,7 @@ def test_delay_is_judged_by_an_absolute_limit() -> None:
 
 @pytest.mark.parametrize("name", ["jamia", "jamia11"])
 def test_each_parameter_has_one_row_with_its_value_or_the_reason(name: str) -> None:
-    """Reproduce a defect: a parameter without value appeared twice, and a unit "1" looked like a value."""
+    """Reproduce a defect: a parameter without a value appeared twice, and the unit "1" looked like a value."""
     hand = load_hand(name)
     with RunLog(GOLDEN_LOGS / f"{name}-grasp.mcap") as log:
         results = identify_tendons(log, hand)
@@ -284,7 +285,7 @@ def test_each_parameter_has_one_row_with_its_value_or_the_reason(name: str) -> N
 
 @pytest.mark.parametrize("encoders", [False, True])
 def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(encoders: bool) -> None:
-    """Reproduce a defect: the reason was "no data depend on this parameter"."""
+    """Reproduce a defect: the reason in the report was "no data depend on this parameter"."""
     content = hand_content("jamia11")
     node = content["sensor_node"]
     content["sensor_node"] = node | {"joints": node["joints"] if encoders else []}

@@ -108,7 +108,7 @@ def test_the_excitation_of_antagonists_keeps_within_the_limits(name: str) -> Non
 
 
 def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
-    """While a tendon is stretched, the opening torque at every joint of its digit exceeds the closing torque."""
+    """While a tendon is stretched, each joint of its digit is opened by more torque than closes it."""
     hand = load_hand("n_plus_1")
     for step in excitation_steps(hand, hand.digit_names):
         if step.name == "stretch":
@@ -118,7 +118,7 @@ def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
 
 @pytest.mark.parametrize("passed", [0.8, 1.0, 1.25])
 def test_both_tendons_of_a_pair_balance_its_joint(passed: float) -> None:
-    """At the joint, friction lowers the tension of one tendon of the pair and raises the tension of the other one.
+    """Friction lowers the tension of one tendon of the pair at the joint, and raises the tension of the other tendon.
 
     The difference of these tensions acts on the joint.
     """
@@ -131,7 +131,7 @@ def test_both_tendons_of_a_pair_balance_its_joint(passed: float) -> None:
 
 
 def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
-    """At a stretch d, the tendons of a pair have the tensions p + k d and p - k d, but never less than 0.
+    """If the stretch is d, the tendons of a pair have the tensions p + k d and p - k d, but never less than 0.
 
     The net tension is the difference of these two tensions.
     """
@@ -143,7 +143,8 @@ def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
 def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
     """Reproduce a defect.
 
-    Such a run never ended, because the program makes no progress while a fault holds the hand.
+    Earlier defect: such a run never ended, because the program makes no progress while a fault
+    holds the hand.
     """
     limit = HoldLimit()
 

@@ -1,4 +1,4 @@
-"""Test the selection of free motion in a log of ordinary use."""
+"""Test which parts of a log of ordinary use count as free motion."""
 
 from pathlib import Path
 
@@ -13,9 +13,9 @@ GRASP_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
-    """Reproduce a defect: data of digits on their stops were used.
+    """Reproduce a defect: data of digits at their stops were used.
 
-    The identified springs and friction were then a third too large.
+    The identified springs and the identified friction were then too large by a third.
     """
     hand = load_hand("jamia")
     with RunLog(GRASP_LOG) as log:

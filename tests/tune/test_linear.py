@@ -48,7 +48,7 @@ def test_the_linear_controller_predicts_the_running_one(
 def test_a_tick_acts_on_the_samples_of_the_tick_before(jamia: HandModel, kind: LoopKind) -> None:
     """Compare the impulse responses of the open loop and of a simulation.
 
-    The simulation steps plant and controller in the order of the bus.
+    The simulation advances plant and controller in the order in which the bus connects them.
     """
     P, K, L = (
         plant_system(jamia, 0, kind),
@@ -84,9 +84,9 @@ def test_margins_are_those_of_control(
 def test_the_gain_margin_is_where_the_loop_becomes_unstable(
     jamia: HandModel, kind: LoopKind
 ) -> None:
-    """With a torque slightly above the gain margin, the loop is unstable.
+    """If the torque is slightly above the gain margin, the loop is unstable.
 
-    With a torque slightly below the gain margin, the loop is stable.
+    If the torque is slightly below the gain margin, the loop is stable.
     """
     margin = 10.0 ** (margins_of_loop(open_loop(jamia, 0, kind)).gain_db / 20.0)
     assert margins_of_loop(
@@ -98,9 +98,9 @@ def test_the_gain_margin_is_where_the_loop_becomes_unstable(
 
 
 def test_closed_loop_responds_to_a_force_step(jamia: HandModel) -> None:
-    """A held tension returns to its goal after a force step of 1 N.
+    """After a step of the force by 1 N, a held tension returns to its goal.
 
-    Without a controller, the tension at a blocked rotor would stay 1 N away from the goal.
+    Without a controller, the tension at a blocked rotor would stay 1 N away from its goal.
     """
     _, tension = step_response(jamia, 0, LoopKind.TENSION, 1.0)
     assert abs(tension[-1]) < 0.3 < np.abs(tension).max() < 2.0

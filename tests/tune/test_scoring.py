@@ -1,6 +1,6 @@
-"""Test the scores of gains on a simulated hand that differs from its hand file.
+"""Test the scores of gains with a simulated hand that differs from its hand file.
 
-The simulated exercise completes even with very bad gains.
+The simulated exercise runs to its end even with very bad gains.
 """
 
 import json
@@ -19,10 +19,10 @@ from handctl.tune.search.ensemble import draw_ensemble
 
 @pytest.mark.parametrize("seed", [1000, 1002])
 def test_motor_short_of_its_goal_is_no_stuck_encoder(seed: int) -> None:
-    """Reproduce a defect: a motor had stopped 0.4 mm short of its goal.
+    """Reproduce a defect: a motor had stopped 0.4 mm before its goal.
 
-    The lagging goal then continued to move, and after 2.5 s the controller reported a stuck encoder
-    (N04).
+    The filtered goal then continued to move, and after 2.5 s the controller reported a stuck
+    encoder (N04).
     """
     hand = load_hand("jamia")
     score = score_exercise(

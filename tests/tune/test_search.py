@@ -1,6 +1,7 @@
 """Test the search for gains.
 
-All kinds of workers give the same result, no trial is lost, and a stopped search can be resumed.
+All kinds of workers give the same result, no trial is lost, and an interrupted search can be
+resumed.
 """
 
 import os
@@ -75,7 +76,7 @@ def test_search_result_does_not_depend_on_the_processes(
 def test_the_sampler_knows_which_trials_keep_their_margins(
     search_plan: SearchPlan, search_result: SearchResult, tmp_path: Path
 ) -> None:
-    """The sampler also gets the margins of random trials as constraints.
+    """The sampler also uses the margins of random trials, as constraints.
 
     Optuna prints no warnings.
     """
@@ -174,9 +175,9 @@ class FakeWorkers:
 def long_search(
     search_plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[SearchPlan, SearchResult, bytes]:
-    """Run a search that is longer than its random batches.
+    """Run a search that continues after its batches of random trials.
 
-    Return its plan, its result, and the bytes of its journal.
+    Return the plan, the result, and the bytes of the journal of this search.
     """
     longer = replace(
         search_plan,
@@ -191,9 +192,9 @@ def long_search(
 def test_search_resumes_from_a_truncated_journal(
     long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, fraction: float
 ) -> None:
-    """The journal is cut in the middle of a line.
+    """In this test, the journal is cut in the middle of a line.
 
-    Some cuts are in the time when the sampler already chooses the batches.
+    Some of the cuts are at times at which the sampler already chooses the trials of the batches.
     """
     longer, found, journal = long_search
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)

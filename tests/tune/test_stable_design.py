@@ -1,6 +1,6 @@
 """Test that designed gains are stable.
 
-The evidence is eigenvalues, margins found by trial, and runs in lockstep.
+The tests use eigenvalues, margins that are found by trial, and runs in lockstep.
 """
 
 import math
@@ -34,7 +34,7 @@ from tests.conftest import NIGHTLY
 TESTED_HANDS = packaged_hands()
 SEED_RANGE = range(20) if NIGHTLY else range(2)
 QUICK_HANDS = tuple(name for name in TESTED_HANDS if NIGHTLY or name != "orca_like")
-"""Packaged hands with a quick rest test, which runs by day.
+"""Packaged hands with a quick rest test, which runs in ordinary test runs.
 
 For a hand of 17 joints, the rest test takes more than five minutes.
 """
@@ -47,22 +47,23 @@ even at the operating point.
 """
 
 
-def random_gains(seed: int, wide: float = 10.0) -> Gains:
+def random_gains(seed: int, gain_range: float = 10.0) -> Gains:
     """Return random gains.
 
-    Weights, integral and filter differ from usual gains by up to the factor ``wide``.
+    The weights, the integral gain and the filter differ from the usual gains by up to the factor
+    ``gain_range``.
     """
     random = np.random.default_rng(seed)
 
     def random_factor(value: float) -> float:
-        return value * float(np.exp(random.uniform(-math.log(wide), math.log(wide))))
+        return value * float(np.exp(random.uniform(-math.log(gain_range), math.log(gain_range))))
 
     table = {
         "motion": {
             "position_error_m": random_factor(6e-4),
             "speed_error_m_s": random_factor(0.028),
             "disturbance_rejection": float(random.uniform()),
-            "tension_feedback": random_factor(0.3) / wide,
+            "tension_feedback": random_factor(0.3) / gain_range,
         },
         "tension": {
             "tension_error_N": random_factor(4.0),
@@ -78,10 +79,10 @@ def random_gains(seed: int, wide: float = 10.0) -> Gains:
 
 
 @cache
-def model_of(hand: str, seed: int, wide: float = 10.0) -> HandModel:
+def model_of(hand: str, seed: int, gain_range: float = 10.0) -> HandModel:
     """Return the model of a packaged hand with random gains."""
     return HandModel.from_hand(
-        load_hand(hand), random_gains(seed, wide), RATE_BY_HAND_HZ.get(hand, 200.0)
+        load_hand(hand), random_gains(seed, gain_range), RATE_BY_HAND_HZ.get(hand, 200.0)
     )
 
 
@@ -93,9 +94,10 @@ def with_force(force: float) -> HandModel:
 
 @pytest.mark.parametrize("force", [5.0, 50.0, 150.0, 393.0])
 def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
-    """At its limit, the control law has no slope with respect to its inputs.
+    """If the control law is at its limit, its output does not depend on its inputs.
 
-    The matrices of the linear model are therefore computed from the gains, even for large gains.
+    So the matrices of the linear model must be computed from the gains, even if the gains are
+    large.
     """
     model = with_force(force)
     K = controller_system(model, 0, LoopKind.TENSION)
@@ -103,7 +105,7 @@ def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
     assert per_newton > 0.5
     states = K.C[0]
     integral = states[np.isclose(states, 1.0)]
-    assert len(integral) >= 1  # the gain of the integral below the torque limit
+    assert len(integral) >= 1  # the gain of the integral while the torque is below its limit
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).are_sufficient
 
 
@@ -144,7 +146,7 @@ def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
 def brute_force(system: LinearSystem) -> tuple[float, float]:
     """Find the gain margin [dB] and the phase margin [deg] of a loop by trial of many values.
 
-    At a margin, an eigenvalue of the closed loop first leaves the unit circle.
+    If the loop changes by its margin, an eigenvalue of the closed loop just leaves the unit circle.
     """
 
     def radius(factor: complex) -> float:
@@ -165,10 +167,9 @@ def brute_force(system: LinearSystem) -> tuple[float, float]:
 @pytest.mark.parametrize("seed", SEED_RANGE)
 @pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
-    """The computed margins are never too large.
+    """A computed margin is never larger than the true margin.
 
-    A computed margin is smaller than the true one only if frequency response and eigenvalues
-    disagree.
+    A computed margin is smaller only if the frequency response and the eigenvalues disagree.
     """
     model = model_of(hand, seed)
     for kind in LoopKind:
@@ -186,7 +187,7 @@ def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
 def judged_stable(model: HandModel, found: GainDesign, seed: int) -> HandModel:
     """Check that all loops of a design are stable on both plants of an ensemble.
 
-    Return the model with the designed gains.
+    Return the model with the gains of this design.
     """
     after = HandModel.from_hand(model.hand, found.gains, 1.0 / model.period)
     for factors in draw_ensemble(2, seed):
@@ -199,7 +200,7 @@ def judged_stable(model: HandModel, found: GainDesign, seed: int) -> HandModel:
 
 @pytest.mark.parametrize("seed", SEED_RANGE if NIGHTLY else SEED_RANGE[:1])
 def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
-    """All eigenvalues of the design are stable, although the design did without the rest test in simulation."""
+    """All eigenvalues are inside the unit circle, although the design made no rest test in simulation."""
     model = model_of("jamia", seed, 3.0)
     found = design_gains(model, tuple(linear_factors(one) for one in draw_ensemble(2, seed)))
     judged_stable(model, found, seed)
@@ -218,7 +219,7 @@ def test_written_design_is_stable(hand: str, seed: int) -> None:
     try:
         found = design_gains(model, plants, RestTest(model.hand, factors, plants, seed))
     except ValueError:
-        return  # then no design is written
+        return  # in this case, no design is written
     after = judged_stable(model, found, seed)
     assert RestTest(model.hand, factors, plants, seed + 100)(after)
 
@@ -231,7 +232,7 @@ def test_a_failed_rest_test_gives_no_design(jamia: HandModel) -> None:
 def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
     """The rest test detects unstable gains.
 
-    Regression: such gains were written as a design with infinite margins.
+    Earlier defect: unstable gains were written as a design with infinite margins.
     """
     model = with_force(393.0)
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).stable
@@ -247,8 +248,8 @@ def rest_test_of(model: HandModel) -> RestTest:
 def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     """Reproduce a defect.
 
-    Every step test ended with a torn tendon (T01), when a digit without load cells closed with 30
-    N.
+    Earlier defect: every step test ended with a torn tendon (T01) when a digit without load cells
+    closed with 30 N.
     """
     model = HandModel.from_hand(load_hand("orca_like"), Gains(), RATE_BY_HAND_HZ["orca_like"])
     swing = simulate_swing(model.hand, model, {}, 0)
@@ -258,7 +259,7 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
 
 @pytest.mark.parametrize("hand", QUICK_HANDS)
 def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: str) -> None:
-    """An oscillation that also occurs without feedback does not count as an oscillation of the control loop."""
+    """An oscillation that also occurs without feedback is not regarded as an oscillation of the control loop."""
     model = HandModel.from_hand(
         load_hand(hand), packaged_gains(hand), RATE_BY_HAND_HZ.get(hand, 200.0)
     )
@@ -274,7 +275,7 @@ def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: 
 def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     monkeypatch: pytest.MonkeyPatch, hand: str, swing_N: float, chatter_N: float, accepted: bool
 ) -> None:
-    """Refuse gains with such a swing, although all other plants come to rest."""
+    """Gains with such an oscillation are refused, although the hand comes to rest with all other plants."""
     model = HandModel.from_hand(load_hand(hand), Gains(), RATE_BY_HAND_HZ.get(hand, 200.0))
 
     def fake(
@@ -296,9 +297,10 @@ def rest_test_with(
     chatter: tuple[float, ...],
     found: tuple[float, ...],
 ) -> RestTest:
-    """Return a rest test with invented oscillations of each tendon [N].
+    """Return a rest test in which the oscillation of each tendon is given [N].
 
-    ``chatter`` is the oscillation without feedback, ``found`` the oscillation with the gains.
+    ``chatter`` is the oscillation without feedback, and ``found`` is the oscillation with the
+    gains.
     """
 
     def fake(
@@ -315,10 +317,10 @@ def rest_test_with(
 def test_chatter_of_a_tendon_does_not_hide_swings_of_others(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """With little friction and no feedback, two digits of jamia oscillate.
+    """With little friction, two digits of jamia oscillate even without feedback.
 
-    The tensions of index and ring oscillate by 2 to 5 N, those of middle and thumb by less than 0.1
-    N.
+    The tensions of index and ring finger oscillate by 2 to 5 N, and those of middle finger and
+    thumb by less than 0.1 N.
     """
     chatter = (4.1, 0.0, 3.9, 0.0)
     assert rest_test_with(monkeypatch, jamia, chatter, (5.0, 0.1, 4.4, 0.1))(jamia)
@@ -330,9 +332,9 @@ def test_chatter_of_a_tendon_does_not_hide_swings_of_others(
 def test_an_oscillating_loop_is_not_hidden_by_chatter(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """The oscillation is not larger than without feedback.
+    """In this test, the oscillation is not larger than without feedback.
 
-    Nevertheless the gains are refused, because the eigenvalues show that the loop oscillates.
+    The gains are nevertheless refused, because the eigenvalues show that the loop oscillates.
     """
     chatter = (4.0, 4.0, 4.0, 4.0)
     slow = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}
@@ -352,7 +354,10 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(
 def test_gains_that_fail_at_the_least_friction_are_refused(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """If the run without feedback also fails, the plant's own oscillation is unknown, and the gains are refused."""
+    """If the run without feedback also fails, the oscillation of the plant itself is unknown.
+
+    The gains are then refused.
+    """
     lost = StepOscillation(math.inf, math.inf, (math.inf,) * 4, "N14b")
     still = StepOscillation(0.0, 0.0, (0.0,) * 4)
     monkeypatch.setattr(
@@ -371,7 +376,7 @@ COUPLED_SYSTEMS = [((1.0,), (0.5,), (0.25,)), ((0.2,), (1.0,), (1.0,)), ((1.0,),
 def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(
     column: tuple[tuple[float], ...],
 ) -> None:
-    """The joint angles of the posture obey the coupling of the digit and are inside their ranges."""
+    """The joint angles of the posture obey the coupling of the digit, and are inside their ranges."""
     hand = load_hand("jamia")
     content = {**hand.content, "digit": [dict(one) for one in hand.content["digit"]]}
     content["digit"][0]["coupling"] = [list(row) for row in column]

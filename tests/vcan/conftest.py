@@ -1,8 +1,8 @@
-"""Run the tests of inside/ in three guests with real vcan interfaces.
+"""Run the tests in the folder inside/ in three guests that have real vcan interfaces.
 
 Report each test as if it had run in this process.
 
-A guest is a virtual machine with user-mode Linux, or a network namespace. In the guest this file
+A guest is a virtual machine with user-mode Linux, or a network namespace. In the guest, this file
 writes each report of pytest to the file that HANDCTL_VCAN_REPORTS names. With
 HANDCTL_REQUIRE_VCAN=1 a skipped test counts as failed.
 """
@@ -45,7 +45,7 @@ def pytest_itemcollected(item: pytest.Item) -> None:
         if not REPORTS_FILE:
             item.add_marker(
                 pytest.mark.timeout(0), append=False
-            )  # the first test waits for all tests of its guest
+            )  # the first test waits until all tests of its guest have run
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -129,7 +129,7 @@ def _read_reports(lines: Sequence[str], config: pytest.Config) -> ReportsByTest:
         if report.skipped and isinstance(report.longrepr, list):
             report.longrepr = tuple(
                 report.longrepr
-            )  # JSON has no tuple, and pytest's summary takes no list
+            )  # JSON has no tuples, but the summary of pytest needs tuples
         reports[report.nodeid].append(report)
     return reports
 

@@ -1,6 +1,7 @@
 """Test the program that runs guests.
 
-The program returns the exit status of a command that ends in any way, and leaves no process behind.
+The program returns the exit status of a command, however the command ends, and leaves no process
+behind.
 """
 
 import contextlib
@@ -22,7 +23,7 @@ def _require_guest() -> None:
 
 
 def processes_of(folder: str) -> list[int]:
-    """Return the processes whose command lines name a folder.
+    """Return the processes whose command lines contain the name of a folder.
 
     These processes belong to a running guest.
     """
@@ -36,7 +37,8 @@ def processes_of(folder: str) -> list[int]:
 
 @pytest.mark.parametrize("end", ["exit 7", "kill -SEGV $$"])
 def test_a_kernel_with_vcan_needs_no_guest(monkeypatch: pytest.MonkeyPatch, end: str) -> None:
-    monkeypatch.setattr(uml_guest, "MAKE_INTERFACES_SCRIPT", "true\n")  # as if the kernel had vcan
+    # this makes the kernel seem to have vcan
+    monkeypatch.setattr(uml_guest, "MAKE_INTERFACES_SCRIPT", "true\n")
     monkeypatch.setattr(uml_guest, "_namespace_command", lambda: ["env"])
     output: list[str] = []
     status = uml_guest.run_with_vcan(
@@ -83,7 +85,8 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
     assert uml_guest.run_with_vcan(["true"]) == 0
     started_s = time.monotonic() - start_s
     with tempfile.TemporaryDirectory() as folder:
-        monkeypatch.setattr(tempfile, "tempdir", folder)  # marks the processes of this run
+        # this name marks the processes of this run
+        monkeypatch.setattr(tempfile, "tempdir", folder)
         script = "echo started; sleep 1000"
         status = uml_guest.run_with_vcan(
             ["bash", "-c", script], timeout_s=5.0 + 4.0 * started_s, report_line=record_line

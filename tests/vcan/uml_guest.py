@@ -40,7 +40,7 @@ ip link set lo up
 
 
 def vcan_access() -> tuple[str, str]:
-    """Return how this machine gets vcan: "native", "uml", or "" with the reason why it has none."""
+    """Return how this machine provides vcan: "native", "uml", or "" with the reason why it does not."""
     if shutil.which("unshare") is not None:
         trial = subprocess.run(
             [*_namespace_command(), "bash", "-c", MAKE_INTERFACES_SCRIPT],
@@ -106,7 +106,7 @@ def _job_script(command: Sequence[str], environment: Mapping[str, str]) -> str:
 def _environment() -> dict[str, str]:
     """Return the environment variables of this process.
 
-    Their PATH contains the folders of system programs, even for an ordinary user.
+    The variable PATH contains the folders of system programs, even for an ordinary user.
     """
     return {**os.environ, "PATH": f"{os.environ.get('PATH', '')}:{SYSTEM_PATH}"}
 
@@ -129,7 +129,8 @@ def _run_natively(job: Path, timeout_s: float, report_line: Callable[[str], None
         for line in _read_lines(process, time.monotonic() + timeout_s):
             report_line(line)
         status = process.wait(timeout=10)
-        return status if status >= 0 else 128 - status  # as a shell reports a signal
+        # in the way in which a shell reports a signal
+        return status if status >= 0 else 128 - status
     except TimeoutError:
         return TIMED_OUT_STATUS
     finally:
@@ -159,11 +160,11 @@ def _run_in_guest(job: Path, timeout_s: float, report_line: Callable[[str], None
 
 @contextlib.contextmanager
 def _on_one_core() -> Iterator[None]:
-    """Keep the child processes of this thread on one core. The next guest gets the next core.
+    """Keep the child processes of this thread on one core. The next guest runs on the next core.
 
-    The kernel and a program of a guest run in turn as two processes of the host. It takes five
-    times as long to wake a process on another core. With both on one core, a system call took 20 us
-    instead of 100 us.
+    A guest consists of two processes of the host, its kernel and its program, which run
+    alternately. To wake a process on another core takes five times as long. If both are on one
+    core, a system call takes 20 us instead of 100 us.
     """
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[next(_guest_numbers) % len(cores)]})
@@ -199,9 +200,9 @@ def _guest_command(job: Path) -> list[str]:
 
 
 def _with_all_registers(job: Path) -> list[str]:
-    """Return the prefix of the guest's command.
+    """Return the prefix of the command of the guest.
 
-    A processor with AMX needs a prefix, because the guest does not save the AMX registers.
+    On a processor with AMX, a prefix is needed, because the guest does not save the AMX registers.
     """
     if "amx_tile" not in Path("/proc/cpuinfo").read_text(
         encoding="utf-8"
@@ -214,7 +215,7 @@ def _with_all_registers(job: Path) -> list[str]:
 
 
 def _memory_folder() -> str:
-    """Return the folder for the file that holds the guest's memory.
+    """Return the folder for the file that contains the memory of the guest.
 
     The /dev/shm of a container often has only 64 MB.
     """
@@ -239,7 +240,10 @@ def _start_process(command: list[str], environment: dict[str, str]) -> "subproce
 
 
 def _kill_group(process: "subprocess.Popen[bytes]") -> None:
-    """Kill every process of a run. User-mode Linux has a process on the host for each address space of the guest."""
+    """Kill every process of a run.
+
+    For each address space of the guest, user-mode Linux has a process on the host.
+    """
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -260,10 +264,10 @@ def _read_lines(process: "subprocess.Popen[bytes]", deadline_s: float) -> Iterat
 
 
 def _report_job(lines: Iterator[str], job: Path, report_line: Callable[[str], None]) -> list[str]:
-    """Report the lines that the job in a guest prints.
+    """Report the lines that the command in a guest prints.
 
-    Returns: The lines before and after those of the job. These lines are from the kernel and from
-        init.
+    Returns: The lines before and after those of the command. These lines come from the kernel and
+        from init.
     """
     other_lines: list[str] = []
     started = False

@@ -19,7 +19,7 @@ LOG_DURATION_S = 3.0
 
 @pytest.fixture(scope="session", params=["jamia", "jamia11"])
 def log_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write the log of a synthetic run with a start date, and return its path.
+    """Write the log of a generated run with a start date, and return its path.
 
     A test with this fixture runs once for each packaged hand.
     """
@@ -36,7 +36,7 @@ def log_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 @pytest.fixture(scope="session")
 def jamia_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write the log of a synthetic run of the hand jamia, and return its path."""
+    """Write the log of a generated run of the hand jamia, and return its path."""
     import synthetic_run
 
     path = tmp_path_factory.mktemp("view") / "run.mcap"
@@ -60,8 +60,8 @@ def rrd(log_path: Path) -> Path:
 def vulkan() -> dict[str, str]:
     """Return the environment variables of a process that draws pictures.
 
-    If this machine has no Vulkan driver, skip the test. Where a driver is required, let the test
-    fail.
+    If this machine has no Vulkan driver, skip the test. If a driver is required on this machine,
+    let the test fail instead.
     """
     try:
         return software_vulkan()

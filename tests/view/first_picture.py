@@ -1,8 +1,8 @@
 """Measure the time that `handctl view LOG` needs for its first picture: `python tests/view/first_picture.py LOG`.
 
-The measured time lasts from the start of the process until a viewer without a screen has drawn a
-picture with data. The program prints JSON with this time, and with the CPU times of handctl and of
-the viewer until then.
+The measurement begins with the start of the process, and ends when a viewer without a screen has
+drawn a picture with data. The program prints JSON with this time, and with the CPU times that
+handctl and the viewer have used in it.
 """
 
 import json
@@ -20,7 +20,7 @@ WINDOW_SIZE = "1600x900"
 
 def main() -> None:
     """Open a log as `handctl view` does, and end after the first picture."""
-    os.environ.setdefault("RUST_LOG", "error")  # handctl view sets this too
+    os.environ.setdefault("RUST_LOG", "error")  # handctl view also sets this variable
     from handctl.cli.logs import view  # noqa: F401 (what the verb imports counts)
     from handctl.log.read.reader import RunLog
     from handctl.view.browse import browse_log
@@ -38,9 +38,9 @@ def main() -> None:
 
 
 def _time_first_picture(seen: threading.Event) -> None:
-    """Wait for the viewer of this process and for its data.
+    """Wait for the viewer of this process, and for its data.
 
-    Then save a picture, report the times, and close the viewer.
+    Then save a picture, print the times, and close the viewer.
     """
     viewer = _find_viewer()
     client = _connect_client(viewer)
@@ -66,7 +66,7 @@ def _time_first_picture(seen: threading.Event) -> None:
 def _find_viewer() -> psutil.Process:
     while True:
         for child in psutil.Process().children():
-            with suppress(psutil.Error):  # a process that has ended
+            with suppress(psutil.Error):  # the process has already ended
                 if "--headless" in child.cmdline():
                     return child
         time.sleep(0.01)

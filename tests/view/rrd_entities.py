@@ -17,9 +17,9 @@ class RecordingEntity(NamedTuple):
     """Data of one entity of a Rerun recording.
 
     Attributes:
-        times: run time of each row [ns]. For a static entity, the array is empty.
-        rows: for the name of each component, its values in all rows.
-        static: for the name of each static component, the value that it always has.
+        times: time in the run of each row [ns]. For a static entity, the array is empty.
+        rows: values of each component in all rows, by the name of the component.
+        static: constant value of each static component, by the name of the component.
     """
 
     times: NDArray[np.int64]

@@ -1,6 +1,6 @@
-"""Test a log in a separate viewer.
+"""Test the view of a log in a separate viewer.
 
-The viewer shows the beginning of the log first, and finally the whole log.
+The viewer first shows the beginning of the log, and finally the whole log.
 """
 
 import itertools
@@ -93,7 +93,7 @@ def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Pat
         str(tmp_path / "ten.mcap"),
     ]
     looks = []
-    for _ in range(3):  # the first of these runs is slow
+    for _ in range(3):  # the first of these runs is slower
         ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
         looks.append(json.loads(ran.stdout))
     assert all(one["png_bytes"] > 50_000 for one in looks)
@@ -130,7 +130,7 @@ def test_a_viewer_that_is_closed_leaves_no_files_behind(
 def command(child: psutil.Process) -> list[str]:
     """Return the command line of a child process.
 
-    The result is empty for a child process that has ended. Other tests may leave such processes.
+    For a child process that has ended, the result is empty. Other tests may leave such processes.
     """
     try:
         return child.cmdline()

@@ -1,4 +1,4 @@
-"""Test `handctl view` with the command lines of a user: the written files, and the messages about refused input."""
+"""Test `handctl view`: the files that it writes, and its messages about refused input."""
 
 import json
 from pathlib import Path

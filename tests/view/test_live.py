@@ -1,4 +1,4 @@
-"""Test the live view: a process beside the controller shows the log while it grows."""
+"""Test the live view: a process beside the controller shows the log while the log grows."""
 
 import subprocess
 import sys
@@ -24,11 +24,11 @@ VIEWER_TIMEOUT_S = 40.0
 
 
 def url_of(follower: "subprocess.Popen[bytes]") -> str:
-    """Return the address of the viewer that a follower process has started."""
+    """Return the address of the viewer that a process of the live view has started."""
     end = time.monotonic() + VIEWER_TIMEOUT_S
     while time.monotonic() < end:
         assert follower.poll() is None, f"the follower ended with {follower.returncode}"
-        with suppress(psutil.NoSuchProcess, FileNotFoundError):  # a child may have ended
+        with suppress(psutil.NoSuchProcess, FileNotFoundError):  # a child process may have ended
             for child in psutil.Process(follower.pid).children():
                 for one in child.net_connections():
                     if one.status == psutil.CONN_LISTEN:

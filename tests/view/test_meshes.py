@@ -1,6 +1,6 @@
 """Test the meshes in a Rerun recording.
 
-A mesh replaces the capsule of its link, with the right pose, scale and colour.
+A mesh takes the place of the capsule of its link, with the right pose, scale and colour.
 """
 
 from pathlib import Path

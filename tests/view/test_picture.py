@@ -101,7 +101,7 @@ def test_viewer_ignores_streams_of_other_programs(
 ) -> None:
     """A viewer does not show data that another program still sends to an earlier viewer.
 
-    Regression: data of such a program replaced the views of the next viewer.
+    Earlier defect: the data of such a program took the place of the views in the next viewer.
     """
     running, client = bare_viewer
     assert not running.url.endswith(":9876/proxy"), (

@@ -1,4 +1,4 @@
-"""A growing log is read to its end without lost or duplicate messages, for any sizes of its growth steps."""
+"""A growing log is read to its end without lost or duplicate messages, whatever the sizes of its growth steps are."""
 
 import random
 from pathlib import Path
@@ -65,7 +65,7 @@ def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_path: Path, tmp_path:
 def test_a_call_reads_no_record_again(
     jamia_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Reproduce a defect: each call scanned all records from the start of the log, several times per second."""
+    """Reproduce a defect: each call scanned all records from the start of the log again, several times per second."""
     whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
     offsets = list[int]()
     read_range = LogFile.read_range

@@ -64,7 +64,7 @@ def test_tension_has_its_band_and_command(
 def test_a_distant_limit_is_not_drawn(
     recorded_entities: dict[str, RecordingEntity], run_log: RunLog
 ) -> None:
-    """Reproduce a defect: the line of a limit of 110 N squeezed tensions of 30 N into a third of the plot."""
+    """Reproduce a defect: because of the line for a limit of 110 N, tensions of 30 N used only a third of the plot."""
     largest = float(np.nanmax(run_log.field("tension")))
     assert largest < 0.6 * 110.0
     limit = recorded_entities.get("/tension/limit")
@@ -77,7 +77,10 @@ def test_a_distant_limit_is_not_drawn(
 def test_angles_are_in_degrees_digit_by_digit(
     recorded_entities: dict[str, RecordingEntity], run_log: RunLog
 ) -> None:
-    """Reproduce a defect: bands of 20 deg covered the angles, so an angle has no band."""
+    """Reproduce a defect: bands of 20 deg covered the curves of the angles.
+
+    An angle therefore has no band.
+    """
     for kind, name in {"estimate": "q", "command": "q_goal"}.items():
         parts = [
             recorded_entities[f"/angle/{digit}/{kind}"].table("Scalars:scalars")
@@ -177,7 +180,7 @@ def test_frames_put_the_fingertips_where_kinematics_does(
 
 
 def _frame_position(edges: dict[str, tuple[str, np.ndarray, np.ndarray]], frame: str) -> np.ndarray:
-    """Return the origin of a frame in the coordinates of the palm, from the chain of transforms."""
+    """Return the origin of a frame in the coordinates of the palm, using the chain of transforms."""
     point = np.zeros(3)
     while frame != "palm":
         frame, translation, (x, y, z, w) = edges[frame]

@@ -1,6 +1,6 @@
 """Test the object and the table of a simulated run in the view.
 
-The poses of object and table in the view equal those in the truth file of the simulator.
+In the view, the poses of object and table equal those in the truth file of the simulator.
 """
 
 import json
@@ -36,7 +36,7 @@ def truth_of(shapes: dict[str, Any], seconds: float = 1.0) -> TruthRecord:
 
 
 def drawn_entities(path: Path, truth: TruthRecord | None, offset_ns: int = 0) -> dict[str, Any]:
-    """Return the viewer entities of the object and the table, for a run with this truth record."""
+    """Return the entities of the viewer for object and table, for a run with this truth record."""
     run = run_info_of(path)
     header = replace(
         run.header, metadata={**run.header.metadata, "truth_offset_ns": str(offset_ns)}

@@ -102,7 +102,7 @@ class Cia402Node:
         rpdo_id: identifier of the standard RPDO, see ``pdo.NodePdos``.
         tpdo_id: identifier of the standard TPDO, see ``pdo.NodePdos``.
         tpdo_kind: transmission type of the standard TPDO.
-        accepted_ids: identifiers that the node may answer.
+        accepted_ids: identifiers for the node to answer.
         values: values of the object dictionary.
         frame_pending: True if a frame of the drive waits to be sent.
         motion: the position, velocity and homing modes of the drive.
@@ -140,13 +140,13 @@ class Cia402Node:
         self._unsolicited: list[Frame] = []
         self._stored: dict[ObjectKey, int] = {}
         self._segments: list[bytes] = []
-        self._reset(announce=True)
+        self._reset(sends_boot_message=True)
 
-    def _reset(self, announce: bool) -> None:
+    def _reset(self, sends_boot_message: bool) -> None:
         """Restart the drive with its stored settings.
 
         Args:
-            announce: True to send the boot-up message.
+            sends_boot_message: True to send the boot-up message.
         """
         self.motor.servo.release()
         self.motion.end()
@@ -163,7 +163,7 @@ class Cia402Node:
         self.syncs = 0
         self.heartbeat_ns = self.watchdog_fed_ns = -1
         self._update_derived()
-        if announce:
+        if sends_boot_message:
             self._unsolicited.append(Frame(0x700 + self.node_id, b"\0"))
 
     def _initial_objects(self) -> tuple[ObjectDictionary, PowerStage]:
@@ -173,7 +173,7 @@ class Cia402Node:
         return objects, PowerStage()
 
     def _update_derived(self) -> None:
-        """Update the attributes that are derived from communication objects."""
+        """Update the attributes derived from communication objects."""
         self.sync_id = self.objects[0x1005, 0] & 0x7FF
         self.master_id = 0x700 + (self.objects[0x1016, 1] >> 16 & 0x7F)
         self.rpdo_id, (self.tpdo_id, self.tpdo_kind) = (
@@ -228,7 +228,7 @@ class Cia402Node:
     def _nmt_command(self, command: int) -> None:
         """Execute an NMT command."""
         if command in (0x81, 0x82):
-            self._reset(announce=True)
+            self._reset(sends_boot_message=True)
             return
         state = {0x01: OPERATIONAL_STATE, 0x02: STOPPED_STATE, 0x80: PRE_OPERATIONAL}.get(
             command, self.nmt
@@ -259,7 +259,7 @@ class Cia402Node:
         self._apply_torque()
 
     def lose_settings(self) -> None:
-        """Restore the defaults of torque limit and supervision of the master, but keep the state of the drive."""
+        """Restore the default torque limit and supervision of the master, but keep the state of the drive."""
         initial = ObjectDictionary(self.node_id)
         for key in ((0x6072, 0), (0x6007, 0), (0x1016, 1)):
             self.objects[key] = initial[key]
@@ -268,7 +268,7 @@ class Cia402Node:
         self._apply_torque()
 
     def _send_emergency(self, error_code: int) -> None:
-        """Send an emergency message, unless the node is in the NMT state stopped."""
+        """Send an emergency message, unless the node is in the NMT state *stopped*."""
         if self.nmt != STOPPED_STATE:
             data = error_code.to_bytes(2, "little") + bytes((self.objects[0x1001, 0],)) + bytes(5)
             self._unsolicited.append(Frame(0x80 + self.node_id, data))
@@ -290,7 +290,7 @@ class Cia402Node:
         """Execute an SDO request.
 
         Returns:
-            Payload of the SDO reply.
+            The payload of the SDO reply.
 
         Raises:
             SdoAbort: the drive refuses the request.
@@ -307,8 +307,8 @@ class Cia402Node:
         # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame).
         if specifier >> 5 != 1 or not specifier & 2:
             raise SdoAbort(UNKNOWN_COMMAND)
-        # If bit 0 is set, bits 3..2 give the number of unused bytes. If it is not set, the request
-        # gives no size, and the size of the object counts.
+        # If bit 0 is set, bits 3..2 give the number of unused bytes. If bit 0 is not set, the
+        # request gives no size. The size of the object then counts.
         size = 4 - (specifier >> 2 & 3) if specifier & 1 else self.objects.size(key)
         self._write_object(key, data[4 : 4 + size])
         return b"\x60" + data[1:4] + bytes(4)
@@ -336,9 +336,9 @@ class Cia402Node:
         return bytes((head,)) + segment.ljust(7, b"\0")
 
     def _write_object(self, key: tuple[int, int], value_bytes: bytes) -> None:
-        """Write an object as a host requests it, and apply the new value."""
-        # This range has the communication and mapping objects of RPDOs (0x1400, 0x1600) and TPDOs
-        # (0x1800, 0x1A00).
+        """Write an object to which a host has sent a value, and apply the new value."""
+        # This range contains the communication and mapping objects of RPDOs (0x1400, 0x1600) and
+        # TPDOs (0x1800, 0x1A00).
         if 0x1400 <= key[0] < 0x1C00:
             if self.nmt != PRE_OPERATIONAL:
                 raise SdoAbort(WRONG_STATE)

@@ -66,8 +66,8 @@ def sdo_reply(data: bytes, access: Callable[[bytes, ObjectKey], bytes]) -> bytes
 
     Args:
         data: payload of the SDO request, 8 bytes.
-        access: function that executes the request for an object. It returns the payload of the
-            reply, or raises ``SdoAbort``.
+        access: function that executes the request on an object. The function returns the payload of
+            the reply, or raises ``SdoAbort``.
     """
     try:
         return access(data, (int.from_bytes(data[1:3], "little"), data[3]))
@@ -87,8 +87,8 @@ class ObjectDictionary:
         """Read the EDS file and set all objects to their defaults.
 
         Args:
-            node_id: node number, on which default identifiers depend.
-            memory: memory for ``kernels.VALUE_CAPACITY`` values. If it is None, a list is
+            node_id: node number. The default identifiers depend on it.
+            memory: memory for ``kernels.VALUE_CAPACITY`` values. If None, a list is
                 allocated.
         """
         parser = configparser.ConfigParser(interpolation=None)
@@ -112,7 +112,7 @@ class ObjectDictionary:
         self._indices = {index for index, _ in self._sizes}
 
     def _add_object(self, name: str, section: configparser.SectionProxy, node_id: int) -> None:
-        """Add the object described by a section of the EDS file."""
+        """Add the object that a section of the EDS file describes."""
         index, _, sub = name.partition("sub")
         key = (int(index, 16), int(sub or "0", 16))
         data_type = int(section["DataType"], 16)
@@ -137,7 +137,7 @@ class ObjectDictionary:
     def __setitem__(self, key: ObjectKey, value: int) -> None:
         """Set an object from inside the drive.
 
-        The value is saturated at the range of the object's data type.
+        A value outside of the range of the object's data type is saturated.
         """
         bits = 8 * self._sizes[key]
         low, high = (

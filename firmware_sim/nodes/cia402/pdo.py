@@ -24,7 +24,7 @@ PDO_OFF_BIT = 1 << 31
 """Bit in the identifier object of a PDO: the PDO is off."""
 NOT_MAPPABLE = 0x06040041
 """SDO abort code: the object cannot be mapped. Source: CiA 301."""
-TOO_LONG = 0x06040042
+PDO_TOO_LONG = 0x06040042
 """SDO abort code: the mapped objects exceed the length of a PDO. Source: CiA 301."""
 STANDARD_RPDO = [((0x6040, 0), 2), ((0x6071, 0), 2)]
 """Mapping of the only RPDO that kernels can handle: mapped objects and their sizes [bytes]."""
@@ -66,7 +66,7 @@ class NodePdos:
         if entry_count > 4:
             raise SdoAbort(OUT_OF_RANGE)
         if sum(self._objects[mapping_index, i + 1] & 0xFF for i in range(entry_count)) > 64:
-            raise SdoAbort(TOO_LONG)
+            raise SdoAbort(PDO_TOO_LONG)
 
     def _mapped_objects(self, mapping: int) -> Iterator[tuple[ObjectKey, int]]:
         """Iterate over the objects in a mapping, with sizes [bytes]."""
@@ -75,7 +75,7 @@ class NodePdos:
             yield (entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8
 
     def _rpdo_index(self, can_id: int) -> int:
-        """Return the index of the RPDO with an identifier, -1 if no RPDO has the identifier."""
+        """Return the index of the RPDO that has an identifier. Return -1 if no RPDO has it."""
         return next((i for i in range(4) if self._objects[0x1400 + i, 1] == can_id), -1)
 
     def receives(self, can_id: int) -> bool:
@@ -83,10 +83,10 @@ class NodePdos:
         return self._rpdo_index(can_id) >= 0
 
     def unpack(self, can_id: int, data: bytes) -> list[ObjectKey] | None:
-        """Write the objects of an RPDO, or keep the RPDO until SYNC.
+        """Write the objects of an RPDO at once, or store the RPDO until the next SYNC frame.
 
         Returns:
-            The objects that were written at once, None if the RPDO is too short.
+            The objects that were written at once. None if the RPDO is too short.
         """
         number = self._rpdo_index(can_id)
         if len(data) < sum(size for _, size in self._mapped_objects(0x1600 + number)):
@@ -107,7 +107,7 @@ class NodePdos:
         return keys
 
     def synchronise(self) -> list[ObjectKey]:
-        """Write the RPDOs that wait for SYNC.
+        """Write the objects of the RPDOs that were stored until this SYNC frame.
 
         Returns:
             The objects that were written.
@@ -117,7 +117,7 @@ class NodePdos:
         return [key for number, data in waiting.items() for key in self._store_rpdo(number, data)]
 
     def on_sync(self, syncs: int) -> list[Frame]:
-        """Return the TPDOs that the node sends at a SYNC.
+        """Return the TPDOs that the node sends in reply to a SYNC frame.
 
         Args:
             syncs: number of SYNC frames since the last reset.
@@ -135,9 +135,9 @@ class NodePdos:
         return [self._objects[0x1400 + i, 1] for i in range(4)]
 
     def standard_rpdo(self) -> int:
-        """Return the identifier of the RPDO that kernels can handle, or -1.
+        """Return the identifier of the RPDO that compiled kernels can handle, or -1.
 
-        This RPDO writes control word and target torque at once.
+        The RPDO contains the control word and the target torque, and is written at once.
         """
         for i in range(4):
             can_id = self._objects[0x1400 + i, 1]
@@ -151,11 +151,11 @@ class NodePdos:
         return -1
 
     def standard_tpdo(self) -> tuple[int, int]:
-        """Return identifier and transmission type of the TPDO that kernels can handle.
+        """Return the identifier and the transmission type of the TPDO that compiled kernels can handle.
 
-        This TPDO has status word, position and torque, is sent after SYNC, and is the only active
-        TPDO. With any other arrangement of PDOs, or if an RPDO depends on SYNC, the identifier is
-        -1.
+        The TPDO contains status word, position and torque. The TPDO is sent after SYNC, and is the
+        only active TPDO. With any other arrangement of PDOs, or if an RPDO depends on SYNC, the
+        identifier is -1.
         """
         active = self._active_tpdos()
         waits = any(

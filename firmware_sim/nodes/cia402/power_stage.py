@@ -1,13 +1,13 @@
-"""The state machine of a CiA 402 drive's power stage.
+"""The state machine of the power stage of a CiA 402 drive.
 
-Control words are its input. Source: fact sheet cia402.
+Control words are the input of the state machine. Source: fact sheet cia402.
 
 Bits of the control word: 0 switch on, 1 enable voltage, 2 quick stop (the value 0 stops), 3 enable
 operation, 7 fault reset (on its rising edge).
 
-Choices: control word 0x0F in *ready to switch on* executes transitions 3 and 4 together. After a
-quick stop, the state becomes *switch on disabled* without a further command. The state *fault
-reaction active* is passed within one step.
+Choices of this simulation: control word 0x0F in *ready to switch on* executes transitions 3 and 4
+together. After a quick stop, the state becomes *switch on disabled* without a further command. The
+state *fault reaction active* is passed within one step.
 """
 
 import ctypes
@@ -26,7 +26,7 @@ def status_word(power: Any) -> int:
     """Return the status word of a drive.
 
     Bit 4 is *voltage enabled*, bit 9 *remote*, and bit 12 *drive follows the target torque*. The
-    other bits tell the state.
+    other bits encode the state.
     """
     return (
         _STATUS_WORD_BITS[power.state]
@@ -74,6 +74,6 @@ class PowerStage:
 
 
 class PowerStruct(ctypes.Structure, PowerStage):
-    """The state machine of the power stage, stored in the row of a drive."""
+    """The state machine of a power stage whose numbers are stored in the row of a drive."""
 
     _fields_ = [(name, ctypes.c_int64) for name in ("state", "reset_bit")]

@@ -9,9 +9,9 @@ Frames (COB-ID, payload little-endian):
     0x600+n       SDO request  u8 specifier, u16 index, u8 sub-index, u32 value
     0x700+n       heartbeat    u8 NMT state, 0 once after a restart
 
-Choices where the fact sheet is not definite: a SYNC with a payload is ignored, because object
-0x1019 is absent. TPDOs of the types 254 and 255 (on a change) are sent only once, when the node
-becomes operational. The host can write communication objects only while the node is
+Choices where the fact sheet is not definite: the node ignores a SYNC frame with a payload, because
+object 0x1019 does not exist. TPDOs of the types 254 and 255 (on a change) are sent only once, when
+the node becomes operational. The host can write communication objects only while the node is
 pre-operational. The settings are lost at a restart.
 """
 
@@ -46,15 +46,15 @@ _NEVER_NS = 1 << 62
 
 
 class LoadCellAmplifiers:
-    """The load cells of a hand that are connected to amplifiers, with their noise, bias and faults.
+    """The load cells of a hand that uses amplifiers, with their noise, bias and faults.
 
     Attributes:
         nodes: the amplifiers of the hand.
         bias: present bias of each load cell [N].
-        cell_faults: function that changes the reading of a load cell, by the index of the load
-            cell.
+        cell_faults: for each load cell, the function that changes its reading, by the index of the
+            load cell.
         joint_faults: empty, because amplifiers have no joint encoders.
-        suppressed: functions by the identifier of a frame. The function is called instead of
+        suppressed: functions by the identifier of a frame. Such a function is called instead of
             sending the frame.
     """
 
@@ -89,7 +89,10 @@ class LoadCellAmplifiers:
         ]
 
     def frame_of_cell(self, index: int) -> int:
-        """Return the identifier of the frame with the reading of a load cell, in a host's usual mapping."""
+        """Return the identifier of the frame that contains the reading of a load cell.
+
+        The identifier is the one in the usual mapping of a host.
+        """
         node = next(node for node in self.nodes if index in node.cells)
         return 0x180 + 0x100 * ((index - node.cells.start) // 2) + node.node_id
 
@@ -115,10 +118,10 @@ class AmplifierNode:
 
     Attributes:
         node_id: node number of the amplifier.
-        cells: indices of the node's load cells in the list of the hand.
+        cells: indices of the load cells of this node in the list of the hand.
         nmt: NMT state of the amplifier.
         objects: object dictionary of the amplifier.
-        ids: identifiers that the node may answer.
+        ids: identifiers of the frames that the node may answer.
         malformed: number of frames that the node could not decode.
         wake_ns: time of the next heartbeat [ns].
         serial: serial number of the amplifier.
@@ -153,7 +156,7 @@ class AmplifierNode:
         self.wake_ns = 0
 
     def _update_ids(self) -> None:
-        """Update the identifiers that the node may answer."""
+        """Update the identifiers for the node to answer."""
         self._sync_id = self.objects[0x1005, 0] & 0x7FF
         self.ids = frozenset((0x000, self._sync_id, 0x600 + self.node_id))
 
@@ -161,7 +164,8 @@ class AmplifierNode:
         """Process a frame from the bus.
 
         Returns:
-            The frames sent in response by the amplifier, or None if the frame is not for this node.
+            The frames that the amplifier sends in response. None if the frame is not for this
+            node.
         """
         can_id = frame.can_id
         data = frame.data
@@ -179,7 +183,7 @@ class AmplifierNode:
         return self._take_waiting_frames()
 
     def wake(self, t_ns: int) -> list[Frame]:
-        """Return the heartbeat if due, and all frames waiting to be sent."""
+        """Return the heartbeat if it is due, and all frames that wait to be sent."""
         self._now_ns = t_ns
         period_ns = self.objects[0x1017, 0] * 1_000_000
         if period_ns and not self._out:
@@ -188,7 +192,7 @@ class AmplifierNode:
         return self._take_waiting_frames()
 
     def _take_waiting_frames(self) -> list[Frame]:
-        """Return the frames waiting to be sent, without suppressed frames, and empty the list."""
+        """Return the frames that wait to be sent, except suppressed frames. Then empty the list."""
         out = self._out
         self._out = []
         suppressed = self._load_cells.suppressed
@@ -222,7 +226,7 @@ class AmplifierNode:
             )
 
     def _send_tpdos(self, is_due: Callable[[int], bool]) -> None:
-        """Send the TPDOs for whose transmission type ``is_due`` returns True."""
+        """Send the TPDOs that are due: ``is_due`` returns True for their transmission type."""
         self._sample_load_cells()
         for i in range(TPDO_COUNT):
             can_id = self.objects[0x1800 + i, 1]

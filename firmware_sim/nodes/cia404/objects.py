@@ -40,7 +40,7 @@ TPDO_COUNT = 4
 """Number of TPDOs of an amplifier."""
 NOT_MAPPABLE = 0x06040041
 """SDO abort code: the object cannot be mapped. Source: CiA 301."""
-TOO_LONG = 0x06040042
+PDO_TOO_LONG = 0x06040042
 """SDO abort code: the mapped objects exceed the length of a PDO. Source: CiA 301."""
 NOT_VALID = 1
 """Status bit: the reading of the channel is not valid."""
@@ -178,7 +178,7 @@ class AmplifierObjects:
         if not sub and value > 8:
             raise SdoAbort(OUT_OF_RANGE)
         if not sub and sum(self[index, i + 1] & 0xFF for i in range(value)) > 64:
-            raise SdoAbort(TOO_LONG)
+            raise SdoAbort(PDO_TOO_LONG)
 
     def payload(self, tpdo: int) -> bytes:
         """Return the payload of a TPDO with the present readings."""
@@ -197,8 +197,8 @@ class AmplifierObjects:
         status = self._channel_status(channel)
         if index == 0x6150:
             return bytes((status,))
-        # The maker's unit is assumed to be 1/100 N, so a host that does not set the unit reads
-        # wrong tensions.
+        # The unit as delivered is assumed to be 1/100 N. A host that does not set the unit
+        # therefore reads wrong tensions.
         unit = 1.0 if self[0x6131, channel] == NEWTON_UNIT else 100.0
         value = math.nan if status else self.readings[channel - 1] * unit
         if index == FLOAT_VALUE_INDEX:

@@ -36,7 +36,7 @@ from i2rt, DM6248 from openarm_can.
 
 
 class MotorRating(NamedTuple):
-    """Rated values of a motor type at the output shaft, and supply voltage.
+    """Rated values of a motor type at the output shaft, and the supply voltage.
 
     Attributes:
         peak: peak torque of the motor [N m].
@@ -59,7 +59,7 @@ class MotorRating(NamedTuple):
 
     @property
     def stall_torque(self) -> float:
-        """Return the motor's torque at standstill if only the voltage limited the current [N m]."""
+        """Return the torque of the motor at standstill, if only the voltage limited its current [N m]."""
         # With space-vector modulation, the largest amplitude of a phase voltage is the supply
         # voltage / sqrt(3).
         return self.torque_constant * self.supply / math.sqrt(3.0) / self.resistance
@@ -119,7 +119,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 def _corrupt_command(frame: Frame) -> Frame:
     """Replace the command *disable* by a request for feedback.
 
-    With this request, the faulty motor still answers.
+    After this request, the faulty motor still answers.
     """
     # The identifiers of remote and extended frames have flags above their lowest 11 bits.
     if frame.data != b"\xff" * 7 + b"\xfd" or frame.can_id > 0x7FF:

@@ -18,8 +18,8 @@ Feedback from MST_ID (8 bytes, highest byte and bit first):
     bit 15..8   temperature of the MOSFETs [degC]
     bit  7..0   temperature of the winding [degC]
 
-Kernels handle the eight bytes as one signed 64-bit integer. The sign of the integer has no meaning.
-Callers that want compiled kernels must call them through this module, because
+Kernels handle the eight bytes of a payload as one signed 64-bit integer. The sign of the integer
+has no meaning. Callers that want compiled kernels must call them through this module, because
 ``compiled.use_compiled_kernels`` replaces the attributes of the module.
 """
 
@@ -149,9 +149,9 @@ def write_feedback(
 
     Args:
         state_and_id: state or error nibble and low four bits of ESC_ID, as one byte.
-        p: measured position [rad], saturated at its range.
-        v: measured velocity [rad/s], saturated at its range.
-        t: measured torque [N m], saturated at its range.
+        p: measured position [rad], saturated at the range of the type.
+        v: measured velocity [rad/s], saturated at the range of the type.
+        t: measured torque [N m], saturated at the range of the type.
         position: position range, register 21 [rad].
         velocity: velocity range, register 22 [rad/s].
         torque: torque range, register 23 [N m].
@@ -164,8 +164,8 @@ def write_feedback(
     motion = (
         to_code(p, position, 16) << 24 | to_code(v, velocity, 12) << 12 | to_code(t, torque, 12)
     )
-    # The head is made a signed byte first. In compiled code, shifting a head above 127 would
-    # overflow 64 bits.
+    # The highest byte is first made a signed byte. In compiled code, the shift of a byte above 127
+    # would overflow 64 bits.
     signed = state_and_id - 256 if state_and_id > 127 else state_and_id
     return signed << 56 | motion << 16 | _degrees(mosfet) << 8 | _degrees(winding)
 
@@ -181,8 +181,8 @@ def apply_command(node: Any, servo: Any, word: int) -> None:
     """
     ranges = node.position_range, node.velocity_range, node.torque_range
     position, velocity, servo.kp, servo.kd, torque = read_command(word, *ranges)
-    # To convert an angle in a frame to the spool, subtract the encoder offset, then apply the
-    # motor's direction.
+    # To convert an angle in a frame to the spool, subtract the encoder offset, and then apply the
+    # direction of the motor.
     servo.position = node.direction * (position - node.offset)
     servo.velocity = node.direction * velocity
     servo.torque = node.direction * torque
@@ -213,7 +213,11 @@ def feedback_word(node: Any, rotor: Any, angle: float, mosfet: float, winding: f
 
 @kernel_helper
 def schedule_wake(node: Any) -> None:
-    """Schedule the next wake of a drive: at the update of temperatures, or earlier if the watchdog must be checked."""
+    """Schedule the next wake of a drive.
+
+    The next wake is the next update of the temperatures, or an earlier time if the watchdog must be
+    checked.
+    """
     node.wake_ns = node.thermal_ns + THERMAL_PERIOD_NS
     if node.timeout_ns != 0 and node.state == ENABLED_STATE:
         node.wake_ns = min(node.wake_ns, node.watchdog_fed_ns + node.timeout_ns)

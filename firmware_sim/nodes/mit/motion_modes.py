@@ -1,6 +1,7 @@
 """Position-velocity, velocity and force-position mode of a Damiao motor.
 
-Frames (little-endian). The motor follows each of them only in the frame's own mode (register 10):
+Frames (little-endian). The motor follows the commands of a mode only if register 10 selects this
+mode:
 
     0x100 + ESC_ID  float32 position [rad], float32 largest speed [rad/s]
     0x200 + ESC_ID  float32 velocity [rad/s]
@@ -81,7 +82,7 @@ class MotionModes:
     def start(self, t_ns: int) -> None:
         """Follow the target from a time [ns] on.
 
-        If no target was followed before, ramps start from the present motion.
+        If no target was followed before, the ramps start from the present motion.
         """
         if not self._running:
             self._running = True
@@ -117,7 +118,7 @@ class MotionModes:
             elif step_s:
                 self._setpoint.ramp(target, rise, fall, step_s)
         elif node.mode == reg.MODE_FORCE or rise == fall == math.inf:
-            # The controllers limit the speed here, not the setpoint.
+            # In this mode, the controllers limit the speed, and not the setpoint.
             self._setpoint.jump(self._target)
         elif step_s:
             self._setpoint.trapezoid(self._target, speed, rise, fall, step_s)

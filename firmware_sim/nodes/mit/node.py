@@ -8,7 +8,7 @@ Choices where the fact sheet has only an assumption:
   commands within the interval". Therefore the option ``watchdog`` can select another behaviour of
   ``WATCHDOG_BEHAVIOURS``.
 - The special command FE (set zero) acts only while the motor is disabled.
-- A command for another mode than that in CTRL_MODE is answered, but has no effect.
+- A command for another mode than the mode in CTRL_MODE is answered, but has no effect.
 - Position and velocity modes use cascaded controllers with fixed gains, see ``motion_modes``.
 - Positions beyond PMAX are saturated in the feedback.
 - Requests for unknown registers are not answered.
@@ -82,7 +82,7 @@ CLEAR_ANSWERS = {
 class FeedbackState(enum.IntEnum):
     """State nibble in the feedback.
 
-    In states above ENABLED, which are errors, the motor has no torque.
+    States above ENABLED are errors. In these states, the motor has no torque.
     """
 
     DISABLED = 0x0
@@ -106,20 +106,20 @@ class MitNode:
         registers: registers of the motor.
         offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         thermal: temperatures of the motor and its drive.
-        ids: identifiers that the node may answer.
+        ids: identifiers for the node to answer.
         malformed: number of frames with the node's identifiers that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: time of the last frame that fed the watchdog [ns].
         timeout_ns: timeout of the watchdog [ns], 0 if the watchdog is off.
-        thermal_ns: time of the last update of the temperatures [ns], negative before the first
-            update.
+        thermal_ns: time of the last update of the temperatures [ns], negative before the
+            first update.
         node_id: identifier of commands, register 8.
         reply_id: identifier of answers, register 7.
         position_range: largest position in frames, register 21 [rad].
         velocity_range: largest velocity in frames, register 22 [rad/s].
         mode: control mode, register 10.
         torque_range: largest torque in frames, register 23 [N m].
-        direction: +1 or -1, sign between motor angle and spool angle.
+        direction: +1 or -1, the sign between the motor angle and the spool angle.
     """
 
     state: int
@@ -159,7 +159,7 @@ class MitNode:
         return (self.node_id,)
 
     def _update_derived(self) -> None:
-        """Update the attributes that are derived from registers."""
+        """Update the attributes derived from registers."""
         self.node_id = int(self.registers[reg.ESC_ID])
         self.reply_id = int(self.registers[reg.MST_ID])
         self._mode_ids = {self.node_id + offset for offset in (0x100, 0x200, 0x300)}
@@ -170,7 +170,7 @@ class MitNode:
         self.timeout_ns = int(self.registers[reg.TIMEOUT]) * WATCHDOG_UNIT_NS
         mode = int(self.registers[reg.CTRL_MODE])
         if mode != self.mode:
-            # A setpoint is valid only in the mode for which it was sent.
+            # A setpoint is valid only in the mode in which it was sent.
             self._release_motor()
         self.mode = mode
 
@@ -178,7 +178,7 @@ class MitNode:
         """Process a frame, and answer in the same frame format.
 
         Returns:
-            The answers, or None if the frame is not for the motor.
+            The answers. None if the frame is not for this motor.
         """
         can_id, data, flags, bus, _ = frame
         if can_id == self.node_id:
@@ -214,8 +214,8 @@ class MitNode:
         """Process a frame to ESC_ID and return the payload of the answer, None if the frame is malformed."""
         if len(data) != 8:
             return None
-        # The last byte is compared first. This byte differs in most commands, so the comparison of
-        # seven bytes is rarely made.
+        # The last byte is compared first. The last byte differs in most commands, so the comparison
+        # of the other seven bytes is rarely made.
         if data[7] >= _CLEAR_COMMAND and data[7] != 0xFF and data[:7] == _SPECIAL_COMMAND_START:
             return self._process_special_command(data, t_ns)
         self.watchdog_fed_ns = t_ns
@@ -298,7 +298,7 @@ class MitNode:
     def trip(self, state: FeedbackState) -> None:
         """Enter an error state.
 
-        Torque returns only after the error has been cleared and the motor enabled.
+        The motor makes torque again only after the error was cleared and the motor was enabled.
         """
         self._release_motor()
         self.state = state

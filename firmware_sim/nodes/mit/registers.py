@@ -75,11 +75,11 @@ MODE_MIT, MODE_POSITION, MODE_VELOCITY, MODE_FORCE = range(1, 5)
 class MitRegisters:
     """The registers of one motor.
 
-    A written value acts at once, but is lost at power-off unless saved.
+    A value that is written acts at once, but is lost at power-off unless it is saved.
     """
 
     def __init__(self, spec: MotorSpec) -> None:
-        """Initialize the registers as in a commissioned motor with the watchdog (register TIMEOUT) off."""
+        """Initialize the registers as in a commissioned motor whose watchdog (register TIMEOUT) is off."""
         self._values: dict[int, float] = _factory_values(spec)
         self._flash = self._values.copy()
 

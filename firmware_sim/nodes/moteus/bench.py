@@ -21,7 +21,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 def _corrupt_command(frame: Frame) -> Frame:
     """Replace the command of mode 0 by mode 13 without bounds.
 
-    Mode 13 then makes no torque, but keeps the power stage on.
+    In mode 13, the drive then makes no torque, but keeps the power stage on.
     """
     return (
         frame._replace(data=b"\x01\x00\x0d" + frame.data[3:])

@@ -8,7 +8,7 @@ Source: docs/facts/moteus.md.
     0x40 text in, 0x41 text out: channel, length, text       0x42  poll for text: channel, longest length
 
 Bits 3 and 2 of a register subframe give the type of the values: int8, int16, int32 or float32. Bits
-1 and 0 give the count of values, or are 0 if the count follows as a varuint. Numbers are
+1 and 0 are the number of values. If they are 0, the number follows as a varuint. Numbers are
 little-endian.
 """
 
@@ -111,7 +111,7 @@ def encode_register(value: float, value_type: int, steps: tuple[float, float, fl
         return REGISTER_STRUCTS[FLOAT].pack(value)
     if not math.isfinite(value):
         return REGISTER_STRUCTS[value_type].pack(-MAX_COUNTS[value_type] - 1)
-    # The quotient is rounded to float32 as in the drive. In float64, 0.00003 / 1e-5 would be just
+    # The quotient is rounded to float32, as in the drive. In float64, 0.00003 / 1e-5 would be just
     # below 3.
     count = struct.unpack("<f", struct.pack("<f", value / steps[value_type]))[0]
     return REGISTER_STRUCTS[value_type].pack(

@@ -1,8 +1,8 @@
 """A motor with a moteus controller. Source: docs/facts/moteus.md.
 
 The drive executes a frame subframe by subframe. If the frame writes the mode, all written registers
-take effect at the end of the frame. The reply is built before that. Therefore it contains the mode
-that the drive had before the frame. An unknown subframe ends the execution of its frame.
+take effect at the end of the frame. The reply is built before that. The reply therefore contains
+the mode that the drive had before the frame. An unknown subframe ends the execution of its frame.
 
 In position mode, the drive moves the commanded position with the commanded velocity until the next
 command. A command without a position keeps the present target.
@@ -12,7 +12,8 @@ Choices where the fact sheet has only an assumption:
 - The preparation of the power stage (modes 2, 3 and 4) takes 10 ms.
 - The drive is calibrated and has the gains of ``text_channel.FACTORY_CONFIGURATION``. The
   integrator of the drive is not simulated.
-- Limits of velocity, acceleration and slip have no effect. The target moves as if they were nan.
+- Limits of velocity, acceleration and slip have no effect. The target moves as if these limits were
+  nan.
 - Stop position, fixed current and the voltage modes are not simulated. A command with one of these
   modes is refused like an invalid value.
 - Beyond a position limit, the feedforward torque cannot push further in the direction of that
@@ -174,7 +175,8 @@ class MoteusNode:
         """Execute a subframe that writes or reads registers.
 
         Returns:
-            The bytes to add to the reply, None if the rest of the frame is for another controller.
+            The bytes to add to the reply. None if the rest of the frame is for another
+            controller.
         """
         kind = subframe >> 2 & 3
         count = subframe & 3 or reader.varuint()
@@ -196,7 +198,7 @@ class MoteusNode:
     def _read_registers(self, value_type: int, count: int, first: int) -> bytes:
         """Return the reply to a request that reads registers.
 
-        The reply ends with an error at a register without a value.
+        If a register has no value, the reply ends with an error at this register.
         """
         values = list[bytes]()
         error = b""
@@ -217,7 +219,7 @@ class MoteusNode:
         ) + error
 
     def _write_register(self, register: int, value_type: int, raw: bytes) -> int:
-        """Write a register and return an error number, 0 for no error."""
+        """Write a register, and return an error number, 0 without an error."""
         register = reg.SHADOW_REGISTERS.get(register, register)
         if register == reg.MODE:
             mode = mp.decode_register(raw, value_type, mp.UNSCALED_STEPS)
@@ -242,13 +244,16 @@ class MoteusNode:
         return 0
 
     def _set_position(self, turns: float, nearest: bool) -> None:
-        """Shift the reported position to a value, or by whole turns as near as possible to the value."""
+        """Shift the reported position to a value, or as near as possible to the value by whole turns."""
         if math.isfinite(turns):
             shift = turns - self._position
             self.offset += TURN_RAD * (round(shift) if nearest else shift)
 
     def _read_register(self, register: int, value_type: int) -> bytes | None:
-        """Return the bytes of a register, None if the register is unknown or cannot have the type."""
+        """Return the bytes of a register.
+
+        Return None if the register is unknown or cannot have the type.
+        """
         register = reg.SHADOW_REGISTERS.get(register, register)
         if register in INT32_ONLY_REGISTERS:
             return (
@@ -297,12 +302,15 @@ class MoteusNode:
 
     @property
     def _target(self) -> float:
-        """Return the position that the drive approaches, on the wire [turn]."""
+        """Return the position that the drive approaches, in the unit of the frames [turn]."""
         return (self._direction * self.motor.servo.position + self.offset) / TURN_RAD
 
     @property
     def _fault_code(self) -> int:
-        """Return the fault code, or in position mode the code of a limit that acts on the loop's torque."""
+        """Return the fault code.
+
+        In position mode, it may be the code of a limit that acts on the torque of the loop.
+        """
         motor = self.motor
         servo = motor.servo
         if self.fault or self.mode not in (POSITION, STAY_WITHIN_MODE):
@@ -332,7 +340,7 @@ class MoteusNode:
     def _execute_text_subframe(self, subframe: int, reader: mp.PayloadReader) -> bytes:
         """Execute a subframe of the text channel.
 
-        Return as much of the channel's answers as fits into the reply.
+        Return as many of the channel's answers as fit into the reply.
         """
         channel = reader.varuint()
         length = reader.varuint()
@@ -361,7 +369,7 @@ class MoteusNode:
         self._schedule()
 
     def _stop(self) -> None:
-        """Switch the power stage off, and clear the fault if there is one."""
+        """Switch the power stage off, and clear the fault if one exists."""
         self.motor.servo.release()
         self._has_target = False
         self.mode = STOPPED
@@ -401,7 +409,10 @@ class MoteusNode:
         self._has_target = self.mode == POSITION
 
     def _violated_bound(self) -> float | None:
-        """Return the bound of the mode *stay within* that the position violates [turn], None if none is violated."""
+        """Return the bound of the mode *stay within* that the position violates [turn].
+
+        Return None if it violates none.
+        """
         lower = self.command[reg.LOWER_BOUND]
         upper = self.command[reg.UPPER_BOUND]
         if self._position < lower:
@@ -492,7 +503,7 @@ class MoteusNode:
     def _start_mode(self) -> None:
         """Enter the commanded mode after the preparation.
 
-        In position mode, a position outside its limits is a fault.
+        In position mode, a position outside of its limits is a fault.
         """
         position = self._position
         outside = position < self._configuration_item(

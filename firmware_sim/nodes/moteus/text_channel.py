@@ -39,7 +39,7 @@ class TextChannel:
     Attributes:
         items: configuration items in the working memory.
         saved: configuration items in the permanent memory.
-        out: text of the answers that the host has not read yet.
+        out: text of those answers that the host has not read yet.
     """
 
     def __init__(self, stop_drive: Callable[[], None]) -> None:
@@ -66,10 +66,10 @@ class TextChannel:
         if len(self._line) > MAX_COMMAND_LINE_BYTES:
             self._line = b""
 
-    def read(self, longest: int) -> bytes:
-        """Take at most ``longest`` bytes from the unread answers."""
-        part = self.out[:longest]
-        self.out = self.out[longest:]
+    def read(self, max_bytes: int) -> bytes:
+        """Take at most ``max_bytes`` bytes from the unread answers."""
+        part = self.out[:max_bytes]
+        self.out = self.out[max_bytes:]
         return part
 
     def forget(self) -> None:

@@ -75,11 +75,12 @@ class OdriveStruct(ctypes.Structure):
 def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
     """Set a torque setpoint [N m at the shaft], and follow it at once in torque control without a ramp.
 
-    The setpoint feeds the watchdog in every mode.
+    The setpoint feeds the watchdog in every control mode.
     """
     node.watchdog_fed_ns = t_ns
     node.setpoint = torque
-    # Every other mode follows the setpoint at the next update of the mode, see ``motion_modes``.
+    # In every other mode, the drive follows the setpoint at the next update of the mode, see
+    # ``motion_modes``.
     if (
         node.state != CLOSED_LOOP
         or node.control_mode != TORQUE_CONTROL
@@ -108,9 +109,10 @@ def limit_speed(node: Any, servo: Any) -> None:
 
     Speed limit and gain act in every control mode of an ODrive.
 
-    In torque control, the drive brakes above the limit (``enable_torque_mode_vel_limit``, on by
-    default). In velocity control, the drive limits the setpoint. In both cases, the torque is gain
-    (limit - velocity). Source: ODrive firmware 0.5.6, ``controller.cpp``, limitVel.
+    In torque control, the drive brakes if the speed is above the limit
+    (``enable_torque_mode_vel_limit``, on by default). In velocity control, the drive limits the
+    setpoint. In both cases, the torque is gain (limit - velocity). Source: ODrive firmware 0.5.6,
+    ``controller.cpp``, limitVel.
     """
     servo.speed_limit = node.velocity_limit * TURN_RAD / node.gear
     servo.speed_gain = node.velocity_gain / TURN_RAD * node.gear * node.gear
@@ -156,7 +158,7 @@ def next_due(due_ns: int, t_ns: int, period_ns: int) -> int:
     """Return the next due time of a cyclic message after it was sent [ns].
 
     Args:
-        due_ns: time at which the sent message was due [ns].
+        due_ns: time when the sent message was due [ns].
         t_ns: present time [ns].
         period_ns: period of the message [ns].
     """

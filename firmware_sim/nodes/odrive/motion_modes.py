@@ -4,14 +4,14 @@
     input mode   1 setpoint as received, 2 velocity ramp, 3 position filter, 5 trapezoid, 6 torque ramp
 
 The inputs are the values of Set_Input_Pos, Set_Input_Vel and Set_Input_Torque. Each of these
-messages sets its inputs in every mode. Each mode uses only the inputs that it needs. Gains, filter,
+messages sets its inputs in every mode. A mode uses only the inputs that it needs. Gains, filter,
 ramps and integrator are as in the ODrive firmware (MIT licence), controller.cpp. The integrator
 decays while the torque is limited. Each step plans the rest of the trapezoid again. The result
 differs from trapTraj.cpp only if the target changes on the way.
 
-Differences from the firmware: an overspeed is not an error, because the position controller limits
-the velocity demand. Input mode 0 (inactive) keeps the last setpoint. The firmware refuses modes
-without an entry above, and the simulation ignores them.
+Differences from the firmware: a speed above the limit is not an error, because the position
+controller limits the velocity demand. Input mode 0 (inactive) keeps the last setpoint. The firmware
+refuses modes without an entry above, and the simulation ignores them.
 """
 
 import math

@@ -36,7 +36,7 @@ Choices where the fact sheet has only an assumption:
 - Only setpoint messages feed the watchdog.
 - A setpoint of NaN disarms the axis with the error *missing input*.
 - A disarm reason stays until Clear_Errors. With a disarm reason, the axis refuses closed loop.
-- Endpoints have the numbers that the hand file gives.
+- The hand file gives the numbers of the endpoints.
 - A calibration takes ``CALIBRATION_NS`` and moves nothing. With the option ``uncalibrated``, the
   axis refuses closed loop before a calibration.
 - The module ``motion_modes`` has position control, velocity control and their input modes.
@@ -154,7 +154,7 @@ class OdriveNode:
         thermal_ns: time of the last update of the temperatures [ns].
         heartbeat_due_ns: time of the next heartbeat [ns].
         encoder_due_ns: time of the next encoder estimates [ns].
-        accepted_ids: identifiers that the node may answer.
+        accepted_ids: identifiers for the node to answer.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -203,8 +203,8 @@ class OdriveNode:
             self._numbers["torque_min"]: struct.pack("<f", -math.inf),
         }
         self.endpoints.pop(0, None)
-        # If a number in the hand file equals that of a default endpoint, the endpoint of the hand
-        # file counts.
+        # If the hand file uses the number of a default endpoint for another endpoint, the endpoint
+        # of the hand file counts.
         defaults = {
             number: struct.pack("<f", value) for number, (_, value) in MOTION_ENDPOINTS.items()
         }
@@ -212,7 +212,7 @@ class OdriveNode:
         self.legacy = options.get("firmware") == "0.5"
         if usb := options.get(
             "usb_watchdog_s"
-        ):  # A host makes this setting over USB, and no frame can change it.
+        ):  # A host can make this setting only over USB. No frame can change it.
             self._numbers |= {"enable_watchdog": -1, "watchdog_timeout": -2}
             self.endpoints |= {-1: b"\1", -2: struct.pack("<f", usb)}
         self.calibrated = not options.get("uncalibrated", False)
@@ -235,7 +235,7 @@ class OdriveNode:
         self.input_mode = input_mode
 
     def _update_derived(self) -> None:
-        """Update the attributes that are derived from endpoints."""
+        """Update the attributes derived from endpoints."""
         self.torque_min, self.torque_max = (
             self._endpoint_limit("torque_min", -math.inf),
             self._endpoint_limit("torque_max", math.inf),
@@ -258,7 +258,7 @@ class OdriveNode:
         """Process a frame from the bus, and answer it.
 
         Returns:
-            The answers, or None if the frame is not for this axis.
+            The answers. None if the frame is not for this axis.
         """
         can_id = frame.can_id & ~REMOTE_FLAG
         node = can_id >> 5
@@ -277,7 +277,7 @@ class OdriveNode:
     def _answer_remote(self, node: int, command: int) -> list[Frame]:
         """Answer a request for a Get message.
 
-        A host may broadcast only the request for Get_Address.
+        Only the request for Get_Address may be a broadcast.
         """
         if node == BROADCAST_NUMBER and command != 0x06:
             return []
@@ -344,7 +344,10 @@ class OdriveNode:
         return []
 
     def _set_state(self, state: int, t_ns: int) -> None:
-        """Set the axis state as the host requests. With an error, the axis refuses closed loop."""
+        """Set the axis state as the host requests.
+
+        If the axis has an error, it refuses closed loop.
+        """
         if state == IDLE_STATE:
             self._release_axis(CANCELLED_RESULT if self.busy_until_ns else SUCCESS_RESULT)
         elif self._can_calibrate(state):
@@ -416,7 +419,7 @@ class OdriveNode:
     def endpoint_float(self, endpoint: int) -> float:
         """Return a setting of ``MOTION_ENDPOINTS``.
 
-        If the hand file uses the number of the setting for another endpoint, return the default.
+        If the hand file uses the number of this setting for another endpoint, return the default.
         """
         if endpoint in self._numbers.values():
             return MOTION_ENDPOINTS[endpoint][1]

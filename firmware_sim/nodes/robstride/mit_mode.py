@@ -58,7 +58,8 @@ class RobstrideMitNode(RobstrideNode):
 
     Attributes:
         host_id: identifier of the feedback.
-        next_protocol: protocol of the motor from the next power-up on: 0 private, 1 CANopen, 2 MIT.
+        next_protocol: protocol that the motor will use from the next power-up on: 0 private, 1
+            CANopen, 2 MIT.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -105,7 +106,7 @@ class RobstrideMitNode(RobstrideNode):
     ) -> list[Frame]:
         """Execute a special command.
 
-        Byte 6 of the frame is FF, or a value that belongs to the command.
+        Byte 6 of the frame is either FF, or a value that belongs to the command.
         """
         plain = data_area == 0xFF
         if command_code == 0xFB and not plain:

@@ -22,7 +22,8 @@ Choices where the fact sheet has only an assumption:
   mode without a fault.
 - Faults other than over-temperature stay until they are cleared. A fault prevents enabling.
 - After each new fault, the motor sends a fault report to the host that sent the latest request.
-- Modes of operation other than 0 and the change of bit rate or protocol are refused in silence.
+- The motor does not answer a request for a mode of operation other than 0, or for another bit rate
+  or protocol.
 """
 
 import math
@@ -112,8 +113,8 @@ class RobstrideNode:
     Attributes:
         mode: mode of the motor, reset or run.
         fault: bits of the present faults.
-        parameters: bytes of the writable parameters, by number.
-        thermal: temperatures of motor and drive.
+        parameters: bytes of each parameter that can be written, by its number.
+        thermal: temperatures of the motor and the drive.
         offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         ids: None, because the node answers many identifiers.
         malformed: number of frames that the node could not decode.
@@ -332,7 +333,7 @@ class RobstrideNode:
     def trip(self, fault: int) -> None:
         """Enter reset mode with a fault.
 
-        The value 0 stands for the watchdog, which sets no fault.
+        The value 0 stands for the watchdog. It sets no fault.
         """
         self.motor.servo.release()
         self.mode = RESET_MODE

@@ -1,11 +1,14 @@
-# PYTHON_ARGCOMPLETE_OK: a shell with global completion asks programs with this mark for completions
-"""Entry point of the command line, and table of the commands. This module calls the commands verbs.
+# PYTHON_ARGCOMPLETE_OK: a shell with global completion asks only programs with this mark for
+# completions
+"""Entry point of the command line, and table of the commands.
+
+In this module, a *verb* is a command such as ``run``.
 
 The module ``arguments`` of a folder declares the arguments of all verbs in the folder. The code of
 a verb is in the module with the name of the verb.
 
-Only ``arguments`` is imported to show a help text, or an error in the arguments. Therefore both
-appear fast.
+To show a help text, or an error in the arguments, handctl imports only ``arguments``. Therefore
+both appear fast.
 """
 
 import errno
@@ -45,7 +48,7 @@ class VerbGroup(NamedTuple):
     """Verbs of the command line that have a common purpose.
 
     Attributes:
-        title: common purpose of the verbs, printed as a heading in the help.
+        title: common purpose of the verbs, printed as a heading in the help text.
         verbs: one line of help for each verb, by name.
     """
 
@@ -184,7 +187,7 @@ def _run_and_report_errors(words: list[str]) -> int:
 def _run_command_line(words: list[str]) -> int:
     """Run a command line, and return the exit code.
 
-    Errors of the verb pass through as exceptions.
+    Exceptions of the verb are not caught.
     """
     while (
         words[1:]
@@ -296,7 +299,7 @@ def _run_verb(name: str, words: list[str]) -> int:
 
 
 def _start_recorder_early() -> AbstractContextManager[None]:
-    """Start the recorder process early, so that it imports modules while this process does the same."""
+    """Start the recorder process early, so that it imports its modules while this process also imports modules."""
     from handctl.log.write.recorder_start import (
         recorder_process_ahead,
     )  # a verb that records no run needs no subprocess
@@ -333,6 +336,6 @@ def _pause_garbage_collection() -> Iterator[None]:
 def _report_error(error: HandctlError | str, code: ExitCode) -> int:
     with suppress(
         OSError
-    ):  # without a readable standard error, the exit code still reports the error
+    ):  # if standard error cannot be written, the exit code still reports the error
         print(f"handctl: {one_line_message(str(error))}", file=sys.stderr)
     return code

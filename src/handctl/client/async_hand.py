@@ -1,4 +1,4 @@
-"""Client of a hand for programs with asyncio.
+"""Client of a hand for programs that use asyncio.
 
 This client offers the methods of ``HandClient`` as coroutines.
 """
@@ -25,19 +25,19 @@ During the pause, the event loop runs other tasks.
 
 
 class AsyncHandClient:
-    """Client of one hand, for programs with asyncio. Use the client with ``async with``.
+    """Client of one hand, for programs that use asyncio. Use the client with ``async with``.
 
-    Every method has the same effect and errors as the method of ``HandClient`` with that name. The
-    call runs in a thread, so that other tasks of the event loop continue. ``observe`` is an
-    ordinary method, because it returns at once. If a task is cancelled during a call, the hand
-    keeps its present goal. A call of ``hold`` brings such a hand to rest.
+    Every method has the same effect and raises the same errors as the method of ``HandClient`` with
+    the same name. Each call runs in a thread, so that other tasks of the event loop continue.
+    ``observe`` is an ordinary method, because it returns at once. If a task is cancelled during a
+    call, the hand keeps its present goal. To bring such a hand to rest, call ``hold``.
 
     Attributes:
         client: the ``HandClient`` whose methods are called.
     """
 
     def __init__(self, client: HandClient) -> None:
-        """Wrap a client that is not open yet.
+        """Create the asyncio client from a client that is not open yet.
 
         Programs call ``connect_async`` instead of this constructor.
         """
@@ -71,7 +71,7 @@ class AsyncHandClient:
 
     @property
     def result(self) -> dict[str, Any]:
-        """Return the output of the run that this client started.
+        """Return the output of the run that this client has started.
 
         The output is available after the run.
         """
@@ -96,7 +96,10 @@ class AsyncHandClient:
         rate_N_per_s: float = 100.0,
         **tension_N: float,
     ) -> None:
-        """Hold tensions [N], or bring moving digits to rest, see ``HandClient.hold``."""
+        """Hold tensions [N].
+
+        Without tensions, bring moving digits to rest. See ``HandClient.hold``.
+        """
         await asyncio.to_thread(self.client.hold, goals, rate_N_per_s, **tension_N)
 
     async def grasp(
@@ -106,7 +109,7 @@ class AsyncHandClient:
         return await asyncio.to_thread(self.client.grasp, task, wait, timeout_s)
 
     async def release(self, wait: bool = True, timeout_s: float = 30.0) -> None:
-        """End the hold phase that ``grasp`` reached, see ``HandClient.release``."""
+        """End the hold phase that ``grasp`` has reached, see ``HandClient.release``."""
         await asyncio.to_thread(self.client.release, wait, timeout_s)
 
     async def take_over(self) -> None:
@@ -139,7 +142,7 @@ class AsyncHandClient:
             timeout_s: longest wait for the next tick [s].
 
         Raises:
-            BusError: the next tick of the controller does not arrive in this time.
+            BusError: the next tick of the controller does not arrive within this time.
         """
         for seen in self.client.poll_observations(timeout_s):
             if seen is None:
@@ -171,11 +174,12 @@ class AsyncTargetStream:
     """Open stream of targets for asyncio. Use the stream with ``async with``.
 
     Attributes:
-        stream: the ``TargetStream`` that does the work. It has attributes such as ``horizon_s``.
+        stream: the ``TargetStream`` that does the work. The stream has attributes such as
+            ``horizon_s``.
     """
 
     def __init__(self, stream: TargetStream) -> None:
-        """Wrap a stream that is open."""
+        """Create the asyncio stream from a stream that is open."""
         self.stream = stream
 
     async def __aenter__(self) -> Self:
@@ -201,7 +205,7 @@ class AsyncTargetStream:
 
     @property
     def status(self) -> StreamStatus:
-        """Return how many targets the controller has accepted, clipped, refused, and ignored as too late."""
+        """Return how many targets the controller has accepted, clipped and refused, and how many were too late."""
         return self.stream.status
 
     async def close(self) -> None:

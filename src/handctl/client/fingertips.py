@@ -24,7 +24,7 @@ TipPositions = Mapping[str, Sequence[float] | NDArray[np.floating[Any]]] | NDArr
 class Fingertips:
     """Inverse kinematics of digits.
 
-    A search finds the joint angles at which the fingertips reach given positions.
+    To reach given positions of the fingertips, a search varies the joint angles.
 
     For example, a digit with one tendon for three joints cannot bring its tip to every position.
     The tip of such a digit comes as close to the target as the joint limits allow. Each search for
@@ -33,8 +33,8 @@ class Fingertips:
     Attributes:
         digits: names of the digits.
         joints: names of the joints of these digits, in order.
-        distances_m: (D,) distance that remains between each tip and its target, after the latest
-            search. Before the first search it is NaN.
+        distances_m: (D,) distance between each fingertip and its target that remains after the
+            latest search. Before the first search, it is NaN.
     """
 
     def __init__(self, hand: Hand, digits: Sequence[str] | None = None) -> None:
@@ -42,12 +42,13 @@ class Fingertips:
 
         Args:
             hand: description of the hand.
-            digits: names of the digits. If it is None, all digits that are mounted on the palm are
-                used.
+            digits: names of the digits. If this argument is None, all digits that are mounted on
+                the palm are used.
 
         Raises:
             ConfigError: the hand has no such digit, a name is given twice, or a digit is mounted on
-                another digit. The tip of such a digit would move with the other digit.
+                another digit. The tip of a digit that is mounted on another digit would move with
+                the other digit.
         """
         on_palm = [digit.name for digit in hand.digit if digit.mount_on is None]
         self.digits = tuple(on_palm if digits is None else digits)
@@ -64,7 +65,8 @@ class Fingertips:
         """Return the positions of the fingertips (D, 3) in the palm frame at given joint angles [m].
 
         Args:
-            angles_rad: joint angles by name of the joint, e.g. ``seen.named("q_rad")`` [rad].
+            angles_rad: joint angles [rad], by name of the joint, e.g. ``seen.named("q_rad")``
+                [rad].
         """
         return np.array(
             [
@@ -74,11 +76,11 @@ class Fingertips:
         )
 
     def angles_deg(self, positions: TipPositions) -> dict[str, float]:
-        """Return the joint angles for positions of fingertips, by name of the joint, e.g. for ``hand.move`` [deg].
+        """Return the joint angles [deg] for positions of fingertips, by name of the joint, e.g. for ``hand.move``.
 
         Args:
             positions: positions of the tips. If a mapping leaves out a digit, the result has no
-                angles for its joints.
+                angles for the joints of this digit.
 
         Raises:
             ConfigError: the positions have a wrong shape, a digit is unknown, or a position is not
@@ -121,14 +123,14 @@ class Fingertips:
 
 
 class FingertipStream(TargetStream):
-    """Open stream of fingertip positions, which ``HandClient.stream`` returns.
+    """Open stream of fingertip positions, as ``HandClient.stream`` returns it.
 
     The client computes joint angles from the positions. The controller receives joint angles, and
-    limits them as in every stream.
+    limits them in the same way as in every stream.
 
     Attributes:
-        fingertips: inverse kinematics of the digits. The attribute ``distances_m`` of this object
-            gives the distance between each tip and its latest target.
+        fingertips: inverse kinematics of the digits. The stream has an attribute ``distances_m``,
+            the distance between each fingertip and its latest target.
     """
 
     def __init__(
@@ -140,9 +142,10 @@ class FingertipStream(TargetStream):
         Args:
             hand: client of the hand.
             sender: sender of the targets.
-            goal: request that has opened the stream. The stream moves the joints of ``fingertips``.
+            goal: request with which the stream was opened. The stream moves the joints of
+                ``fingertips``.
             fingertips: inverse kinematics of the digits.
-            horizon_s: time from the sending of a target until the hand shall reach it [s].
+            horizon_s: time from the sending of a target until the hand should reach it [s].
             time_scale: time of the hand that passes in a second of real time [s].
         """
         super().__init__(hand, sender, goal, "deg", horizon_s, time_scale)
@@ -154,7 +157,7 @@ class FingertipStream(TargetStream):
     def _ordered_values(self, values: Any) -> NDArray[np.float64]:
         """Return the joint angles for positions of fingertips [deg].
 
-        If a mapping leaves out digits, their angles stay as they are.
+        If a mapping leaves out digits, the angles of these digits stay as they are.
         """
         angles = self.fingertips.angles_deg(values)
         target = self._present_values() if self._last is None else self._last.copy()

@@ -1,7 +1,7 @@
 """Client that commands motions of a running hand, streams targets to it, and reads its observations.
 
 The controller of the hand is a separate process. The client sends the same requests as the commands
-of ``handctl``. The controller checks, limits and logs both kinds of requests in the same way.
+of ``handctl``. The controller checks, limits and logs the requests of both in the same way.
 """
 
 import itertools
@@ -93,25 +93,28 @@ def connect(
 ) -> "HandClient":
     """Return a client of the controller on a bus. If no controller runs on the bus, start one.
 
-    If this function starts the controller, the controller ends when this program ends or crashes.
-    Before it ends, the controller relaxes and disarms the hand. If another process has started the
-    controller, a lease protects the hand. When the program that commands the hand is killed or
-    suspended, it no longer renews its lease. Moving digits come to rest after the lease, and the
-    hand relaxes after twice the lease.
+    If this function has started the controller, the controller ends when this program ends or
+    crashes. Before its end, the controller relaxes and disarms the hand. If another process has
+    started the controller, a lease protects the hand.
+
+    When the program that commands the hand is killed or suspended, it no longer renews its lease.
+    After the time of the lease, moving digits come to rest. After twice this time, the hand
+    relaxes.
 
     Args:
-        hand: packaged hand or hand file for a new controller. On a real bus a hand is required. On
-            other buses the default is ``"jamia"``. A controller that already runs must control a
+        hand: packaged hand or hand file for a new controller. On a real bus, this argument is
+            required. On other buses the default is ``"jamia"``. A controller that already runs must control a
             hand of this name.
-        bus: bus as for the option ``--bus``. For a hand with several buses, give all buses,
-            beginning with the first bus of the hand.
-        arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real bus
-            ``"--yes"`` confirms that the hand may move.
-        lease_s: lease in the time of the hand [s], from 0.2 to 3600. A thread of the client renews
-            the lease. If it is None, the hand keeps its last goal for any time.
+        bus: bus as for the option ``--bus``. For a hand with several buses, give all buses. The
+            first bus of the hand comes first.
+        arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real
+            bus, ``"--yes"`` confirms that the hand may move.
+        lease_s: longest time without a renewal of the lease, in the time of the hand [s], from 0.2
+            to 3600. A thread of the client renews the lease. If it is None, the hand keeps its last
+            goal without a time limit.
         watchdog_s: longest time in which the program may neither call the client nor send a target
-            [s]. After this time, the thread no longer renews the lease. Therefore a program that
-            hangs also loses the right to move the hand. If it is None, any time is allowed.
+            [s]. After this time, the thread no longer renews the lease. So a program that hangs
+            also loses its lease. If it is None, any time is allowed.
 
     Raises:
         ConfigError: the bus, the lease or the watchdog is invalid, or the bus is real and no hand
@@ -140,7 +143,7 @@ def connect(
 
 
 def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
-    """Check the two times after which a client counts as lost: the lease and the watchdog.
+    """Check the two times after which a client counts as lost: the lease and the watchdog time.
 
     Raises:
         ConfigError: a time is not a number within its limits, or there is a watchdog but no lease.
@@ -162,12 +165,12 @@ class HandClient:
     Use it as a context manager. Several threads of a program may share a client.
 
     At any time, only one client may move the hand. Any number of clients may observe the hand. The
-    first client that moves the hand keeps this right until the client closes, or until another
-    client calls ``take_over``.
+    first client that moves the hand keeps this right until it closes, or until another client calls
+    ``take_over``.
 
-    If the client has started the controller, closing the client relaxes and disarms the hand. If
-    another process has started the controller, the hand stays armed. The hand comes to rest if this
-    client was moving it.
+    If the client has started the controller, the hand is relaxed and disarmed when the client
+    closes. If another process has started the controller, the hand stays armed. In this case, the
+    hand comes to rest if this client was moving it.
 
     Attributes:
         bus: bus of the controller.
@@ -188,7 +191,7 @@ class HandClient:
     ) -> None:
         """Create the client.
 
-        If ``command`` is given, this command starts a controller. If ``hand`` is given, the
+        If ``command`` is given, the client starts a controller with this command. If ``hand`` is given, the
         controller must control a hand of this name. Programs call ``connect`` instead of this
         constructor.
         """
@@ -262,17 +265,18 @@ class HandClient:
         A digit that is already moving continues smoothly from its present speed.
 
         Args:
-            goals: goals as a mapping, e.g. ``hand.move({"index": 30})``. Keyword arguments add
-                further goals.
+            goals: goals as a mapping, e.g. ``hand.move({"index": 30})``. Keyword arguments add more
+                goals.
             duration_s: duration of the motion in the time of the hand [s].
-            wait: True to return at the end of the motion, False to return when the motion begins.
+            wait: True to return at the end of the motion, and False to return when the motion
+                begins.
             angle_deg: angle of a joint, or one angle for all joints of a digit, by name of the
                 joint or digit [deg].
 
         Raises:
             ConfigError: the controller has refused the goal, e.g. because of an unknown digit. The
                 previous goal stays valid.
-            DriveError: the run has ended or ends during the motion, e.g. because of a fault, or
+            DriveError: the run has ended, or it ends during the motion, e.g. because of a fault, or
                 another client takes over during the motion. The message has the reason.
             BusError: the controller does not answer.
         """
@@ -334,22 +338,23 @@ class HandClient:
 
         Args:
             rate_Hz: rate of the targets in the time of the hand [Hz], from 20 to the control rate.
-            space: meaning of the values of a target. In space ``"joint"``, a target has an angle
-                for each joint. In ``"digit"``, it has one angle for each digit, which all joints of
-                the digit get. In ``"tension"`` a target has a tension for each tendon [N], in
-                ``"tip_force"`` a force for each digit [N]. In ``"fingertip"`` a target has the
-                position of each fingertip in the palm frame, (D, 3) [m], see ``FingertipStream``.
+            space: meaning of the values of a target. In space ``"joint"``, a target has one angle
+                for each joint. In ``"digit"``, it has one angle for each digit, and all joints of
+                the digit get this angle. In ``"tension"``, a target has a tension for each tendon
+                [N], and in ``"tip_force"`` a force for each digit [N]. In ``"fingertip"``, a target
+                has the position of each fingertip in the palm frame, (D, 3) [m], see
+                ``FingertipStream``.
             names: joints, digits or tendons to which the values of a target belong, in order. If it
                 is None, a target has values for all joints, digits or tendons.
-            interpolation: motion between two successive target angles. ``"linear"`` has a constant
-                speed, ``"minimum_jerk"`` is smooth.
+            interpolation: kind of motion between two successive target angles. ``"linear"`` has a
+                constant speed, and ``"minimum_jerk"`` is smooth.
             unit: unit of the angles in a target. For prismatic joints, ``"deg"`` means mm, and
                 ``"rad"`` means m.
             stiffness_N_m_per_rad: stiffness of the streamed joints against a push, for impedance
-                control. If it is None, the gains determine the stiffness. This is also the largest
-                allowed stiffness.
+                control. If it is None, the gains determine the stiffness. The stiffness that the
+                gains determine is also the largest allowed value.
             damping_ratio: damping ratio of the streamed joints, as a multiple of the damping ratio
-                that the gains give, from 0.5 to 2.
+                with the gains, from 0.5 to 2.
 
         Raises:
             ConfigError: the controller has refused the stream, e.g. because of a name or a rate, or
@@ -398,8 +403,8 @@ class HandClient:
 
         Args:
             task: packaged task, e.g. ``"grasp"``, or a task file.
-            wait: True to return when the hold phase begins, False to return at once. If the task
-                has no hold phase, True waits for the end of the task.
+            wait: True to return when the hold phase begins, and False to return at once. If the
+                task has no hold phase, True waits for the end of the task.
             timeout_s: longest wait [s].
 
         Raises:
@@ -426,10 +431,10 @@ class HandClient:
         return seen
 
     def release(self, wait: bool = True, timeout_s: float = 30.0) -> None:
-        """End the hold phase that ``grasp`` reached, and execute the remaining phases of the task.
+        """End the hold phase that ``grasp`` has reached, and execute the remaining phases of the task.
 
         Args:
-            wait: True to return at the end of the task, False to return at once.
+            wait: True to return at the end of the task, and False to return at once.
             timeout_s: longest wait [s].
 
         Raises:
@@ -476,7 +481,7 @@ class HandClient:
 
         Raises:
             DriveError: the run has ended. The message has the reason.
-            BusError: no tick of the controller arrives in this time, or this client is closed.
+            BusError: no tick of the controller arrives within this time, or this client is closed.
         """
         self._note_call()
         reader = self._open_reader()
@@ -496,8 +501,7 @@ class HandClient:
     def observations(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> Iterator[Observation]:
         """Yield the observations of all ticks from now until the run ends, in order.
 
-        A program that is more than a second late misses ticks. Missed ticks show as a jump of
-        ``k``.
+        A program that is more than a second late misses ticks. If ticks were missed, ``k`` jumps.
 
         Args:
             timeout_s: longest wait for the next tick [s].
@@ -512,7 +516,7 @@ class HandClient:
                 yield seen
 
     def poll_observations(self, timeout_s: float) -> Iterator[Observation | None]:
-        """Yield the observation of every tick, or None if there is no new one.
+        """Yield the observation of every tick, or None if there is no new observation.
 
         The iterator never waits.
 
@@ -541,7 +545,7 @@ class HandClient:
     ) -> Observation:
         """Wait until digits are in contact or the hand is in a phase, and return the observation of that tick.
 
-        If contacts and a phase are given, the wait ends at a tick that has both.
+        If both contacts and a phase are given, the wait ends at a tick in which both are present.
 
         Args:
             contact: a digit, or several digits that must all be in contact.
@@ -635,7 +639,7 @@ class HandClient:
         """Wait until the hand is in a phase, and return the state of the hand.
 
         Args:
-            phase: name of the phase. In ``"live"`` the hand accepts goals.
+            phase: name of the phase. In the phase ``"live"``, the hand accepts goals.
             timeout_s: longest wait [s].
 
         Raises:
@@ -660,7 +664,8 @@ class HandClient:
 
         Raises:
             UnconfirmedError: the controller has not confirmed the request.
-            PowerError: a drive did not confirm that it is disabled. Remove the power of the drive.
+            PowerError: a drive did not confirm that it is disabled. In this case, remove the power
+                of the drive.
         """
         with self._lock:
             line, _ = send_with_confirmation(self._watcher, {"do": "stop"}, repeat=True)
@@ -755,13 +760,16 @@ class HandClient:
             raise BusError("this client is closed", f"bus {self.bus}", "another handctl.connect")
 
     def _end_command(self, raise_error: bool) -> None:
-        """Stop the hand if this client has started the controller. Otherwise give up the right to move the hand.
+        """Stop the hand if this client has started the controller.
+
+        Otherwise give up the right of this client to move the hand.
 
         Later calls of this method have no effect.
 
         Args:
-            raise_error: True to raise the error that ended the run. False is used while another
-                exception is handled. Then an error is raised only if a drive may still have torque.
+            raise_error: True to raise the error that ended the run. The value is False while
+                another exception is handled. An error is then raised only if a drive may still make
+                torque.
         """
         if self._closed:
             return
@@ -797,7 +805,8 @@ class HandClient:
                 return
             out, _ = self.child.communicate()
             self._print_new_messages()
-            with suppress(ValueError):  # a killed process leaves no output, or incomplete output
+            # a process that was killed leaves no output, or incomplete output
+            with suppress(ValueError):
                 self.result = json.loads(out)
 
     def _run_error(self) -> DriveError:
@@ -826,7 +835,7 @@ class HandClient:
 
 
 def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:
-    """Join the values of a mapping with those of keyword arguments, and return them by name of the digit.
+    """Combine the values of a mapping and of keyword arguments, and return them by name of the digit.
 
     Raises:
         ConfigError: the goals are not a mapping, no digit is named, or a digit is named twice.
@@ -842,10 +851,9 @@ def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[s
 
 
 def _with_float_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the numbers of any type among some values to float, and return all values.
+    """Convert all numbers among some values to float, whatever their type, and return all values.
 
-    Values that are no numbers stay unchanged, so that the error message of a later check can name
-    them.
+    Other values stay unchanged, so that the error message of a later check can show them.
     """
     converted = dict(values)
     for key, value in values.items():

@@ -1,6 +1,6 @@
 """Signs of life that a client sends to the controller.
 
-A thread of the client sends them, as long as the program runs.
+A thread of the client sends these signs as long as the program runs.
 """
 
 import threading
@@ -31,8 +31,8 @@ class Heartbeat:
             bus: bus of the controller.
             client: name of the client.
             period_s: time between two signs of life [s].
-            watchdog_s: longest time between two calls of the client by the program [s]. If it is
-                None, any time is allowed.
+            watchdog_s: longest time within which the program must call the client again [s]. If it
+                is None, any time is allowed.
         """
         self._bus = bus
         self._heartbeat_request = alive_request_text(client).encode()
@@ -62,6 +62,6 @@ class Heartbeat:
                     self._watchdog_s is None
                     or time.monotonic() - self._last_call_s <= self._watchdog_s
                 ):
-                    sender.send(
-                        self._heartbeat_request
-                    )  # if the mailbox of the controller is full, the next sign of life renews the lease
+                    # If the mailbox of the controller is full, the next sign of life renews the
+                    # lease.
+                    sender.send(self._heartbeat_request)

@@ -1,4 +1,4 @@
-"""Observation of a hand in one tick: a numpy record whose fields have names and units, and the age of the values."""
+"""Observation of a hand in one tick: a numpy record with names and units for all fields, and the age of the values."""
 
 import time
 from typing import Any
@@ -20,29 +20,30 @@ class Observation:
 
     Every field of ``record`` is an attribute. The name of an attribute ends with the unit. The
     shapes use J joints, N tendons, M motors and D digits, in the order of the hand file. ``named``
-    returns the values of a field by name.
+    returns the values of a field as a dict.
 
     Attributes:
         record: all values of the observation, a numpy record of shape ().
         k: number of the tick.
         t_ns: time of the tick since the start of the run [ns].
         late_ns: lateness of the tick [ns].
-        published_ns: reading of CLOCK_MONOTONIC after the tick had sent its commands [ns].
+        published_ns: reading of CLOCK_MONOTONIC after the commands of the tick were sent [ns].
         q_rad: (J,) estimated joint angle.
         q_sigma_rad: (J,) standard deviation of the joint angle.
         dq_rad_s: (J,) estimated joint rate.
-        q_goal_rad: (J,) commanded joint angle, NaN while the digit of the joint holds a tension.
+        q_goal_rad: (J,) commanded joint angle. The value is NaN while the digit of the joint holds
+            a tension.
         tension_N: (N,) estimated tension.
         tension_sigma_N: (N,) standard deviation of the tension.
         tension_goal_N: (N,) commanded tension.
         tip_force_N: (D,) contact force at the tip, normal to the last link.
         tip_force_sigma_N: (D,) standard deviation of the contact force.
-        contact: (D,) 1 if the digit is in contact, else 0.
-        motor_position_rad: (M,) measured position at the spool. It is NaN if the motor did not
-            reply in this tick.
+        contact: (D,) 1 if the digit is in contact, and 0 if not.
+        motor_position_rad: (M,) measured position at the spool. The value is NaN if the motor did
+            not reply in this tick.
         motor_velocity_rad_s: (M,) measured velocity at the spool.
         motor_torque_N_m: (M,) measured torque at the spool.
-        motor_temperature_degC: (M,) highest temperature of the drive.
+        motor_temperature_degC: (M,) temperature of the hottest sensor of the drive.
         motor_age_s: (M,) age of the latest feedback of the motor.
     """
 
@@ -101,7 +102,7 @@ class Observation:
 
     @property
     def age_s(self) -> float:
-        """Return the real time since the tick sent its commands [s]."""
+        """Return the real time that has passed since the tick sent its commands [s]."""
         return (time.monotonic_ns() - int(self.record["published_ns"])) / 1e9
 
     @property
@@ -121,7 +122,7 @@ class Observation:
 
     @property
     def stream(self) -> StreamStatus:
-        """Return the controller's status of the open stream of targets."""
+        """Return the status of the open stream of targets, as the controller reports it."""
         fields = ("number", "age_s", "accepted", "clipped", "late", "refused", "limited")
         return StreamStatus(*[self.record[f"stream_{field}"].item() for field in fields])
 
@@ -129,7 +130,7 @@ class Observation:
         """Return the name of each value in a field, e.g. the names of the joints for ``"q_rad"``.
 
         Raises:
-            KeyError: no array of the observation has this name.
+            KeyError: the observation has no array with this name.
         """
         hand = self._hand
         axes = {"joint": hand.joints, "tendon": hand.tendon_names, "motor": hand.motor_names,

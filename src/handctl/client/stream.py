@@ -28,7 +28,7 @@ has one.
 
 
 class StreamOwner(Protocol):
-    """Methods of a ``HandClient`` that a stream needs."""
+    """Methods of a ``HandClient`` that a stream uses."""
 
     bus: str
 
@@ -56,26 +56,26 @@ class StreamOwner(Protocol):
 class TargetStream:
     """Open stream of targets to a hand. Use it as a context manager.
 
-    The hand reaches a target ``horizon_s`` after the target was sent, and continues to the next
-    target. A program with a known trajectory should send the point ``horizon_s`` ahead. Then the
-    hand follows the trajectory without delay.
+    The hand reaches a target ``horizon_s`` after the target was sent, and then continues to the
+    next target. A program with a known trajectory should send the point ``horizon_s`` ahead. The
+    hand then follows the trajectory without delay.
 
-    If no more targets arrive, the hand stays at the last target. After ``hold_after_ms`` it holds,
-    and after ``relax_after_ms`` it relaxes. The section ``[stream]`` of the hand file contains both
-    times.
+    If no more targets arrive, the hand stays at the last target. After ``hold_after_ms`` without a
+    target it holds its position, and after ``relax_after_ms`` it relaxes. The section ``[stream]``
+    of the hand file contains both times.
 
     The controller clips targets outside the range of a joint, and limits the speed and the
-    acceleration of the motion. ``status`` reports how often it has clipped a target.
+    acceleration of the motion. ``status`` reports how many targets the controller has clipped.
 
     Attributes:
         name: name of the stream.
         space: meaning of the values of a target, see ``HandClient.stream``.
         names: joints, digits or tendons to which the values of a target belong, in order.
         rate_Hz: rate of the targets in the time of the hand [Hz].
-        horizon_s: time from the sending of a target until the hand shall reach it [s].
+        horizon_s: time from the sending of a target until the hand should reach it [s].
         sent: number of targets sent.
-        skipped: number of targets that were not sent, because the controller had not yet read
-            earlier targets.
+        skipped: number of targets that were not sent, because the controller had not yet read the
+            targets before them.
     """
 
     def __init__(
@@ -139,22 +139,22 @@ class TargetStream:
     def sleep(self) -> None:
         """Sleep until the next target is due.
 
-        If the program is late, the next target is due at once, and later targets follow at the rate
-        of the stream. Missed targets are not sent in a burst.
+        If the program is late, the next target is due at once. Later targets follow at the rate of
+        the stream. The targets of missed times are not sent all at once.
         """
         time.sleep(max(0.0, self.next_due_s() - time.monotonic()))
 
     def next_due_s(self) -> float:
         """Return the time at which the next target is due, on the clock ``time.monotonic`` [s].
 
-        Each call adds one period of the stream to this time.
+        Each call of this function adds one period of the stream to the time.
         """
         self._next_due_ns = max(self._next_due_ns + self._period_ns, float(time.monotonic_ns()))
         return self._next_due_ns / 1e9
 
     @property
     def status(self) -> StreamStatus:
-        """Return how many targets the controller has accepted, clipped, refused, and ignored as too late."""
+        """Return how many targets the controller has accepted, clipped and refused, and how many were too late."""
         return self._hand.observe().stream
 
     def close(self) -> None:
@@ -194,7 +194,7 @@ class TargetStream:
         return target
 
     def _displayed_per_si(self) -> NDArray[np.float64]:
-        """Return the factor of each value from SI units to displayed units, (V,) [deg/rad or mm/m]."""
+        """Return the factor (V,) that converts each value from SI units to displayed units [deg/rad or mm/m]."""
         hand = self._hand.description
         factors = dict(zip(hand.joints, hand.display_units.factor.tolist(), strict=True))
         factors |= {name: hand.displayed_mean(name).factor[0] for name in hand.digit_names}
@@ -203,7 +203,7 @@ class TargetStream:
     def _present_values(self) -> NDArray[np.float64]:
         """Return the present values of the hand.
 
-        The present values stand for values that the first target of a stream leaves out.
+        These values are used for values that the first target of a stream leaves out.
         """
         seen = self._hand.observe()
         if TARGET_UNIT_BY_SPACE[self.space] != "deg":

@@ -1,4 +1,7 @@
-"""Application of requests, from operators and programs, to the state of the controller."""
+"""Application of requests to the state of the controller.
+
+Operators and programs send the requests.
+"""
 
 from dataclasses import replace
 
@@ -73,10 +76,10 @@ def apply_requests(
         model: model of the hand.
         program: program that sets the goals of the digits.
         state: state of the tick, modified in place.
-        requests: requests as JSON texts, or as decoded targets.
+        requests: requests as JSON texts, or as decoded targets of a stream.
 
     Returns:
-        Stop and cut requests, and the events of all requests.
+        The stop and cut requests among them, and the events of all requests.
     """
     operator = OperatorRequests()
     events = list[TickEvent]()
@@ -107,7 +110,7 @@ def apply_requests(
 def _apply_other(
     model: HandModel, program: Program, state: ControllerState, request: Request
 ) -> tuple[TickEvent, ...]:
-    """Apply a request for gains, a client's sign of life, or a motion command."""
+    """Apply one request: a change of gains, a client's sign of life, or a motion command."""
     if isinstance(request, SetGains):
         return _set_gains(model, program, state, request)
     if isinstance(request, AliveRequest):
@@ -178,9 +181,12 @@ def _apply_grasp(
 def _refusal_reason(
     program: Program, state: ControllerState, request: CommandBase
 ) -> TickEvent | None:
-    """Return an event with the reason to refuse a command, or None to accept the command.
+    """Return an event with the reason why a command is refused.
 
-    A relaxing or commissioning hand must not pull, and only one client may send commands.
+    Return None if the command is accepted.
+
+    A hand that relaxes or is being commissioned must not pull, and only one client may send
+    commands.
     """
     if state.mode in SHUTTING_DOWN:
         return TickEvent("info", "request", "", "refused: the hand is letting go")
@@ -200,7 +206,10 @@ def _refusal_reason(
 def _set_goal(
     model: HandModel, state: ControllerState, request: MoveDigits | HoldTension
 ) -> tuple[TickEvent, ...]:
-    """Set the goal of a request for its digits. A stream that includes one of these digits ends."""
+    """Set the goal of a request for the digits that the request names.
+
+    If a stream moves one of these digits, the stream ends.
+    """
     reference = present_references(model, state)
     progress, events = apply_goal(
         model, state.progress, request, state.estimate, state.goal_time, reference
@@ -225,8 +234,8 @@ def clear_latched_faults(state: ControllerState) -> None:
     A fault that is still present is detected again in this tick, and latches again.
     """
     ticks = state.view("fault_ticks")[: len(DEBOUNCE_TICKS)]
-    # The count of ticks falls to one tick below the debounce. So a fault that is still present
-    # becomes active again in this tick, and any other fault is reset.
+    # The function sets the count of each fault to one tick below the debounce. So a fault that is
+    # still present becomes active again in this tick, and any other fault is reset.
     np.minimum(ticks, DEBOUNCE_TICKS[:, None] - 1, out=ticks)
     reported_faults = [
         one._replace(ticks=min(one.ticks, FAULT_BY_ID[one.id].debounce - 1))

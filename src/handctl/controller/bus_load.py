@@ -1,4 +1,4 @@
-"""Load of each bus of a hand, if every frame takes its longest duration."""
+"""Load of each bus of a hand, under the assumption that every frame takes its longest duration."""
 
 from dataclasses import dataclass, replace
 
@@ -21,8 +21,8 @@ class BusLoadRow:
         size: payload [bytes].
         fd: True for CAN FD.
         per_tick: number of frames in every tick.
-        per_second: number of frames per second that do not depend on the control rate.
-        frame_s: longest duration of a frame [s].
+        per_second: number of frames per second whose rate does not depend on the control rate.
+        frame_s: longest duration of one frame [s].
     """
 
     what: str
@@ -54,7 +54,7 @@ class BusLoad:
 
     @property
     def timed_fraction(self) -> float:
-        """Return the fraction of bus time that is taken by frames whose number does not depend on the control rate."""
+        """Return the fraction of the bus time that frames take whose rate does not depend on the control rate."""
         return sum(row.per_second * row.frame_s for row in self.rows)
 
     def load_at(self, rate_hz: float) -> float:
@@ -62,7 +62,10 @@ class BusLoad:
         return rate_hz * self.tick_s + self.timed_fraction
 
     def highest_rate_hz(self, load_limit: float) -> float:
-        """Return the control rate at which the bus load is ``load_limit`` [Hz], or infinity if no tick has frames."""
+        """Return the control rate [Hz] at which the bus load reaches ``load_limit``.
+
+        Return infinity if no tick has frames.
+        """
         return (
             max(0.0, load_limit - self.timed_fraction) / self.tick_s
             if self.tick_s
@@ -74,7 +77,7 @@ def bus_loads(hand: Hand) -> tuple[BusLoad, ...]:
     """Return the load of each bus of a hand.
 
     Raises:
-        ConfigError: if a motor is set to CAN FD and the bus has no data bit rate.
+        ConfigError: a motor is set to CAN FD, but its bus has no data bit rate.
     """
     drives = make_drives(hand)
     return tuple(_load_of_bus(hand, index, bus, drives) for index, bus in enumerate(hand.bus))
@@ -84,7 +87,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[BusLoadRow, ...]:
     """Return the rows of the bus-load table for the frames of a motor.
 
     Raises:
-        ConfigError: if the motor uses CAN FD and the bus does not.
+        ConfigError: the motor uses CAN FD, but its bus does not.
     """
     kinds = [(size, fd, 1.0, 0.0) for size, fd in drive.frames_per_tick]
     kinds += [(size, fd, 0.0, number) for size, fd, number in drive.background_frames]
@@ -137,15 +140,17 @@ def _load_of_bus(hand: Hand, bus_index: int, bus: Bus, drives: tuple[Drive, ...]
 def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
     """Distribute the motors over the smallest sufficient number of buses at a control rate [Hz].
 
-    All buses get the bit rates of the hand's first bus. The load cells stay on the first bus.
+    All buses get the bit rates of the first bus in the hand file. The load cells stay on the first
+    bus.
 
     Returns:
-        Names of the motors on each bus. The list is empty if a single motor overloads a bus.
+        The names of the motors on each bus. The list is empty if a single motor overloads a bus.
     """
     first = hand.bus[0]
     # The first bus also carries SYNC and the load-cell frames, so it has less capacity for motors.
     capacity = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).load_at(rate_hz)
-    # CiA 402 drives reply to SYNC. A bus without the sensor node's SYNC needs another SYNC.
+    # CiA 402 drives reply to a SYNC frame. A bus without the SYNC frame of the sensor node
+    # therefore needs another SYNC frame.
     has_sync = SYNC in make_sensors(hand).host_ids
     sync_load = rate_hz * frame_time_s(0, False, first.bitrate)
     buses = list[list[str]]([[]])
@@ -170,7 +175,7 @@ def with_more_buses(hand: Hand, rate_hz: float) -> Hand:
     """Return a hand whose motors are distributed over as many buses as a control rate [Hz] needs.
 
     The load cells stay on the first bus. All buses get the bit rates of the first bus. If one motor
-    alone needs more than a whole bus, the hand is returned unchanged.
+    alone overloads a bus, the hand is returned unchanged.
     """
     groups = split_motors_over_buses(hand, rate_hz)
     if not groups:

@@ -1,8 +1,9 @@
-"""Reaction to the loss of the client that commands the hand: the digits come to rest, then the hand relaxes.
+"""Reaction to the loss of the client that commands the hand: first the digits come to rest, then the hand relaxes.
 
-A client that hangs or dies sends no further goal, so its last goal would apply without a time
-limit. Therefore a client with a lease sends signs of life regularly. Commands, signs of life and
-targets enter the tick as requests, so that a log is re-executed with the same leases.
+A client that hangs or dies sends no further goal. The last goal of such a client would therefore
+apply without a time limit. Therefore a client with a lease sends signs of life regularly. Commands,
+signs of life and targets enter the tick as requests, so that a log is re-executed with the same
+leases.
 """
 
 from dataclasses import replace
@@ -33,7 +34,7 @@ def renew_lease(state: ControllerState, client: str) -> tuple[TickEvent, ...]:
     """Renew the lease after a sign of life of a client.
 
     Returns:
-        An event if the client was silent for too long before.
+        An event if the client had been silent for too long.
     """
     lease = state.decisions.lease
     if lease is None or lease.client != client:
@@ -43,17 +44,17 @@ def renew_lease(state: ControllerState, client: str) -> tuple[TickEvent, ...]:
 
 
 def expire_lease(model: HandModel, state: ControllerState) -> tuple[TickEvent, ...]:
-    """Bring the digits to rest, or end the run, if the commanding client has been silent too long.
+    """Bring the digits to rest, or end the run, if the commanding client has been silent for too long.
 
-    A running task, and digits that hold a tension, continue until the run ends. Streamed targets
-    are signs of life.
+    A running task, and digits that hold a tension, continue until the run ends. A streamed target
+    counts as a sign of life.
 
     Args:
         model: model of the hand.
         state: state of the tick, modified in place.
 
     Returns:
-        An event when the digits come to rest, and when the run ends.
+        One event when the digits come to rest, and one when the run ends.
     """
     lease = state.decisions.lease
     if lease is None:

@@ -32,7 +32,7 @@ class ClientLease(NamedTuple):
         duration_ns: longest silence before moving digits come to rest [ns]. After twice this time
             the hand relaxes.
         renewed_ns: time of the last command or sign of life [ns].
-        resting: True if the digits have been brought to rest since ``renewed_ns``.
+        resting: True if the controller has brought the digits to rest since ``renewed_ns``.
     """
 
     client: str
@@ -45,22 +45,24 @@ class ControllerDecisions(NamedTuple):
     """Part of the state that is not in the state block, because only events change it.
 
     Attributes:
-        drives: state of each drive without its values. The values of the drives are in the block.
-            Here they are NaN or 0.
+        drives: state of each drive without its values. The values of the drives are in the state
+            block. In this field, they are NaN or 0.
         progress: progress of the program.
         latched: latched faults.
-        reported_faults: faults that buses and host report, each with its number of consecutive
-            ticks.
-        refusals: ticks within the last second that had a malformed request.
-        failure: reason of an early end of the run in one line, empty without a failure.
+        reported_faults: faults that buses and host report, each with the number of consecutive
+            ticks with a report.
+        refusals: ticks within the last second that contained a malformed request.
+        failure: reason why the run ended early, in one line. The value is empty without a failure.
         unconfirmed: names of motors whose drives have not confirmed that they are disabled.
-        gains: gains that have replaced the gains from the start of the run, None before a change.
-        pending: requested gains whose design is in progress.
-        commander: client that may send commands, see ``requests.CommandBase``. None if any client
-            may.
+        gains: gains that have replaced the gains of the start of the run. None before the first
+            change.
+        pending: requested gains whose controller design is in progress.
+        commander: client that may send commands, see ``requests.CommandBase``. None if any
+            client may send commands.
         stream: open stream of targets.
         lease: lease of the commanding client, None for a client without a lease.
-        amplifiers: state of each CiA 404 amplifier, empty with another kind of load cells.
+        amplifiers: state of each CiA 404 amplifier. The value is empty if the load cells have no
+            such amplifiers.
     """
 
     drives: tuple[DriveState, ...]
@@ -78,8 +80,8 @@ class ControllerDecisions(NamedTuple):
     amplifiers: tuple[AmplifierState, ...] = ()
 
 
-# Serialized parts are cached by identity, because most decisions are the same objects in many
-# ticks.
+# The serialized form of each part is cached by the identity of the part, because most decisions are
+# the same objects in many ticks.
 _plain_bytes_cache = IdentityCache[Any](plain_bytes)
 _drives_cache, _goals_cache, _rest_cache = (
     SequenceCache[Any](_plain_bytes_cache) for _ in range(3)
@@ -87,7 +89,10 @@ _drives_cache, _goals_cache, _rest_cache = (
 
 
 def _hash_decisions(decisions: ControllerDecisions) -> bytes:
-    """Return an 8-byte hash of the decisions. An unchanged object is not serialized again."""
+    """Return an 8-byte hash of the decisions.
+
+    A part that has not changed is not serialized again.
+    """
     drives = _drives_cache(decisions.drives)
     goals = _goals_cache(decisions.progress.goals)
     # Without amplifiers, the hash equals the hash in logs of versions that did not support
@@ -104,7 +109,7 @@ def layout_of_state(model: HandModel, groups: int) -> BlockLayout:
 
     Args:
         model: model of the hand.
-        groups: number of frame groups of the sensor node.
+        groups: number of groups of frames of the sensor node.
     """
     n = model.tendon_count
     joints = len(model.hand.joints)
@@ -140,7 +145,8 @@ def drive_values(
 class ControllerState:
     """State of the controller between ticks.
 
-    A tick works on a copy. The block is copied as a whole. Decisions are immutable and shared.
+    A tick works on a copy. The block of numbers is copied as a whole. The decisions are immutable,
+    so both states share them.
 
     Attributes:
         layout: layout of the block.
@@ -167,7 +173,7 @@ class ControllerState:
         self.decisions = decisions
         self.tendon: NDArray[np.float64] = layout.table(block, "tendon")
         self.tendon_int: NDArray[np.int64] = layout.table(block, "tendon_int")
-        # The table "run" has one column, so the row number is the position in the table.
+        # The table "run" has one column, so the row number of a field is its position in the table.
         self._run = block[layout.start("run") :]
         self._run_int = block[layout.start("run_int") :].view(np.int64)
 
@@ -176,7 +182,7 @@ class ControllerState:
         return ControllerState(self.layout, self.block.copy(), self.decisions)
 
     def decide(self, **changes: Any) -> None:
-        """Replace the given fields of the decisions."""
+        """Replace the given fields of the decisions in this state."""
         self.decisions = self.decisions._replace(**changes)
 
     def digest(self) -> bytes:
@@ -232,7 +238,10 @@ class ControllerState:
 
     @property
     def goal_time(self) -> float:
-        """Return the program's time [s]. The time stops while the safety monitor holds the hand."""
+        """Return the time of the program [s].
+
+        The time stops while the safety monitor holds the hand.
+        """
         return self.run_number(s.GOAL_TIME)
 
     @goal_time.setter
@@ -278,7 +287,7 @@ class ControllerState:
 
     @property
     def sensor_counts(self) -> tuple[int, int, int]:
-        """Return three numbers: SYNCs sent, accepted tension frames, and sensor frames that answered an older SYNC."""
+        """Return three numbers of frames: SYNC sent, tension frames accepted, and answers to an older SYNC."""
         return (
             self.run_integer(s.SYNCS),
             self.run_integer(s.TENSION_FRAMES),
@@ -299,7 +308,10 @@ class ControllerState:
 
     @property
     def failure(self) -> str:
-        """Return the reason of an early end of the run in one line, empty without a failure."""
+        """Return the reason why the run ended early, in one line.
+
+        The text is empty without a failure.
+        """
         return self.decisions.failure
 
     @property
@@ -307,7 +319,7 @@ class ControllerState:
         """Return the names of motors whose drives have not confirmed that they are disabled."""
         return self.decisions.unconfirmed
 
-    # States of drives: their set-up is in the decisions, their values are in the block.
+    # States of the drives: their set-up is in the decisions, and their values are in the block.
 
     def drive(self, motor_index: int) -> DriveState:
         """Return the state of one drive."""

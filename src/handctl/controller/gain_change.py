@@ -1,9 +1,9 @@
-"""Change of gains while the controller runs: the design is made in steps, and then taken over without a torque step.
+"""Change of gains while the controller runs: step-by-step design, and a takeover without a torque step.
 
-The design of a loop takes about a millisecond. A running controller therefore designs one loop per
-tick, and switches all loops to the new design in the same tick. At the takeover, the difference
-between the motor forces commanded with old and new gains becomes an offset that fades out (bumpless
-transfer). The integrals of the loops are forces in newtons, so they need no rescaling.
+The design of one control loop takes about a millisecond. A running controller therefore designs one
+loop per tick, and switches all loops to the new design in the same tick. When the new design takes
+over, the difference between the motor forces of old and new gains becomes an offset that fades out
+(bumpless transfer). The integrals of the loops are forces in newtons, so they need no rescaling.
 """
 
 from dataclasses import dataclass, field, replace
@@ -29,7 +29,7 @@ class DesignProgress(NamedTuple):
     """Result of a design step after which the design is not complete.
 
     Attributes:
-        pending: progress of the design, None if no stabilising gains exist for these weights.
+        pending: progress of the design. None if no stabilising gains exist for these weights.
         events: events that report a failure of the design.
     """
 
@@ -39,7 +39,9 @@ class DesignProgress(NamedTuple):
 
 @dataclass(slots=True)
 class DesignCache:
-    """Cache of controller designs, by gains. A design that was dropped from the cache is computed again.
+    """Cache of controller designs, with the gains as keys.
+
+    If a design was dropped from the cache, it is computed again when it is needed.
 
     Attributes:
         designed_pieces: control loops designed so far, for each of the last ``CACHE_SIZE``
@@ -53,7 +55,7 @@ class DesignCache:
     used: Gains | None = None
 
     def advance(self, model: HandModel, pending: PendingGains) -> DesignProgress | None:
-        """Design one more control loop of pending gains.
+        """Design one more control loop for pending gains.
 
         Return None when the design is complete.
         """
@@ -108,7 +110,7 @@ def begin_design(
         values: requested values by key.
 
     Returns:
-        The pending gains, or None and an event with the reason.
+        The pending gains. If no design can begin, None and an event with the reason.
     """
     try:
         return PendingGains(with_values(present, values, "gains", live=True)), ()
@@ -117,7 +119,7 @@ def begin_design(
 
 
 def gain_change_events(old_gains: Gains, new_gains: Gains) -> tuple[TickEvent, ...]:
-    """Return an event for each changed gain, then an event for the takeover."""
+    """Return one event for each changed gain, and then one event for the takeover."""
     different = different_values(old_gains, new_gains)
     changed = tuple(
         TickEvent("info", GAIN_EVENT, key, repr(value)) for key, (_, value) in different.items()

@@ -1,8 +1,8 @@
-"""State machine of the hand's modes, from silence before the first frame to the confirmed disarm at the end.
+"""State machine of the modes of the hand, from silence before the first frame to the confirmed disarm at the end.
 
-SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE. CUT is reached from
-every mode with torque. Each mode has one function. The function returns the next mode, and the
-reason if the run has failed.
+SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE. The mode CUT can be
+reached from every mode with torque. Each mode has one function. The function returns the next mode,
+and the reason if the run has failed.
 """
 
 import math
@@ -67,10 +67,10 @@ class ModeInputs(NamedTuple):
         elapsed: time in the present mode [s].
         action: reaction that the safety monitor demands.
         operator: stop and cut requests from the operator.
-        foreign: signs of a second controller: frames that only a host sends, and motor replies
-            without a request from this host.
-        identities: identities of the drives at calibration, see ``Drive.identity``. An unknown
-            identity is empty.
+        foreign: signs of a second controller. These are frames that only a host sends, and replies
+            of motors to which this host has sent no request.
+        identities: identities of the drives when the hand was calibrated, see ``Drive.identity``.
+            An unknown identity is empty.
     """
 
     model: HandModel
@@ -118,7 +118,7 @@ _DRIVE_TARGETS = {
 def shutdown_frames(drives: tuple[Drive, ...], state: ControllerState) -> tuple[Frame, ...]:
     """Return the frames that release the drives at the end of a run.
 
-    After a failure no frames are returned, and the drives stay as they are.
+    After a failure, the function returns no frames, and the drives stay as they are.
     """
     if state.mode != HandMode.DONE or state.failure:
         return ()
@@ -152,7 +152,7 @@ def next_mode(
         identities: identities of the drives in the calibration. May be empty.
 
     Returns:
-        The event of a mode change, empty if the mode does not change.
+        The event of a mode change. There is no event if the mode does not change.
     """
     inputs = ModeInputs(
         model, drives, time_s - state.mode_since, action, operator, other_host_frames, identities
@@ -199,7 +199,10 @@ def _overriding_mode(state: ControllerState, inputs: ModeInputs) -> NextMode | N
 
 
 def _before_arming(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
-    """Return the mode that ends a run before any torque, or None if the run continues."""
+    """Return the mode that ends a run before any motor makes torque.
+
+    Return None if the run continues.
+    """
     if inputs.operator.stop or inputs.operator.cut:
         return HandMode.DONE, ""
     if inputs.foreign:
@@ -268,7 +271,7 @@ def _after_inventory(state: ControllerState, inputs: ModeInputs) -> NextMode:
 
 
 def _wrong_amplifiers(state: ControllerState) -> list[str]:
-    """Return the amplifiers whose set-up has failed, with the reason."""
+    """Return the amplifiers whose set-up has failed, each with the reason."""
     return [
         f"{one.name}: {one.error_text}"
         for one in state.decisions.amplifiers
@@ -277,7 +280,10 @@ def _wrong_amplifiers(state: ControllerState) -> list[str]:
 
 
 def _silent_sensors(state: ControllerState) -> list[str]:
-    """Return the names of silent sensors: amplifiers without a complete set-up, or else all sensors as one name."""
+    """Return the names of silent sensors: each amplifier whose set-up is not complete.
+
+    If there is none, one name stands for all sensors.
+    """
     amplifiers = state.decisions.amplifiers
     behind = [one for one in amplifiers if one.phase != DrivePhase.READY]
     silent = [one.name + (f" ({one.error_text})" if one.error_text else "") for one in behind]
@@ -285,7 +291,10 @@ def _silent_sensors(state: ControllerState) -> list[str]:
 
 
 def _missing_inputs(state: ControllerState, inputs: ModeInputs) -> list[str]:
-    """Return the motors whose ready drives have sent no position, an input that the tension filter needs."""
+    """Return the motors whose drives are ready but have sent no position.
+
+    The tension filter needs the position.
+    """
     drives = _named_drives(state, inputs)
     blind = [
         name
@@ -312,7 +321,8 @@ def _other_drives(state: ControllerState, inputs: ModeInputs) -> str:
     """Return the drives whose identity differs from the calibration.
 
     Returns:
-        One phrase per drive, empty if all are equal or the calibration has no identities.
+        The result has one phrase per drive. The value is empty if all are equal or the calibration
+        has no identities.
     """
     there = [
         drive.identity(drive_state)
@@ -341,8 +351,8 @@ def _after_active(state: ControllerState, inputs: ModeInputs) -> NextMode:
 
 
 def _after_relax(state: ControllerState, inputs: ModeInputs) -> NextMode:
-    # A load cell may read too little, so the commands must also have fallen before the torque is
-    # removed.
+    # A load cell may read too little. The commanded forces must therefore also have fallen before
+    # the torque is removed.
     relaxed = are_tensions_relaxed(inputs.model, state) and are_commands_relaxed(
         inputs.model, state
     )
@@ -355,7 +365,7 @@ def _after_disarm(state: ControllerState, inputs: ModeInputs) -> NextMode:
         return HandMode.DONE, f"{REMOVE_POWER}: still pulling after the cut: {', '.join(pulling)}"
     enabled = motors_not_confirmed_off(state, inputs.names)
     if not enabled:
-        # A drive may report that it is disabled, and pull nevertheless.
+        # A drive may report that it is disabled, and nevertheless pull.
         ticks_without_torque = state.run_integer(s.CUT_TICKS) - RELEASE_CHECK_TICKS
         checked = ticks_without_torque * inputs.model.period >= STILL_PULLING_S
         return (HandMode.DONE if checked else HandMode.DISARM), ""
@@ -390,11 +400,11 @@ def _named_drives(state: ControllerState, inputs: ModeInputs) -> Iterator[tuple[
 
 
 def motors_not_confirmed_off(state: ControllerState, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of motors that may be enabled, because their drives have not confirmed that they are off.
+    """Return the names of motors that may still be enabled, because their drives have confirmed nothing else.
 
     Before arming, handctl has enabled no motor, so a drive without a confirmation does not count.
-    After the end of a run, it counts only if it had not confirmed at the end. A drive that reports
-    the state enabled always counts.
+    After the end of a run, a drive counts only if it had not confirmed at the end. A drive that
+    reports the state enabled always counts.
     """
     in_doubt = names
     if state.mode in BEFORE_ARMING:
@@ -427,7 +437,7 @@ def _motors_possibly_on(
 ) -> tuple[str, ...]:
     """Return the names of motors that may make torque at the end of a run.
 
-    If the run ends before arming, a tendon may have tension without torque of its motor.
+    If the run ends before arming, a tendon may have tension although its motor makes no torque.
     """
     pulling = () if state.mode in BEFORE_ARMING else _pulling_motors(model, state, names)
     return tuple(dict.fromkeys((*motors_not_confirmed_off(state, names), *pulling)))

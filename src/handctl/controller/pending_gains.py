@@ -10,8 +10,8 @@ class PendingGains:
     """Requested gains with the progress of their design.
 
     Attributes:
-        gains: all gains, including the requested changes.
-        step: number of loops designed so far.
+        gains: all gains of the hand, including the requested changes.
+        step: number of control loops designed so far.
     """
 
     gains: Gains

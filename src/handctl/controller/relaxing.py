@@ -1,17 +1,18 @@
 """Relaxing of the hand: lower every tension to the floor, without increasing any motor command.
 
-The tension loop may itself be faulty (crossed feedback, late motor replies, a wrong encoder).
-Therefore an envelope bounds the motor force of each tendon. No measurement can raise the envelope:
+The tension loop itself may be the cause of the fault (crossed feedback, late motor replies, a wrong
+encoder). Therefore an envelope bounds the motor force of each tendon. No measurement can raise the
+envelope:
 
     e[k] = max(min(u[k-1], floor), u[k-1] - rate T)      0 <= u[k] <= e[k]
 
-with the commanded motor force u at the tendon [N], and the control period T. For a spool pair u is
-the absolute value of the force, and the direction does not change. The envelope begins at the last
-command, or at the present tension if the tension is smaller. If a load cell may be wrong, the
-envelope of a tendon in the tension loop begins at the setpoint instead of the tension. The tension
-loop may command less than the envelope, but not more. After a fault of the tension loop
-(``RelaxMethod.OPEN_LOOP``), the command u[k] equals e[k]. If a motor brakes at the start of
-relaxing, its command goes to zero.
+where u is the commanded motor force at the tendon [N], and T is the control period. For a spool
+pair, u is the absolute value of the force, and the direction of the force does not change. The
+envelope begins at the last command, or at the present tension if the tension is smaller. If a load
+cell may be wrong, the envelope of a tendon in the tension loop begins at the setpoint instead of
+the tension. The tension loop may command less than the envelope, but not more. After a fault of the
+tension loop (``RelaxMethod.OPEN_LOOP``), the command u[k] equals e[k]. If a motor brakes when
+relaxing begins, its command goes to zero.
 """
 
 from dataclasses import replace
@@ -41,11 +42,11 @@ During a steady hold the margin is at most 2 N.
 
 
 def begin_relaxing(model: HandModel, state: ControllerState) -> None:
-    """Set the state for the start of relaxing: setpoints, rates, and envelope.
+    """Write the state at the start of relaxing: setpoints, rates and envelope.
 
     Relaxing begins at the present tension. The setpoint of a held digit may be above the present
-    tension, and a start from the setpoint would continue to pull. The start is also bounded by the
-    commanded force, because a load cell may be wrong.
+    tension. If relaxing began at the setpoint, the motor would continue to pull. The commanded
+    force is a further limit of the start, because a load cell may be wrong.
     """
     table = state.tendon
     whole = state.tendon_int
@@ -72,15 +73,15 @@ def begin_relaxing(model: HandModel, state: ControllerState) -> None:
     # COMMANDED_FORCE is the commanded motor force, from which the envelope starts in the next tick.
     explained = present
     if any(FAULT_BY_ID[mark.id].makes_tension_unreliable for mark in state.latched):
-        # If the load cell may be wrong, the tension may be as large as the setpoint. A position
-        # goal has no setpoint.
+        # If the load cell may be wrong, the true tension may be as large as the setpoint. A digit
+        # with a position goal has no tension setpoint.
         explained = np.where(in_tension_loop, np.maximum(present, start), present)
     table[s.COMMANDED_FORCE] = _envelope_start(model, state, sign, explained)
     whole[s.GOAL_KIND] = int(GoalKind.TENSION)
 
 
 def _relaxed_goal(model: HandModel, start: Vector) -> Vector:
-    """Return the tensions (N,) of the relaxed hand [N], but at most the setpoints (N,) at the start of relaxing."""
+    """Return the tensions (N,) of a relaxed hand [N], limited to the setpoints (N,) at the start of relaxing."""
     return np.where(model.is_pair, 0.0, np.minimum(start, model.relaxed))
 
 
@@ -90,20 +91,21 @@ def _envelope_start(
     """Return the motor forces (N,) at which the envelopes start [N]: the last commands, or smaller forces.
 
     An unstable loop may have commanded 100 N for a tendon with a tension of 10 N. The envelope then
-    begins at the present tension plus friction.
+    begins at the present tension plus the friction of the motor.
 
     Args:
         model: model of the hand.
         state: state at the start of relaxing.
         sign: (N,) direction of the commanded force.
-        explained_force: (N,) largest tension in this direction that measurement or setpoint explain [N].
+        explained_force: (N,) largest tension in this direction that the measurement or the setpoint
+            explains [N].
     """
     commanded = np.nan_to_num(state.tendon[s.COMMANDED_FORCE], nan=0.0)
     return sign * np.minimum(sign * commanded, explained_force + model.space.coulomb)
 
 
 def are_commands_relaxed(model: HandModel, state: ControllerState) -> bool:
-    """Return True if every motor command is close to the tension of a relaxed tendon, or below it."""
+    """Return True if every motor command is close to the tension of a relaxed tendon, or below this tension."""
     return not np.any(
         _force_sizes(model, state.tendon[s.COMMANDED_FORCE]) > model.relaxed + RELAXED_WITHIN_N
     )
@@ -117,7 +119,10 @@ def are_tensions_relaxed(model: HandModel, state: ControllerState) -> bool:
 
 
 def _force_sizes(model: HandModel, values: Vector) -> Vector:
-    """Return the sizes (N,) of forces or tensions [N]: the absolute values for spool pairs."""
+    """Return the magnitudes (N,) of forces or tensions [N].
+
+    Only the forces of spool pairs can be negative.
+    """
     return np.where(model.is_pair, np.abs(values), values)
 
 

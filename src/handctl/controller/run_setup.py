@@ -1,4 +1,7 @@
-"""Construction of a controller from plain data, so that the same controller can be constructed from a log."""
+"""Construction of a controller from plain data.
+
+A log contains these data, so the same controller can be constructed again.
+"""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -89,7 +92,7 @@ class ExerciseSetup(Document):
 
 
 class ExciteSetup(Document):
-    """Setup of a program that excites the hand for identification."""
+    """Setup of a program that excites the hand to identify its parameters."""
 
     program: Literal["excite"] = "excite"
     steps: tuple[ExciteStep, ...]
@@ -102,7 +105,7 @@ ProgramSetup = Annotated[AnySetup, Field(discriminator="program")]
 
 
 class RunSetup(Document):
-    """Data from which a controller is constructed, in addition to hand and gains.
+    """Data from which a controller is constructed, in addition to the hand and the gains.
 
     Floats are stored without rounding.
     """
@@ -146,7 +149,7 @@ class RunSetup(Document):
         )
 
     def controller(self, hand: Hand, gains: Gains) -> Controller:
-        """Construct the controller from the setup, including the design of all gains."""
+        """Construct the controller that the setup describes, including the design of all gains."""
         identified = parse_toml(self.identified_hand, SETUP_ATTACHMENT)
         known = hand_from_content(identified, SETUP_ATTACHMENT) if identified else hand
         model = HandModel.from_hand(
@@ -176,9 +179,10 @@ def unverified_protections(drives: Iterable[Drive]) -> tuple[str, ...]:
 
 
 def caution_lines(drives: Iterable[Drive]) -> tuple[str, ...]:
-    """Return the lines of ``unverified_protections``, one line for all drives with the same text.
+    """Return the lines of ``unverified_protections``. Drives with the same text share one line.
 
-    The lines about the watchdog come first. Without a watchdog, a dead host leaves torque on.
+    The lines about the watchdog come first. A drive without a watchdog keeps its torque when the
+    host dies.
     """
     named = [(drive.name, text) for drive in drives for text in drive.unverified_protections]
     return lines_by_text(sorted(named, key=lambda one: not one[1].startswith("watchdog")))
@@ -187,11 +191,12 @@ def caution_lines(drives: Iterable[Drive]) -> tuple[str, ...]:
 def make_drives(hand: Hand) -> tuple[Drive, ...]:
     """Return the drive of each tendon, in the order of the tendons.
 
-    A CiA 402 drive replies to SYNC. On a bus without another SYNC, the host sends SYNC after the
-    command of one drive.
+    A CiA 402 drive replies to a SYNC frame. On a bus without another SYNC frame, the host sends
+    SYNC after the command of one drive.
 
     Raises:
-        ConfigError: a drive does not know an option, or two nodes share an identifier.
+        ConfigError: a drive does not have an option in the hand file, or two nodes share an
+            identifier.
     """
     buses = hand.bus_names
     motors = [hand.motor_of(name) for name in hand.tendon_names]
@@ -209,7 +214,7 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
     """Check that the commands of a motor's drive can carry a position loop and its gains.
 
     Raises:
-        ConfigError: if the commands cannot carry them.
+        ConfigError: the commands cannot carry a position loop.
     """
     if not motor.holds_position:
         return
@@ -231,10 +236,13 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
 
 
 def _with_sync(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
-    """Return the drives, with the option ``sync`` set for the last CiA 402 drive on each bus without SYNC.
+    """Return the drives.
 
-    A bus already has SYNC if the sensor node's SYNC is 0x080, or if a drive has the option in the
-    hand file. The last drive is chosen so that SYNC follows every command.
+    On each bus without SYNC, set the option ``sync`` of the last CiA 402 drive.
+
+    A bus already has SYNC frames if the sensor node uses the identifier 0x080, or if a drive has
+    the option in the hand file. The last drive is chosen so that the SYNC frame comes after all
+    commands.
     """
     with_sync = {sensors.bus} if SYNC in sensors.host_ids else set()
     with_sync |= {drive.bus for drive in drives if isinstance(drive, Cia402Drive) and drive.sync}
@@ -266,10 +274,10 @@ def make_controller(
 ) -> Controller:
     """Construct a controller, including the design of the gains.
 
-    Without a calibration, tare and zero are 0.
+    Without a calibration, all tares and motor zeros are 0.
 
-    Parameters that were identified in the calibration replace values of the hand file. Drives and
-    limits are those of the hand file.
+    Identified parameters in the calibration replace the values of the hand file. The drives and the
+    limits are always those of the hand file.
     """
     n = len(hand.tendon)
     tare = calibration.tare(hand) if calibration else np.zeros(n)
@@ -289,7 +297,7 @@ def make_controller(
 
 
 def _setup_of_program(program: Program) -> AnySetup:
-    """Return the setup of a program."""
+    """Return the setup from which a program can be constructed again."""
     match program:
         case TaskProgram(task):
             return TaskSetup(task=task)
@@ -309,7 +317,7 @@ def _setup_of_program(program: Program) -> AnySetup:
 
 
 def _program_of_setup(setup: AnySetup, hand: Hand) -> Program:
-    """Return the program constructed from a setup."""
+    """Return the program that a setup describes."""
     match setup:
         case TaskSetup():
             return TaskProgram(setup.task)

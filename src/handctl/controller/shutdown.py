@@ -30,7 +30,7 @@ def shutdown_step(
 ) -> ShutdownStep:
     """Process received frames, and command every drive to disable.
 
-    SYNC continues, because some drives reply to SYNC.
+    The host continues to send SYNC frames, because some drives reply to them.
 
     Args:
         controller: controller with the drives.
@@ -48,7 +48,8 @@ def shutdown_step(
         drive_state = after.drive(n)
         for frame in received:
             drive_state = drive.receive(drive_state, frame)
-        # The disable command is repeated until it is confirmed, because a frame may be lost.
+        # The function repeats the disable command until it is confirmed, because a frame may be
+        # lost.
         drive_state, new_frames = drive.advance(drive_state, t_ns, DriveTarget.DISABLE, 0.0)
         controller.store_drive_state(after, n, drive_state)
         frames += new_frames

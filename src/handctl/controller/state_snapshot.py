@@ -1,7 +1,7 @@
 """Conversion of the controller's state to bytes and back, so that a log can be executed again from the middle.
 
 A snapshot consists of the identity of the layout (8 bytes), the state block, and the decisions as
-JSON. Only code with the same schema can read a snapshot.
+JSON. Only code with the same schema of the state block can read a snapshot.
 """
 
 import json
@@ -60,7 +60,7 @@ def snapshot_bytes(state: ControllerState) -> bytes:
 
 
 def _mark_bytes(value: object) -> tuple[str, str]:
-    """Return a bytes value as a marked hexadecimal text, because JSON has no bytes."""
+    """Return bytes as a hexadecimal text with a mark, because JSON has no bytes."""
     assert isinstance(value, bytes)
     return BYTES_MARK, value.hex()
 
@@ -69,13 +69,13 @@ def restore_state(layout: BlockLayout, data: bytes) -> ControllerState:
     """Return the state stored in a snapshot.
 
     Args:
-        layout: layout of the state of the controller that wrote the snapshot.
+        layout: layout of the state block of the controller that wrote the snapshot.
         data: bytes of the snapshot.
 
     Raises:
         ValueError: the data are not a snapshot of such a controller.
     """
-    # The block consists of 8-byte numbers.
+    # The state block consists of 8-byte numbers.
     end = IDENTITY_BYTES + 8 * layout.size
     if data[:IDENTITY_BYTES] != layout.identity or len(data) < end:
         raise ValueError(f"a snapshot of {len(data)} bytes of another schema or hand")

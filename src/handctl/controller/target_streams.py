@@ -1,4 +1,4 @@
-"""Application of a stream of targets to the state: opening the stream, applying each target, closing the stream."""
+"""Application of a stream of targets to the controller's state: open it, apply each target, close it."""
 
 import math
 
@@ -52,7 +52,10 @@ def present_setpoints(model: HandModel, state: ControllerState) -> tuple[Vector,
 
 
 def open_stream(model: HandModel, state: ControllerState, request: OpenStream) -> TickEvent:
-    """Open a stream. The streamed digits keep their present reference until the first target."""
+    """Open a stream.
+
+    Until the first target, the digits of the stream keep their present reference.
+    """
     stream = plan_of_request(model, request)
     if isinstance(stream, str):
         return TickEvent("info", "request", "", f"refused: {stream}")
@@ -84,7 +87,7 @@ def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int,
     reference = present_references(model, state)
     for d in digits:
         if state.progress.goals[d].kind != GoalKind.MOTION:
-            # A digit without a reference starts its motion at the present angles, at rest.
+            # If a digit has no reference, its motion starts at rest at the present angles.
             reference[d][0] = coordinates_by_excursion(model.digits[d], state.estimate)
             reference[d][1:] = 0.0
     rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.reach)
@@ -95,7 +98,7 @@ def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int,
 
 
 def close_stream(model: HandModel, state: ControllerState) -> None:
-    """Close the open stream, if there is one. The streamed digits come to rest."""
+    """Close the open stream, if there is one. The digits of the stream come to rest."""
     if state.decisions.stream is None:
         return
     state.decide(stream=None, progress=bring_to_rest(model, state, only_streamed=True))
@@ -106,7 +109,7 @@ def close_stream(model: HandModel, state: ControllerState) -> None:
 def bring_to_rest(
     model: HandModel, state: ControllerState, only_streamed: bool = False
 ) -> ProgramProgress:
-    """Return the program's progress with new goals that bring moving digits to rest."""
+    """Return the progress of the program with new goals that bring moving digits to rest."""
     reach = tuple(digit.reach for digit in model.digits)
     setpoints = present_setpoints(model, state)
     return progress_at_rest(
@@ -127,12 +130,12 @@ def apply_target(
     Args:
         model: model of the hand.
         state: state of the tick, modified in place.
-        target: parsed target, None for a malformed target.
+        target: parsed target. None if the target is malformed.
         t_ns: time of the tick [ns].
 
     Returns:
-        An event for the first clipped, ignored, or refused target of a stream. The state counts all
-        clipped, ignored and refused targets.
+        An event for the first target of a stream that is clipped, ignored or refused. The state
+        counts all clipped, ignored and refused targets.
     """
     stream = state.decisions.stream
     if (
@@ -148,7 +151,7 @@ def apply_target(
         )
     sent_ns = min(target.sent_ns, t_ns)
     running = state.run_integer(s.STREAMING) == s.RUNNING_STREAM
-    # Several targets of one tick may have the time of the tick.
+    # If several targets arrive in one tick, each of them may have the time of the tick.
     overtaken = target.number <= state.run_integer(
         s.STREAM_SEQUENCE
     ) or sent_ns < state.run_integer(s.STREAM_SENT_NS)
@@ -237,8 +240,8 @@ def _begin_segment(
             digit = model.digits[d]
             places = model.digit_coordinates[d]
             held[places] = nearest_holdable_posture(digit, held[places], model.floor[digit.tendons])
-    # The segment starts at the reference of the last tick, so the reference already moves in this
-    # tick.
+    # The segment of motion starts at the reference of the last tick, so the reference already moves
+    # in this tick.
     since = t_ns / 1e9 - model.period * (1 + state.run_integer(s.MISSED_TICKS))
     duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
     apart = (sent_ns - state.run_integer(s.STREAM_SENT_NS)) / 1e9
@@ -246,8 +249,8 @@ def _begin_segment(
         state.run_integer(s.STREAMING) == s.RUNNING_STREAM
         and apart <= MAX_TARGET_GAP_PERIODS * stream.period
     )
-    # Two targets that arrive together do not show the speed of the stream, so the time between them
-    # counts as half a period at least.
+    # Two targets that arrive together do not show the rate of the stream. The time between them
+    # therefore counts as at least half a period.
     apart = max(apart, 0.5 * stream.period) if steady else math.inf
     return begin_segments(
         state.block, state.layout.places, aim, held, since, duration, apart,
@@ -258,9 +261,9 @@ def _begin_segment(
 def _count_target(
     state: ControllerState, counter_row: int, event_text: str = ""
 ) -> tuple[TickEvent, ...]:
-    """Count a target in a counter of the state.
+    """Count a target in one counter of the state.
 
-    Returns an event with the text for the first such target of a stream.
+    For the first such target of a stream, return an event with the text.
     """
     count = state.run_integer(counter_row) + 1
     state.set_run_integer(counter_row, count)

@@ -93,10 +93,10 @@ class DerivedConstants:
         constant_args: block and places of ``constants``, the arguments of compiled functions.
         wire: signal tables of the drives' cyclic frames.
         gather: function that copies the telemetry from the state block.
-        owners: index of the drive, by bus and identifier.
+        owners: index of the drive that owns an identifier, by bus and identifier.
         amplifier_of: index of the CiA 404 amplifier, by bus and identifier.
-        sends_sync: True if the sensor node needs SYNC. On a bus without this SYNC, the host sends
-            SYNC after the command of a CiA 402 drive.
+        sends_sync: True if the sensor node needs SYNC. On a bus without this SYNC frame, the host
+            sends SYNC after the command of a CiA 402 drive.
         sync_row: SYNC frame of the sensor node as a record.
     """
 
@@ -160,12 +160,14 @@ class Controller:
         program: program that sets the goals of the digits.
         tare: (N,) load-cell tare [N].
         zero: (N,) motor zero [rad].
-        arm_at_once: True to arm as soon as every node has replied, without a request.
-        identities: identities of the drives at calibration, empty if unknown.
-        other_limits: thresholds that replace those of the hand, None to use those of the hand.
+        arm_at_once: True to arm the hand as soon as every node has replied, without a request.
+        identities: identities of the drives in the calibration. It is empty if they are unknown.
+        other_limits: thresholds of the safety monitor that replace those of the hand. If it is
+            None, those of the hand apply.
         designs: cache of the designs for gains set during a run.
-        similar: constants of a controller that differs from this one only in its gains. Its tables are
-            used again, because gains change during a run.
+        similar: constants of a controller that differs from this one only in its gains. If it is
+            None, all tables are computed. The tables of ``similar`` are used again, because gains
+            change during a run.
         derived: constants that follow from the other attributes.
     """
 
@@ -236,7 +238,7 @@ class Controller:
             The state after the tick, and the output of the tick.
 
         Raises:
-            ValueError: a command cannot be encoded. The command is not sent.
+            ValueError: a command cannot be encoded. In this case, no command is sent.
         """
         step = self.begin_tick(last_state, tick_input)
         step.command(tick_input.requests)
@@ -247,7 +249,7 @@ class Controller:
 
         Args:
             last_state: state after the previous tick.
-            tick_input: inputs of the tick. The requests in it are ignored.
+            tick_input: inputs of the tick. The requests in the input are ignored.
         """
         gains = last_state.decisions.gains
         controller = (
@@ -326,7 +328,7 @@ class Controller:
     ) -> tuple[str, ...]:
         """Process received frames, and correct and predict the tension filter.
 
-        Returns the signs of a second controller.
+        Return the signs of a second controller.
         """
         block = state.block
         places = self.derived.layout.places
@@ -357,7 +359,7 @@ class Controller:
             frames: received frames.
             fresh_ns: earliest arrival of an answer to the latest SYNC [ns].
 
-        Returns the identifiers of received frames that only this host may send, each identifier
+        Return the identifiers of received frames that only this host may send, each identifier
         once.
         """
         tables = self.derived.wire
@@ -374,7 +376,7 @@ class Controller:
             )  # fmt: skip
             if at >= len(rows):
                 return tuple(dict.fromkeys(signs))
-            # Error frames are counted by receive_frames, so this frame has no error flag.
+            # ``receive_frames`` counts error frames, so this frame has no error flag.
             frame = frames[at]
             owner = self.derived.owners.get((frame.bus, frame.can_id))
             if owner is not None:
@@ -431,7 +433,7 @@ class Controller:
             int(drive.fault_cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
             drive.steady_status(drive_state), drive.due_ns(drive_state), int(drive_state.misread != before.misread),
         )  # fmt: skip
-        stripped = drive_state.with_values()  # the values are in the block
+        stripped = drive_state.with_values()  # the values of the drive are in the state block
         if stripped != before:
             drives = state.decisions.drives
             state.decide(drives=(*drives[:n], stripped, *drives[n + 1 :]))
@@ -443,8 +445,8 @@ class Controller:
     ) -> None:
         """Count the refused requests, and the malformed requests within the last second.
 
-        A program may send requests only to test whether they are in range, so refused requests are
-        no fault. Only malformed requests show that a client is faulty.
+        A program may send a request only to test whether a value is in range, so a refused request
+        is no fault. Only malformed requests show that a client is faulty.
         """
         recent = state.decisions.refusals
         if request_events or recent:
@@ -502,7 +504,7 @@ class Controller:
         return verdict.action, verdict.findings
 
     def _any_node_seen(self, state: ControllerState) -> bool:
-        """Return True if any node has ever answered, or if torque may act."""
+        """Return True if any node has ever answered, or if a motor may make torque."""
         heard = any(phase != DrivePhase.SILENT for phase in state.phases) or bool(
             state.view("group_frames").any()
         )
@@ -513,7 +515,7 @@ class Controller:
     ) -> tuple[TickEvent, ...]:
         """Advance the program while the hand is active.
 
-        The program's time stops while the safety monitor holds the hand.
+        The time of the program stops while the safety monitor holds the hand.
         """
         if state.mode != ACTIVE or action >= SafetyAction.HOLD:
             return ()
@@ -577,7 +579,7 @@ class Controller:
             unchanged: state before the motor torques were computed.
             state: state after the motor torques were computed.
             action: reaction that safety demands.
-            ticks: number of periods since the last tick.
+            ticks: number of control periods since the last tick.
         """
         pending = state.decisions.pending
         assert pending is not None
@@ -635,9 +637,9 @@ class Controller:
         torque: Vector,
         t_ns: int,
     ) -> Frames:
-        """Write the commands after the SYNC into ``frame_words``.
+        """Write the commands into ``frame_words``, after the SYNC frame.
 
-        Drives that are not steady run their state machines.
+        A drive that is not steady runs its state machine.
 
         Args:
             state: state of the tick, modified in place.
@@ -687,14 +689,14 @@ class TickInProgress:
     Attributes:
         controller: controller with the gains of the tick.
         before: state after the previous tick.
-        state: state of the tick, modified by each step.
+        state: state of the tick. Each step modifies it.
         entry: inputs of the tick, without requests.
         signs: signs of a second controller.
-        sent: frames to send, from ``command``.
-        action: reaction that safety demands, from ``command``.
+        sent: frames to send, which ``command`` has computed.
+        action: reaction that the safety monitor demands, which ``command`` has determined.
         events: events of the tick so far.
-        unchanged: state before the motor torques were computed, kept only while other gains are
-            pending.
+        unchanged: state before the motor torques were computed. It is kept only while other gains
+            are pending.
     """
 
     controller: Controller
@@ -725,7 +727,7 @@ class TickInProgress:
 
 
 def send_torque_only(state: ControllerState, n: int) -> None:
-    """Write into the state that a drive's state machine has sent a torque command instead of the position command."""
+    """Note in the state that the state machine of a drive has sent a torque command instead of a position command."""
     servo = state.layout.table(state.block, "servo")
     servo[[s.SERVO_KP, s.SERVO_KD], n] = 0.0
     servo[s.SERVO_TORQUE, n] = state.tendon[s.TORQUE, n]

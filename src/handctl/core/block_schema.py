@@ -1,16 +1,16 @@
 """Blocks of numbers with a schema: tables over tendons, joints, digits and other axes, in contiguous memory.
 
-A schema is a list of fields. A field is one or several rows of a table. Each table has an axis: for
-example, a row of the table ``tendon`` has one number per tendon. The declaration of a field returns
-the index of the field's first row. Compiled code and the controller use this index::
+A schema is a list of fields. A field is one row or several rows of a table. Each table has an axis:
+for example, a row of the table ``tendon`` has one number per tendon. The declaration of a field
+returns the index of the field's first row. Compiled code and the controller use this index::
 
     TENSION = STATE.real_field("tension", "tendon", "N", "estimated tension")
     x.tendon[TENSION, n]
 
-All tables of a schema share one array of float64, the block. Integer tables are parts of the block
-that are viewed as int64. The name of an integer table ends with ``_int``. A layout has the lengths
-of the axes for one hand, and the places of the tables in a block. Since a block is one array, it
-can be copied at once and stored as bytes. Two blocks can be compared field by field.
+All tables of a schema share one array of float64, the block. An integer table is a part of the
+block that is viewed as int64. The name of an integer table ends with ``_int``. For one hand, a
+layout contains the lengths of the axes and the places of the tables in a block. Since a block is
+one array, it can be copied at once and stored as bytes. Two blocks can be compared field by field.
 """
 
 import hashlib
@@ -37,9 +37,9 @@ class BlockField(NamedTuple):
         table: name of the table.
         first: first row in the table.
         rows: number of rows.
-        unit: SI unit, empty without a unit.
+        unit: SI unit of the quantity. The value is empty if the quantity has no unit.
         meaning: description of the quantity.
-        initial: value before the first tick.
+        initial: value of the quantity before the first tick.
     """
 
     name: str
@@ -57,8 +57,9 @@ class BlockSchema:
     Attributes:
         tables: names of the tables in memory order. A name is an axis, or several axes joined by
             ``*``. The name of an integer table ends with ``_int``.
-        optional: name of the axis that may have the length 0, empty if no axis may. With the length
-            0, this axis has no effect on ``BlockLayout.identity``.
+        optional: name of the only axis that may have the length 0. The value is empty if no axis
+            may have it. If this axis has the length 0, it has no effect on
+            ``BlockLayout.identity``.
         fields: all fields, in the order of declaration.
     """
 
@@ -106,13 +107,13 @@ class BlockSchema:
 
 
 class BlockLayout:
-    """Positions of a schema's tables in a block, for axes of given lengths.
+    """Positions of the tables of a schema in a block, for axes of given lengths.
 
     Attributes:
         schema: schema with the tables and fields.
         axes: length of each axis.
-        places: lengths of the axes, first element of each table, and end of the last table, for
-            compiled code.
+        places: lengths of the axes, first element of each table, and end of the last table.
+            Compiled code reads this array.
         size: number of elements of a block.
         identity: 8-byte hash of all fields and all axis lengths.
         initial: block before the first tick, read-only.
@@ -164,7 +165,7 @@ class BlockLayout:
         return int(np.prod([self.axes[axis] for axis in _axes_of_table(table)], dtype=np.int64))
 
     def _field_span(self, field: BlockField) -> tuple[int, int, tuple[int, ...], bool]:
-        """Return the place of a field in a block: first element, end, shape, and True for integers."""
+        """Return the place of a field in a block: first element, end, shape, and True if its numbers are integers."""
         start, _, width, whole = self._tables[field.table]
         shape = tuple(self.axes[axis] for axis in _axes_of_table(field.table))
         first = start + field.first * width
@@ -191,22 +192,23 @@ class BlockLayout:
         )
 
     def start(self, table: str) -> int:
-        """Return the index of a table's first element in a block."""
+        """Return the index in a block of the first element of a table."""
         return self._tables[table][0]
 
     def table(self, block: BlockArray, name: str) -> NDArray[Any]:
-        """Return a view of a table in a block, (rows, length of the axis)."""
+        """Return a view of a table in a block, with the shape (rows, length of the axis)."""
         shape, kind, offset = self._shapes[name]
         return np.ndarray(
             shape, kind, block, offset
-        )  # one call, because every tick makes several of these views
+        )  # one call for all views, because every tick makes several of them
 
     def difference(
         self, block: BlockArray, other_block: BlockArray
     ) -> tuple[str, int, float, float] | None:
-        """Return the first difference of two blocks, in schema order: name of the field, element, and both values.
+        """Return the first difference of two blocks, in schema order: name of the field, element, both values.
 
-        The result is None if the blocks are equal. Values are compared by bits, so NaN equals NaN.
+        None if the blocks are equal. Values are compared bit by bit, so NaN equals
+        NaN.
         """
         # Numbers are compared as integers, so that NaN equals NaN, and 0.0 differs from -0.0.
         apart = np.flatnonzero(block.view(np.int64) != other_block.view(np.int64))

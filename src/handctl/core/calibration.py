@@ -1,4 +1,4 @@
-"""Calibration of a hand: tares, motor zeros, responses of all tendons to a pull, and identified parameters."""
+"""Calibration of a hand: tares, motor zeros, the responses of all tendons to a pull, and identified parameters."""
 
 import datetime
 from collections.abc import Mapping
@@ -82,8 +82,8 @@ def calibration_from(content: Mapping[str, Any], hand: Hand, source: str) -> Cal
         source: name of the file, for messages.
 
     Raises:
-        ConfigError: the content is no calibration, is for another hand, is for another version of
-            the hand description, or lacks a tendon.
+        ConfigError: the content is no calibration, is for another hand or another version of its
+            description, or lacks a tendon.
     """
     calibration = validate_content(content, Calibration, source)
     if calibration.identity != hand.identity:

@@ -29,7 +29,7 @@ CONSTANT_SCHEMA = BlockSchema(*CONSTANT_TABLES)
 _real = CONSTANT_SCHEMA.real_field
 _whole = CONSTANT_SCHEMA.integer_field
 
-# Tendons and motors. Motor quantities are converted to forces and lengths at the spool.
+# Tendons and motors. Quantities of the motors are converted to forces and lengths at the spool.
 MOTOR_MASS = _real("motor_mass", "tendon", "kg", "reflected rotor inertia")
 MOTOR_DAMPING = _real("motor_damping", "tendon", "N s/m", "viscous friction of the motor")
 MOTOR_COULOMB = _real("coulomb", "tendon", "N", "Coulomb friction of the motor")
@@ -163,8 +163,8 @@ PULLEY_WEIGHTS = _real("pulley_weight", "tendon*joint", "",
 COUPLING = _real("coupling", "joint*coordinate", "", "joint angles per coordinate")
 REDUCED_ARMS = _real("reduced_arms", "tendon*coordinate", "m", "moment arms about the coordinates")
 
-# Moment arms that depend on the joint angle. For a digit with such arms, each table above that is
-# computed from the moment arms R holds the values at the present joint angles.
+# Moment arms that depend on the joint angle. If a digit has such arms, each table above that is
+# computed from the moment arms R contains the values at the present joint angles.
 HAS_VARYING_ARM = _whole("varying", "tendon", "",
     "1 if a moment arm of the tendon depends on the joint angle")  # fmt: skip
 DIGIT_VARYING = _whole("digit_varying", "digit", "",
@@ -179,7 +179,7 @@ EXPLAINED_OFFSET = _real("explained_offset", "tendon", "m",
     "excursion less R R^+ s, by the linear relation at the present angles")  # fmt: skip
 MEAN_BALANCE = _real("mean_balance", "tendon", "N", "balance tension with the mean moment arms")
 
-# Null space of the moment arms: changes of a digit's posture that change no tendon excursion.
+# Null space of the moment arms: those changes of a digit's posture that change no tendon excursion.
 COMPLIANCE = _real("compliance", "joint*joint", "rad/(N m)",
     "joint angles per joint torque at constant excursion")  # fmt: skip
 COORDINATE_PROJECTION = _real("spread", "joint*joint", "",
@@ -225,7 +225,7 @@ squared), and four single numbers. ``filter_stack.FilterBlock`` explains the par
 """
 FILTER_DESIGN_COUNT = 6
 
-# Filters of contact and grip: fraction of the distance to its input that each low-pass filter
+# Filters of contact and grip: the fraction of the distance to its input that each low-pass filter
 # covers in a tick.
 TIP_FORCE_FRACTION = _real("felt_fraction", "run", "",
     "update fraction of the smoothed force at the tip")  # fmt: skip
@@ -238,7 +238,7 @@ GRIP_FAST_FRACTION = _real("fast_fraction", "run", "",
 GRIP_SLOW_FRACTION = _real("slow_fraction", "run", "",
     "update fraction of the slow average of a grip")  # fmt: skip
 
-# Detection of touch, and limits of the fault detectors.
+# Detection of touch, and the limits of the fault detectors.
 TOUCH_DECAY = _real("touch_kept", "run", "",
     "fraction of the smoothed unexplained tension that remains after a tick")  # fmt: skip
 STEP_LIMIT = _real("step_limit", "tendon", "rad", "largest step of a motor position in a period")

@@ -1,9 +1,9 @@
-"""Fast import of the packages scipy, filterpy and control, without the modules in them that handctl does not use.
+"""Fast import of the packages scipy, filterpy and control, without those of their modules that handctl does not use.
 
 The import of ``scipy.stats``, ``scipy.ndimage`` and the plots of control takes longer than the
 import of all other modules of a run. Half of the import time of ``scipy.linalg`` is spent on
 modules for Fortran compilers and for tests. A stand-in replaces each module in ``UNUSED_MODULES``.
-The stand-in imports the real module when one of its functions is used.
+The stand-in imports the real module when one of its functions is used for the first time.
 """
 
 import importlib
@@ -19,7 +19,10 @@ UNUSED_MODULES = ("scipy.stats", "scipy.ndimage", "numpy.f2py", "numpy.testing")
 
 
 class _DeferredAttribute:
-    """A function or distribution of a module. The first use of the function imports the module."""
+    """Stand-in for a function or distribution of a module.
+
+    The first use of the function imports the module.
+    """
 
     def __init__(self, module: str, name: str) -> None:
         self._module = module
@@ -37,7 +40,7 @@ class _DeferredAttribute:
     def _apply_to_real_object(self, use: Callable[[Any], Any]) -> Any:
         """Apply a function to the real object.
 
-        The import of filterpy makes one trial call, for which this function returns None.
+        During its import, filterpy makes one trial call, for which this function returns None.
         """
         module: Any = importlib.import_module(self._module)
         real = getattr(module, self._name)
@@ -48,7 +51,8 @@ class _StandIn(ModuleType):
     """Stand-in for a module. The first use of a function imports the real module."""
 
     def __getattr__(self, name: str) -> _DeferredAttribute:
-        if name.startswith("__"):  # the import system looks for __path__ and similar names
+        # the import system looks for __path__ and similar names in a module
+        if name.startswith("__"):
             raise AttributeError(name)
         return _DeferredAttribute(self.__name__, name)
 
@@ -57,7 +61,7 @@ class _StandIn(ModuleType):
 def deferred_imports() -> Iterator[None]:
     """Replace the modules in ``UNUSED_MODULES`` by stand-ins within a ``with`` block.
 
-    Each stand-in also becomes an attribute of the package that contains the module.
+    Each stand-in also becomes an attribute of the package that contains its module.
     """
     replaced = [name.rpartition(".") for name in UNUSED_MODULES if name not in sys.modules]
     places = [(importlib.import_module(package), part) for package, _, part in replaced]
@@ -77,7 +81,7 @@ def deferred_imports() -> Iterator[None]:
 def import_without_package(name: str) -> ModuleType:
     """Import a module of a package without executing the ``__init__`` of the package.
 
-    A later import of the whole package is not affected. If the folder of the user's program has a
+    A later import of the whole package works as usual. If the folder of the user's program has a
     file with the name of the package, such as ``control.py``, this file is ignored.
 
     Args:

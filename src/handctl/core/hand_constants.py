@@ -63,8 +63,8 @@ class HandConstants:
 
         Args:
             model: model of the hand.
-            other_constants: constants that are not in the model, by field: tare, zero, thresholds, constants
-                of drives and sensors.
+            other_constants: constants that are not in the model, by field: tare, zero, thresholds,
+                and constants of drives and sensors.
         """
         self.layout = layout_of_constants(model)
         self.block: BlockArray = self.layout.initial.copy()
@@ -156,7 +156,7 @@ def _law_constants(model: HandModel) -> dict[str, object]:
 
 
 def servo_constants(model: HandModel) -> dict[str, Vector]:
-    """Return which drives close a position loop, and the stiffness and damping of these loops.
+    """Return which drives close a position loop themselves, and the stiffness and damping of these loops.
 
     If the hand file gives no values, these loops have the gains of the motion loop. If the hand
     file gives only the stiffness, the loops have the damping ratio of the motion loop. At low
@@ -182,7 +182,7 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
 def _has_exact_solution(digit: DigitModel) -> list[bool]:
     """Return True for each tendon of a digit that has as many tendons as coordinates.
 
-    In such a digit, a joint torque determines the tensions.
+    In such a digit, the joint torques determine the tensions.
     """
     tendons, coordinates = digit.reduced_moment_arms.shape
     return [tendons == coordinates] * tendons
@@ -272,7 +272,7 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
 
 
 def _joint_compliance(digit: DigitModel) -> Vector:
-    """Return how far joint torques turn the joints at constant excursion, N (N^T K N)^-1 N^T, (n, n) [rad/(N m)]."""
+    """Return the turn of joints per torque at constant excursions, N (N^T K N)^-1 N^T, (n, n) [rad/(N m)]."""
     free = null_space(digit.moment_arms)
     if not free.shape[1]:
         return np.zeros((digit.joint_count, digit.joint_count))
@@ -284,7 +284,8 @@ def _joint_compliance(digit: DigitModel) -> Vector:
 def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
     """Return the assumed probability of each place of contact, for each joint of a digit, (places, n).
 
-    The places are the middles of the links, the tip, and all joints alike, see ``posture``.
+    The places are the middle of each link, the tip, and a torque on all joints alike, see
+    ``posture``.
     """
     n = digit.joint_count
     weight = np.zeros((max(one.joint_count for one in digits) + 2, n))
@@ -310,7 +311,7 @@ def _block_elements(block: FilterBlock) -> Vector:
 
 
 def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: float) -> Vector:
-    """Return the fraction (8, N) by which each low-passed residual approaches its input in an update."""
+    """Return the fraction (8, N) of the distance to its input by which each low-passed residual moves in an update."""
     every = np.full((len(TIME_CONSTANTS_S), model.tendon_count), model.period)
     every[2] = motor_period  # row COMMAND_DIFFERENCE
     every[5] = joint_period  # row SLIP

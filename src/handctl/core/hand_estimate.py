@@ -1,4 +1,4 @@
-"""Estimate and measurements of a tick, for programs. Both are views into the state block."""
+"""Estimate and measurements of a tick, for programs. Both are views of the state block."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,9 @@ QuantityTable = NDArray[np.float64]
 
 
 class HandEstimate:
-    """Estimate of the hand's state at the present time. Each property is (N,) unless its docstring gives another shape.
+    """Estimate of the hand's state at the present time.
+
+    Each property has the shape (N,) unless its docstring gives another shape.
 
     Attributes:
         tendon: table ``tendon`` of the state block.
@@ -29,7 +31,7 @@ class HandEstimate:
         digit: QuantityTable,
         regimes: NDArray[np.int64],
     ) -> None:
-        """Keep the tables of the state block, without a copy.
+        """Store the tables of the state block, without a copy.
 
         Args:
             tendon: table ``tendon`` of the state block.
@@ -44,7 +46,10 @@ class HandEstimate:
 
     @property
     def tension(self) -> Vector:
-        """Return the tension of each tendon at its load cell [N], 0 for a slack tendon."""
+        """Return the tension of each tendon at its load cell [N].
+
+        The value is 0 for a slack tendon.
+        """
         return self.tendon[s.TENSION]
 
     @property
@@ -81,7 +86,7 @@ class HandEstimate:
     def external_tension(self) -> Vector:
         """Return the load force on each tendon that the model does not explain [N].
 
-        A force against closing is positive. Contact with an object causes such a force.
+        A force that resists closing is positive. Contact with an object causes such a force.
         """
         return self.tendon[s.EXTERNAL_TENSION]
 
@@ -92,12 +97,18 @@ class HandEstimate:
 
     @property
     def innovation(self) -> Vector:
-        """Return the load-cell reading minus its prediction [N], NaN if the reading is missing."""
+        """Return the load-cell reading minus its prediction [N].
+
+        The value is NaN if the reading is missing.
+        """
         return self.tendon[s.INNOVATION]
 
     @property
     def nis(self) -> Vector:
-        """Return the normalised innovation squared of encoder and load cell, NaN if a reading is missing."""
+        """Return the normalised innovation squared of encoder and load cell.
+
+        The value is NaN if a reading is missing.
+        """
         return self.tendon[s.NIS]
 
     @property
@@ -122,12 +133,14 @@ class HandEstimate:
 
     @property
     def contact_force(self) -> Vector:
-        """Return the contact forces at the tips of closing digits (D,) [N], without errors found before the contact."""
+        """Return the contact forces at the tips of closing digits (D,) [N].
+
+        Errors that were found before the contact are subtracted."""
         return self.digit[s.CONTACT_FORCE]
 
     @property
     def grip_opening(self) -> Vector:
-        """Return the recent opening of the digits that hold an object, along each tendon [m]."""
+        """Return how far the digits that hold an object were opened recently, along each tendon [m]."""
         return np.asarray(self.tendon[s.GRIP_TRAVEL_SLOW] - self.tendon[s.GRIP_TRAVEL_FAST])
 
     @property
@@ -137,7 +150,7 @@ class HandEstimate:
 
 
 class TickMeasurements:
-    """Measurements of a tick, NaN if missing.
+    """Measurements of a tick. A missing measurement is NaN.
 
     Each property is (N,) unless its docstring gives another shape.
     """

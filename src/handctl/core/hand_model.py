@@ -38,7 +38,7 @@ class HandModel:
         gains: gains of the controller.
         period: control period [s].
         digits: digit models, in file order.
-        coupling: (J, C) joint angles per coordinate of the digits.
+        coupling: (J, C) joint angles per unit of each coordinate of the digits.
         digit_tendons: for each digit, the slice of its tendons among all tendons.
         digit_coordinates: for each digit, the slice of its coordinates among all coordinates.
         reach: (2, C) lowest and highest value of each coordinate [rad].
@@ -46,24 +46,25 @@ class HandModel:
         filter: steady-state filter of each tendon.
         motion: feedback gains of each tendon.
         digit_of: for each tendon, the index of its digit.
-        excursion_to_joints: (J, N) joint angles per excursion [rad/m].
-        torque_to_tension: (N, J) smallest tensions per joint torque [1/m].
-        pulleys: (N, J) 1 where a tendon passes the pulley of a joint, else 0.
+        excursion_to_joints: (J, N) joint angles per excursion of each tendon [rad/m].
+        torque_to_tension: (N, J) smallest tensions per torque of each joint [1/m].
+        pulleys: (N, J) 1 if a tendon passes the pulley of a joint, 0 if not.
         pulley_weights: (N, J) moment arm at each pulley, as a fraction of the sum over all pulleys
             of the tendon.
         friction: (N,) friction coefficient of the pulleys.
         wrap: (N,) wrap angle before the first joint pulley [rad].
-        floor: (N,) smallest tension at the load cell [N]. For a spool pair it is the negative
+        floor: (N,) smallest tension at the load cell [N]. For a spool pair, it is the negative
             ceiling.
-        ceiling: (N,) largest tension at the load cell [N]. For a spool pair it is the largest net
+        ceiling: (N,) largest tension at the load cell [N]. For a spool pair, it is the largest net
             tension.
         torque_limit: (N,) largest motor torque that the host may command [N m].
         redundancy: directions of the tendons, and tensions that are in balance.
         tree: tree of all links of the hand.
-        blind_margin: (N,) margin of the tension limits of a tendon without load cell [N]. It is 0
-            with a load cell.
-        torque_gain: (N,) torque at the spool per commanded torque, None if it was not identified.
-        inverse: inverse dynamics of a digit. Experiments replace it.
+        blind_margin: (N,) margin by which the tension limits of a tendon without a load cell are
+            stricter [N]. The value is 0 for a tendon with a load cell.
+        torque_gain: (N,) torque at the spool per commanded torque. None if no run has
+            identified it.
+        inverse: function of the inverse dynamics of a digit. Experiments replace it.
     """
 
     hand: Hand
@@ -103,8 +104,8 @@ class HandModel:
             hand: description of the hand.
             gains: gains of the controller.
             rate_hz: control rate [Hz].
-            torque_gain: (N,) identified torque at the spool per commanded torque, None if it was
-                not identified.
+            torque_gain: (N,) identified torque at the spool per commanded torque. None if no
+                run has identified it.
         """
         digits = tuple(DigitModel.from_hand(hand, digit.name) for digit in hand.digit)
         space = tendon_space(hand, digits)
@@ -113,8 +114,8 @@ class HandModel:
         period = 1.0 / rate_hz
         filters = design_filter(space, gains.filter, period, _joint_period(hand, period))
         margin = np.where(hand.has_cell, 0.0, BLIND_SIGMAS * filters.held_sigma)
-        # The floor is raised by the margin only in digits with surplus tendons. In any other digit,
-        # a higher floor would close the digit.
+        # The margin raises the floor only in digits with surplus tendons. In any other digit, a
+        # higher floor would close the digit.
         held = np.array(
             [
                 len(digit.moment_arms) > digit.coupling.shape[1]
@@ -192,12 +193,12 @@ def _coordinate_slices(digits: tuple[DigitModel, ...]) -> tuple[slice, ...]:
 
 
 def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
-    """Return the largest torque (N,) at the spool [N m]: the limit of the hand file, within the drive's range.
+    """Return the largest torque (N,) at the spool [N m] that the hand file and the drive allow.
 
-    A drive that makes less torque than commanded needs a larger command, so its limit is lower. The
-    limit has a margin of 1e-12 of its value, because drives refuse commands that exceed their limit
-    even by the last bit. Without this margin, rounding could cause such an excess, when torques are
-    divided or multiplied by spool radius and torque gain.
+    A drive that makes less torque than commanded needs a larger command. The limit of such a drive
+    is therefore lower. The limit has a margin of 1e-12 of its value, because drives refuse commands
+    that exceed their limit even by the last bit. Torques are divided or multiplied by the spool
+    radius and the torque gain. Without this margin, rounding could then cause such an excess.
     """
     largest = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (
         1.0 - 1e-12
@@ -206,5 +207,8 @@ def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
 
 
 def _joint_period(hand: Hand, period: float) -> Vector:
-    """Return the time (N,) between two readings of all joints of a tendon [s], inf if a joint has no encoder."""
+    """Return the time (N,) between two readings of all joints of a tendon [s].
+
+    The value is inf if a joint has no encoder.
+    """
     return np.where(hand.tendons_with_encoders, hand.sensor_node.joint_decimation * period, np.inf)

@@ -1,4 +1,4 @@
-"""Parameters that were identified from runs, and the hand description with these parameters for the controller."""
+"""Parameters that were identified from runs, and a hand description for the controller that contains them."""
 
 import copy
 from collections.abc import Mapping
@@ -72,7 +72,7 @@ class IdentifiedParameters(Document):
     @field_validator("names", mode="before")
     @classmethod
     def _replace_former_names(cls, names: object) -> object:
-        """Replace parameter names of earlier versions by the present names."""
+        """Replace the parameter names of earlier versions by the present names."""
         return (
             tuple(FORMER_NAMES.get(name, name) for name in names)
             if isinstance(names, list | tuple)
@@ -98,7 +98,7 @@ class IdentifiedParameters(Document):
         return self.values[self.names.index(name)] if name in self.names else default
 
     def beside(self, older: "IdentifiedParameters | None") -> "IdentifiedParameters":
-        """Return these parameters, together with the parameters of an older identification that are missing here.
+        """Return these parameters, and add parameters that only an older identification contains.
 
         A run that identifies only a few parameters therefore does not remove the other parameters.
         Parameters of different runs count as uncorrelated.
@@ -125,14 +125,14 @@ class IdentifiedParameters(Document):
 
 
 def identified_hand(hand: Hand, identified: dict[str, IdentifiedParameters]) -> Hand:
-    """Return the hand description with identified parameters in place of the values of the hand file.
+    """Return a hand description in which identified parameters replace the values of the hand file.
 
     Args:
         hand: description from the hand file.
         identified: identified parameters by tendon.
 
     Raises:
-        ConfigError: for a value that no hand file may contain.
+        ConfigError: an identified value is not allowed in a hand file.
     """
     content = copy.deepcopy(hand.content)
     for i, tendon in enumerate(hand.tendon):
@@ -152,7 +152,10 @@ def identified_hand(hand: Hand, identified: dict[str, IdentifiedParameters]) -> 
 
 
 def torque_gain(hand: Hand, identified: dict[str, IdentifiedParameters]) -> Vector:
-    """Return the torque at the spool per commanded torque of each drive (N,), 1 if it was not identified."""
+    """Return the torque at the spool per commanded torque of each drive (N,).
+
+    The value is 1 if it was not identified.
+    """
     return np.array(
         [
             identified[t.name].get("torque_gain", 1.0) if t.name in identified else 1.0
@@ -165,7 +168,7 @@ def check_identified(hand: Hand, identified: dict[str, IdentifiedParameters], so
     """Check that identified parameters belong to tendons of the hand.
 
     Raises:
-        ConfigError: for an unknown tendon, or a torque gain out of bounds.
+        ConfigError: a tendon is unknown, or a torque gain is out of bounds.
     """
     for name, known in identified.items():
         if name not in hand.tendon_names:
@@ -194,7 +197,10 @@ def _replace_values(
 
 
 def _scale_arms(tendon: dict[str, Any], factor: float) -> None:
-    """Scale the moment arms of a tendon, which are numbers, polynomials, or tables of angles and arms."""
+    """Scale the moment arms of a tendon.
+
+    The moment arms are numbers, polynomials, or tables of angles and moment arms.
+    """
     if factor == 1.0:
         return
     for joint, ratio in tendon.get("excursion_ratio", {}).items():

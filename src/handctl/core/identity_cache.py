@@ -1,6 +1,6 @@
 """Caches for the values of a function.
 
-The caches find the value of an immutable object by the object's identity.
+The caches find the value that belongs to an immutable object by the identity of this object.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,8 +14,8 @@ MAX_ENTRIES = 256
 class SequenceCache(Generic[T]):
     """Values of a function for each item of a sequence.
 
-    From one sequence to the next, most items are the same objects. The values of these objects are
-    taken from the last call.
+    From one sequence to the next, most items are the same objects. For these objects, the cache
+    returns the values of the last call.
     """
 
     def __init__(self, function: Callable[[T], bytes]) -> None:
@@ -29,7 +29,7 @@ class SequenceCache(Generic[T]):
         self._values: list[bytes] = []
 
     def __call__(self, items: Sequence[T]) -> list[bytes]:
-        """Return the function's value of each item of a sequence."""
+        """Return the value of the function for each item of a sequence."""
         function = self._function
         if len(items) == len(self._items):
             known = zip(items, self._items, self._values, strict=True)
@@ -43,7 +43,7 @@ class SequenceCache(Generic[T]):
 
 
 class IdentityCache(Generic[T]):
-    """Cache of a function's values for immutable objects, which are found by their identity.
+    """Cache of the values of a function for immutable objects. An object is found by its identity.
 
     The equality of objects would not suffice: 1, 1.0 and True are equal, but have different bytes.
     """
@@ -58,7 +58,10 @@ class IdentityCache(Generic[T]):
         self._entries: dict[int, tuple[T, bytes]] = {}
 
     def __call__(self, key: T) -> bytes:
-        """Return the function's value for an object, from the cache if the cache contains the object."""
+        """Return the value of the function for an object.
+
+        The value is computed only if the cache does not contain the object.
+        """
         entry = self._entries.get(id(key))
         if entry is not None and entry[0] is key:
             return entry[1]

@@ -1,9 +1,9 @@
-"""Conversion of the controller's objects to plain values and back, for the hash of its state and for snapshots.
+"""Conversion of the controller's objects to plain values and back, for the hash of the state and for snapshots.
 
 Plain values consist of numbers, strings, bytes and tuples only. A named tuple or dataclass becomes
 a tuple that begins with the name of the type. Equal values have equal bytes, even if one of them
 contains the same object several times. ``from_plain`` creates only objects of registered types, so
-that a log cannot create objects of other types.
+that no log can create objects of other types.
 """
 
 import enum
@@ -60,7 +60,7 @@ _PLAIN_TYPES = frozenset((type(None), bool, int, float, str, bytes))
 
 @functools.cache
 def plain_name(type_: type) -> str:
-    """Return the name of a type in plain values: its module and class, as they were called at first."""
+    """Return the name that a type has in plain values: the module and class name that it had at first."""
     name = f"{type_.__module__.removeprefix('handctl.')}.{type_.__qualname__}"
     return ":" + NAMES_IN_LOGS.get(name, name)
 
@@ -74,15 +74,15 @@ def to_plain(value: Any) -> Any:
     """Return the plain form of a value.
 
     Raises:
-        TypeError: if a part of the value is neither plain nor a named tuple, dataclass, array,
+        TypeError: a part of the value is neither plain nor a named tuple, dataclass, array,
             enumeration or model.
     """
     kind: type = type(value)
     if kind in _PLAIN_TYPES:
         return value
     if isinstance(value, tuple):
-        # This code runs in ticks that read the settings of drives. For speed, it makes no call for
-        # a plain item.
+        # This code runs in those ticks in which settings of drives are read. For speed, it makes no
+        # call for a plain item.
         items = [item if type(item) in _PLAIN_TYPES else to_plain(item) for item in value]
         return (plain_name(kind), *items) if hasattr(value, "_fields") else tuple(items)
     if isinstance(value, enum.IntEnum):
@@ -103,10 +103,12 @@ def plain_bytes(value: Any) -> bytes:
 
 
 def from_plain(value: Any) -> Any:
-    """Return the object that a plain value represents. Lists from JSON are accepted in place of tuples.
+    """Return the object that a plain value represents.
+
+    In place of tuples, lists from JSON are also accepted.
 
     Raises:
-        ValueError: if a type is not registered, or the value does not fit the type.
+        ValueError: a type is not registered, or the value does not fit the type.
     """
     if not isinstance(value, tuple | list):
         return value

@@ -1,22 +1,24 @@
-"""Declaration of every quantity of the state block, which each tick passes to the next: table, unit and meaning.
+"""Declaration of every quantity of the state block: table, unit and meaning.
 
-A tick copies the block of the last tick and writes into the copy. The results of a tick
-(measurements, estimates, the command) are stored in the same block as its memory. The log, the
-viewer and the next tick therefore read the same data. ``state_tables`` returns the tables by name,
-for compiled code. The module ``block_schema`` explains how a row of a table is addressed.
+Each tick passes the block to the next tick.
+
+A tick copies the block of the last tick and writes into the copy. The block contains the results of
+a tick (measurements, estimates, the command) as well as the memory for the next tick. The log, the
+viewer and the next tick therefore read the same numbers. ``state_tables`` returns the tables by
+name, for compiled code. The module ``block_schema`` explains how code addresses a row of a table.
 
 The tables have these axes. The capital letter or number after a name is the length of the axis:
 
-- tendon, N. A motor has the index of its tendon.
+- tendon, N. A motor has the same index as its tendon.
 - joint, J.
 - digit, D.
 - coordinate, C: the reduced coordinates of all digits.
-- node, N + 1: the motors, then the load cells.
+- node, N + 1: the motors, and then the load cells as one node.
 - group, G: the frames in which the sensor node sends its readings.
 - instance: the places in which a fault can occur: motors, tendons, joints or nodes. The length of
   this axis is the largest of these four numbers.
 - run, 1: numbers that exist once for the whole hand.
-- servo: N if any drive of the hand closes a position loop by itself, else 0.
+- servo: N if any drive of the hand closes a position loop by itself, and 0 otherwise.
 """
 
 import math
@@ -137,7 +139,7 @@ CONTACT = _real("contact", "digit", "", "1 if the digit is in contact, else 0")
 PLANNED_CONTACT = _whole("planned_contact", "digit", "",
     "1 if the program knows that the digit touches an object")  # fmt: skip
 
-# Contact of digits that close, and motion of the tendons while the hand holds an object, see
+# Contact of closing digits, and motion of the tendons while the hand holds an object, see
 # estimation.contact_force.
 CLOSING = _whole("closing", "digit", "", "1 while the program closes the digit until contact")
 SMOOTHED_TIP_FORCE = _real("felt", "digit", "N",
@@ -184,8 +186,8 @@ STIFFNESS_FRACTION = _real("stiffness_fraction", "tendon", "",
 DAMPING_FRACTION = _real("damping_fraction", "tendon", "",
     "fraction of the motion loop's damping that is used", initial=1.0)  # fmt: skip
 
-# Stream of targets from a client, see ``control_law.streamed_motion``. Times of the stream are read from the clock
-# of the run.
+# Stream of targets from a client, see ``control_law.streamed_motion``. The times of the stream are
+# read from the clock of the run.
 STREAM_SEGMENT = _real("stream_segment", "coordinate", "rad .. rad/s5",
     "coefficients of the polynomial from the reference to the target", rows=6)  # fmt: skip
 STREAM_TARGET = _real("stream_target", "coordinate", "rad",
@@ -243,7 +245,8 @@ Q_GOAL = _real("q_goal", "joint", "rad",
 DQ_GOAL = _real("dq_goal", "joint", "rad/s",
     "commanded joint rate; NaN for a digit in the tension loop", initial=NAN)  # fmt: skip
 
-# Command of this tick to a drive that closes the position loop by itself, see ``control_law.servo_commands``.
+# Command of this tick to each drive that closes the position loop by itself, see
+# ``control_law.servo_commands``.
 SERVO_POSITION = _real("servo_position", "servo", "rad",
     "position that the drive approaches, at the spool")  # fmt: skip
 SERVO_VELOCITY = _real("servo_velocity", "servo", "rad/s",
@@ -262,7 +265,8 @@ SERVO_SHARE = _real("servo_share", "servo", "", "fraction of recent ticks with k
 SERVO_REPORT = _real("servo_report", "servo", "N",
     "motor force that the drive should report in this tick", initial=NAN)  # fmt: skip
 
-# Drives: values from their cyclic frames. The state of each drive's set-up is in ``ControllerState.drives``.
+# Values of the drives, from their cyclic frames. The state of each drive's set-up is in
+# ``ControllerState.drives``.
 POSITION = _real("position", "tendon", "rad",
     "motor position, at the spool; NaN before any feedback", initial=NAN)  # fmt: skip
 VELOCITY = _real("velocity", "tendon", "rad/s",
@@ -449,7 +453,10 @@ CLEARING = _whole("clearing", "run", "",
 
 
 class StateTables(NamedTuple):
-    """Tables of a state block, each (rows, length of the axis), except ``run`` and ``run_int``, which are (rows,)."""
+    """Tables of a state block, each with the shape (rows, length of the axis).
+
+    Only ``run`` and ``run_int`` have the shape (rows,).
+    """
 
     tendon: NDArray[np.float64]
     joint: NDArray[np.float64]
@@ -506,7 +513,7 @@ RUN_INT_FIRST, RUN_INT_END = _MONITOR_FIRST["run_int"], _MONITOR_END["run_int"]
 
 @kernel_helper
 def reset_monitor(x: StateTables, initial: StateTables) -> None:
-    """Reset the memory of the fault detectors that work while the hand is under torque."""
+    """Reset the memory of the fault detectors that work while torque is permitted."""
     for n in range(x.tendon.shape[1]):
         for row in range(TENDON_FIRST, TENDON_END):
             x.tendon[row, n] = initial.tendon[row, n]

@@ -57,7 +57,7 @@ class TendonSpace:
     def numbers_of(self, i: int) -> tuple[float, ...]:
         """Return all constants of tendon i.
 
-        Tendons with equal constants have equal filters and control loops.
+        Tendons with equal constants share the design of filters and control loops.
         """
         return tuple(
             float(getattr(self, each.name)[i]) for each in fields(self) if each.name != "names"
@@ -86,7 +86,7 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
         motor_damping=np.array([motors[tendon.motor].viscous_N_m_s_per_rad for tendon in tendons])
         / spool**2,
         coulomb=np.array([motors[tendon.motor].coulomb_N_m for tendon in tendons]) / spool,
-        # Both tendons of a spool pair resist a stretch while both are taut.
+        # While both tendons of a spool pair are taut, both resist a stretch.
         stiffness=np.array([tendon.stiffness_N_per_m for tendon in tendons])
         * np.where(hand.is_pair, 2.0, 1.0),
         damping=np.array([tendon.damping_N_s_per_m for tendon in tendons])
@@ -104,14 +104,14 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
 def _position_step(motor: Motor) -> float:
     """Return the resolution of a motor's reported position [rad].
 
-    The result is the resolution of the protocol, but at least 1/65536 of the position range.
-    Smaller steps are below the noise.
+    The result is the resolution of the protocol. The value is at least 1/65536 of the position
+    range. Smaller steps would be below the noise.
     """
     return max(2 * motor.position_range_rad / 0xFFFF, make_drive(motor, 0).position_step)
 
 
 def _load_along_tendons(digit: DigitModel, mass: Vector) -> Vector:
-    """Return effective mass, stiffness and damping along each tendon of a digit, (3, n_t).
+    """Return the effective mass, stiffness and damping along each tendon of a digit, (3, n_t).
 
     Args:
         digit: model of the digit.

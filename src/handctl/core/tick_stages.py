@@ -1,6 +1,6 @@
 """Compiled stages of a tick. Between these stages, ``controller.tick`` makes decisions in Python.
 
-The stages in the order of their execution, each with its input and its result:
+The list contains the stages in the order of their execution, each with its input and its result:
 
 begin      number and time of the tick -> state block, with the flags of received data reset
 receive    frames -> values of drives and sensors, see ``wire.cyclic_frames``
@@ -48,7 +48,7 @@ HOLD_ACTION = int(SafetyAction.HOLD)
 def begin_tick(
     block: BlockArray, at: TablePlaces, k: int, t_ns: int, late_ns: int, missed: int, frames: int
 ) -> None:
-    """Reset the flags of received data, and store number and time of the tick.
+    """Reset the flags of received data, and store the number and the time of the tick.
 
     Args:
         block: state block.
@@ -108,7 +108,7 @@ def store_drive(
         position: motor position, at the spool [rad].
         velocity: motor velocity, at the spool [rad/s].
         torque: torque that the drive reports [N m].
-        temperature: hottest sensor of the drive [degC].
+        temperature: temperature of the hottest sensor of the drive [degC].
         feedback_t_ns: reception time of the latest feedback [ns].
         feedback_count: number of feedback frames since the start.
         recheck_step: index of the setting that is read again next.
@@ -117,8 +117,8 @@ def store_drive(
         phase: ``drives.contract.DrivePhase`` of the drive.
         fault_code: error code of the drive.
         fault_cause: ``drives.contract.DriveFaultCause`` of the error code, -1 without a fault.
-        steady_status: drive status at which the drive's state machine has nothing to do.
-        due_ns: time at which the drive's state machine must run next [ns].
+        steady_status: status of the drive at which its state machine has nothing to do.
+        due_ns: time at which the state machine of the drive must run next [ns].
         misread: 1 if a frame of the drive in this tick had a wrong shape.
     """
     x = state_tables(block, at)
@@ -179,7 +179,7 @@ def conclude_estimate(
 ) -> bool:
     """Derive the estimate from the predicted states.
 
-    Return True if a node sent more replies than it got requests.
+    Return True if a node sent more replies than it received requests.
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
@@ -223,7 +223,8 @@ def evaluate_goals(
 ) -> int:
     """Evaluate the goals of all digits.
 
-    The result has a bit for each digit whose bounded least-squares problem must still be solved.
+    The result has one bit for each digit. The bit is 1 if the bounded least-squares problem of the
+    digit must still be solved.
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
@@ -283,7 +284,7 @@ def compute_motor_torques(
 def store_commands(
     block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
 ) -> None:
-    """Store commands and requests of this tick for the next tick, and complete the numbers for the log."""
+    """Store the commands and requests of this tick for the next tick, and complete the numbers for the log."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     mode = x.run_int[s.MODE]

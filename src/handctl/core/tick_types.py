@@ -77,7 +77,7 @@ class StreamTarget(NamedTuple):
         stream: name of the stream.
         number: number of the target, which rises from one target to the next.
         sent_ns: time at which the client sent the target [ns of the run].
-        values: one value per name of the stream, in the unit of the stream. The values are not
+        values: one value for each name of the stream, in the unit of the stream. The values are not
             checked.
     """
 
@@ -95,13 +95,13 @@ class TickIn(NamedTuple):
     """Inputs of a tick.
 
     Attributes:
-        k: tick number. If it jumps, ticks were missed.
-        t_ns: scheduled time of the tick on the run's clock [ns], k times the period, from 0.
-        late_ns: delay of the real start of the tick behind its scheduled time [ns].
+        k: tick number. If this number jumps, ticks were missed.
+        t_ns: scheduled time of the tick on the clock of the run [ns]: k times the period, from 0.
+        late_ns: time from the scheduled to the real start of the tick [ns].
         frames: frames received since the last tick, in the order of reception.
         io_events: events of buses, host and recorder since the last tick.
-        requests: requests of operators and programs since the last tick, in the order of arrival.
-            A log contains all of them as JSON texts.
+        requests: requests of operators and programs since the last tick, in the order of arrival. A
+            log contains all requests as JSON texts.
     """
 
     k: int
@@ -125,7 +125,7 @@ class TickEvent(NamedTuple):
     Attributes:
         level: "info", "warn" or "error".
         name: short identifier, for example "mode", "phase", "contact", "fault".
-        where: digit, motor, tendon or bus that the event concerns.
+        where: digit, motor, tendon or bus to which the event belongs.
         text: description of the event in one line.
     """
 
@@ -138,7 +138,7 @@ class TickEvent(NamedTuple):
 class Telemetry(NamedTuple):
     """Numbers of a tick for log and viewers, float64.
 
-    An unknown number is NaN. No value of an older tick is repeated.
+    An unknown number is NaN. A value of an older tick is never repeated.
 
     Shapes: J joints, N tendons, M motors, D digits, in the order of the hand file.
     """
@@ -204,7 +204,9 @@ class Telemetry(NamedTuple):
 
 
 class PackedTelemetry:
-    """Telemetry of a tick as one array, as in the log. Each field is an attribute, which returns a slice of the array.
+    """Telemetry of a tick as one array, in the form of the log.
+
+    Each field is an attribute, which returns a slice of the array.
 
     Attributes:
         numbers: array of all fields in order.
@@ -214,7 +216,7 @@ class PackedTelemetry:
     __slots__ = ("numbers", "places")
 
     def __init__(self, numbers: Vector, places: dict[str, slice]) -> None:
-        """Keep the array, without a copy.
+        """Store the array, without a copy.
 
         Args:
             numbers: array of all fields in order.
@@ -266,10 +268,10 @@ class TickOut(NamedTuple):
         frames: frames to send, in order.
         mode: mode of the hand after the tick.
         phase: phase of the program, for example "home", "close" or "hold" in a grasp.
-        action: most severe reaction that safety demands.
+        action: most severe reaction that the safety monitor demands.
         telemetry: numbers of the tick for log and viewers.
         events: events of the tick.
-        state_hash: hash of the controller's whole state after the tick, 8 bytes.
+        state_hash: hash of the whole state of the controller after the tick, 8 bytes.
     """
 
     frames: Sequence[Frame]

@@ -1,6 +1,6 @@
-"""Mesh files of a hand, stored in a log as attachments.
+"""Mesh files of a hand that are stored in a log as attachments.
 
-With them, a machine without the original files can show the meshes.
+With these attachments, a machine without the original files can show the meshes.
 """
 
 from collections.abc import Mapping
@@ -30,9 +30,9 @@ class AttachedMesh:
     """Mesh of a link, with the content of its file.
 
     Attributes:
-        mesh: position of the mesh on a link of the hand.
+        mesh: place of the mesh on a link of the hand.
         data: content of the mesh file.
-        triangles: (n, 3, 3) three corners of each triangle in the frame of the link [m].
+        triangles: (n, 3, 3) the three corners of each triangle, in the frame of the link [m].
     """
 
     mesh: LinkMesh
@@ -46,7 +46,7 @@ def attachment_name(file: str) -> str:
 
 
 def mesh_attachments(hand: Hand, folder: Path) -> tuple[dict[str, bytes], list[str]]:
-    """Return the mesh files of a hand as attachments by name, and a line of text about each omitted mesh.
+    """Return the mesh files of a hand as attachments by name, and one line of text about each omitted mesh.
 
     Args:
         hand: description of the hand.
@@ -68,7 +68,7 @@ def mesh_attachments(hand: Hand, folder: Path) -> tuple[dict[str, bytes], list[s
 def attached_meshes(
     hand: Hand, attachments: Mapping[str, bytes]
 ) -> tuple[dict[str, AttachedMesh], list[str]]:
-    """Return the meshes in a log by name of their link, and the links whose mesh is missing or damaged.
+    """Return the meshes in a log by the name of their link, and the links whose mesh is missing or damaged.
 
     Args:
         hand: description of the hand in the log.

@@ -1,10 +1,10 @@
-"""Writer and reader for CDR, the encoding of ROS 2 messages, and templates for messages of constant layout.
+"""Writer and reader for CDR, the encoding of ROS 2 messages, and templates for messages with a constant layout.
 
 A message begins with the encapsulation (4 bytes: 0x00, 0x01 for little-endian plain CDR, two option
-bytes). The fields follow in order. A number of n bytes starts at a multiple of n bytes after the
-encapsulation. A string consists of its length (uint32, including the closing NUL), its bytes, and
-the NUL. A sequence consists of its length (uint32) and its elements. An empty sequence consists of
-its length alone.
+bytes). The fields follow after it, in order. The position of a number of n bytes is a multiple of n
+bytes after the encapsulation. A string consists of its length (uint32, including the closing NUL),
+its bytes, and the NUL. A sequence consists of its length (uint32) and its elements. An empty
+sequence consists of its length alone.
 
 Source: OMG CORBA 3.0, section 15.3, as implemented by the packages rosbags and mcap-ros2-support.
 """
@@ -20,14 +20,14 @@ _INT64_STRUCT = struct.Struct("<q")
 
 
 class CdrWriter:
-    """Writer of CDR values. The writer aligns each value, and appends the value to `data`."""
+    """Writer of CDR values. The writer aligns each value, and appends it to `data`."""
 
     def __init__(self, start: int = 0) -> None:
         """Start an empty message, or an empty part of a message.
 
         Args:
-            start: offset of the first byte in the message body. A part that follows other parts of
-                a message has an offset above 0.
+            start: offset in the message body at which the part starts [bytes]. If a part follows
+                other parts of a message, its offset is above 0.
         """
         self.data = bytearray()
         self._start = start
@@ -72,14 +72,15 @@ class CdrWriter:
 
 
 class CdrReader:
-    """Reader of the values of a CDR message, which also skips the padding between them.
+    """Reader for the values of a CDR message. The reader also skips the padding between them.
 
     Raises:
-        ValueError: the message ends before the end of the value. Every method can raise this error.
+        ValueError: the message ends before the end of the value. Every method of the reader can
+            raise this error.
     """
 
     def __init__(self, message: bytes) -> None:
-        """Start to read a message after its encapsulation header.
+        """Begin to read a message, after its encapsulation header.
 
         Raises:
             ValueError: the message is not little-endian plain CDR.
@@ -115,14 +116,16 @@ class CdrReader:
     def read_string(self) -> str:
         """Read a string."""
         size = self.read_length()
-        # The length includes the closing NUL. Some writers store an empty string with length 0,
-        # without a NUL.
+        # The length includes the closing NUL. Some writers store an empty string with the length 0
+        # and without a NUL.
         return self.read_bytes(size)[: max(size - 1, 0)].decode()
 
 
 @dataclass(frozen=True, slots=True)
 class MessageTemplate:
-    """Encoded message of constant layout. From message to message, only the listed fields change.
+    """Encoded message with a constant layout.
+
+    Only the listed fields differ from message to message.
 
     Attributes:
         data: the message with zeros in all variable fields.
@@ -137,7 +140,7 @@ class MessageTemplate:
 
 
 class TemplateWriter(CdrWriter):
-    """Builder of a template: a CdrWriter with variable fields."""
+    """Builder of a template: a CdrWriter that can also append variable fields."""
 
     def __init__(self) -> None:
         """Start with an empty message."""
@@ -146,14 +149,14 @@ class TemplateWriter(CdrWriter):
         self._fields: dict[str, tuple[int, str, int]] = {}
 
     def put_stamp(self) -> None:
-        """Append a builtin_interfaces/Time as a variable field."""
+        """Append a time stamp (builtin_interfaces/Time) as a variable field."""
         self.align(4)
         # Offsets count from the start of the message. The encapsulation is 4 bytes long.
         self._stamp_offsets.append(len(self.data) + 4)
         self.data += bytes(8)
 
     def put_header(self, frame_id: str = "") -> None:
-        """Append a std_msgs/Header with a variable stamp and a constant frame_id."""
+        """Append a std_msgs/Header, whose stamp is variable and whose frame_id is constant."""
         self.put_stamp()
         self.put_string(frame_id)
 
@@ -172,7 +175,7 @@ class TemplateWriter(CdrWriter):
         self.data += bytes(size * number)
 
     def put_float_sequence(self, name: str, number: int) -> None:
-        """Append a float64 sequence of constant length as a variable field.
+        """Append a float64 sequence with a constant length as a variable field.
 
         An empty sequence adds no variable field.
         """

@@ -1,10 +1,11 @@
 """Compact table of the chunks in a log that is being written.
 
 A log of one day has about 350,000 chunks. After the last chunk, an MCAP file must have an index of
-all chunks. As records of the mcap package, this index would need 2 KB of memory for each chunk, or
-30 MB for each hour of a run. This table needs 64 bytes for each chunk. Most chunks arrange their
-message indexes in the same way. The table stores each arrangement once. Compression reduces full
-blocks of the table to a third of their size, because successive chunks have similar numbers.
+all chunks. In the form of records of the mcap package, this index would need 2 KB of memory for
+each chunk, or 30 MB for each hour of a run. This table needs 64 bytes for each chunk. Most chunks
+arrange their message indexes in the same way. The table stores each arrangement only once. Full
+blocks of the table are compressed to a third of their size, because successive chunks have similar
+numbers.
 """
 
 import struct
@@ -26,7 +27,7 @@ class ChunkEntry(NamedTuple):
     """Position, size, and times of one chunk.
 
     Attributes:
-        start, length: start and length of the chunk's record in the file [bytes].
+        start, length: start and length of the record of the chunk in the file [bytes].
         packed_size, size: compressed and uncompressed size of the messages [bytes].
         first_ns, last_ns: times of the first and last message [ns].
         index_size: length of the message indexes after the chunk [bytes].
@@ -51,7 +52,7 @@ class ChunkTable:
         self._layouts: dict[bytes, int] = {}
 
     def __len__(self) -> int:
-        """Return the number of chunks."""
+        """Return the number of chunks in the table."""
         return CHUNKS_PER_BLOCK * len(self._packed) + len(self._latest) // _CHUNK_ROW_STRUCT.size
 
     def add_chunk(self, chunk: ChunkEntry, index_offsets: dict[int, int]) -> None:
@@ -59,8 +60,8 @@ class ChunkTable:
 
         Args:
             chunk: position, size and times of the chunk.
-            index_offsets: distance from the chunk's end to each channel's message index [bytes], by
-                channel.
+            index_offsets: distance from the end of the chunk to the message index of each channel
+                [bytes], by channel.
         """
         layout = b"".join([_CHANNEL_STRUCT.pack(*item) for item in index_offsets.items()])
         # `setdefault` numbers the arrangements in the order of their first use.

@@ -1,6 +1,6 @@
 """Identity of the control code: a hash over all its source files.
 
-A version number identifies a release. The hash also identifies every state of the code between two
+A version number identifies a release. The hash also identifies each state of the code between two
 releases.
 """
 
@@ -19,8 +19,8 @@ def code_identity() -> str:
     """Return the first twelve hexadecimal digits of the SHA-256 hash over the sources of the control packages."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
-    # Sorted paths and NUL separators make the hash depend only on names and contents, not on the
-    # order in which the file system lists the files.
+    # Because the paths are sorted and separated by NUL, the hash depends only on names and
+    # contents, and not on the order in which the file system lists the files.
     for path in sorted(
         path for name in CONTROL_PACKAGES for path in (package / name).rglob("*.py")
     ):

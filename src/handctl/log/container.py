@@ -1,8 +1,8 @@
 """Writer of MCAP container files.
 
 The writer receives messages in blocks, because a Python call for each message would take too long.
-The mcap package encodes the rare records. This module encodes chunks and message indexes itself,
-because they take most of the time. The layouts of both are:
+The mcap package encodes those records that are rare. This module encodes chunks and message indexes
+itself, because they take most of the time. Chunks and message indexes have these layouts:
 
 Chunk: opcode u8, length u64, first time u64 [ns], last time u64 [ns], uncompressed size u64, CRC-32
 u32, compression as a text (u32 length), compressed size u64, compressed records. MessageIndex:
@@ -59,9 +59,9 @@ class MessageBlock(NamedTuple):
 
     Attributes:
         channel: id of the channel.
-        data: the records. Each begins with the layout `MESSAGE_STRUCT`.
+        data: the records. Each record begins with the layout `MESSAGE_STRUCT`.
         log_times: (n,) uint64, log time of each message [ns].
-        offsets: (n,) start of each record within data [bytes].
+        offsets: (n,) start of each record in the data [bytes].
     """
 
     channel: int
@@ -80,7 +80,7 @@ def records_as_bytes(records: Iterable[McapRecord]) -> bytes:
 
 @dataclass(slots=True)
 class _SummarySection:
-    """Contents of the file's summary section.
+    """Contents of the summary section of a file.
 
     The contents are collected while the file is written.
     """
@@ -96,14 +96,14 @@ class _SummarySection:
 
 
 class McapContainer:
-    """MCAP file that is being written. The writer keeps no buffer.
+    """MCAP file that is being written. The writer itself has no buffer.
 
     Attributes:
         complete_size: length of the file up to the end of the last complete record [bytes].
 
     Raises:
-        OSError: a write fails. Every writing method can raise this error. After such an error, only
-            `cut_incomplete_record` may be called.
+        OSError: a write fails. Every method that writes can raise this error. After such an error,
+            only `cut_incomplete_record` may be called.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -122,7 +122,7 @@ class McapContainer:
 
     @property
     def message_count(self) -> int:
-        """Return the number of messages written to the file so far."""
+        """Return the number of messages that were written to the file so far."""
         return self._summary.message_counts.total()
 
     def _write_bytes(self, data: bytes) -> int:
@@ -130,12 +130,13 @@ class McapContainer:
         start = self._at
         view = memoryview(data)
         while view:
-            # One write call may write only a part of the bytes, for example on a nearly full disk.
+            # A single write call may write only a part of the bytes, for example on a nearly full
+            # disk.
             written = os.write(self._fd, view)
             self._at += written
             view = view[written:]
         self._crc = zlib.crc32(data, self._crc)
-        # The complete size grows only after the last byte of a record. Therefore
+        # The complete size grows only when the last byte of a record was written. Therefore
         # `cut_incomplete_record` can remove an incomplete record.
         self.complete_size = self._at
         return start
@@ -206,8 +207,8 @@ class McapContainer:
         """Write the summary and the footer of the file."""
         self._write_bytes(records_as_bytes([DataEnd(self._crc)]))
         body, offset_start = self._summary_section(self._at)
-        # The CRC covers the summary section and those fields of the footer that precede the CRC:
-        # opcode, length 20, and both offsets.
+        # The CRC covers the summary section, and those fields of the footer that come before the
+        # CRC: opcode, length 20, and both offsets.
         fields = struct.pack("<BQQQ", Opcode.FOOTER, 20, self._at, offset_start)
         footer = records_as_bytes(
             [Footer(self._at, offset_start, zlib.crc32(fields, zlib.crc32(body)))]
@@ -230,7 +231,7 @@ class McapContainer:
         )
 
     def _summary_section(self, start: int) -> tuple[bytes, int]:
-        """Return the summary section, and the offset of the SummaryOffset records in the file.
+        """Return the summary section, and the offset in the file of the SummaryOffset records.
 
         Args:
             start: offset of the section in the file [bytes].
@@ -259,7 +260,7 @@ class McapContainer:
 
 
 def _message_indexes(blocks: Sequence[MessageBlock], base: int) -> tuple[bytes, dict[int, int]]:
-    """Return the message indexes that follow a chunk, and the offset of each channel's index by channel id.
+    """Return the message indexes that follow a chunk, and the offset of the index of each channel, by channel id.
 
     Args:
         blocks: the messages of the chunk.

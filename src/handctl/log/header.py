@@ -32,24 +32,24 @@ MAX_NAMES = 1000
 class RunHeader:
     """Header of a run.
 
-    The header is the first part of a log file. Therefore every log has a header, even if the run
-    ends with a crash.
+    The header is the first part of a log file. So every log has a header, even if the run ends with
+    a crash.
 
     Attributes:
-        hand_toml: the resolved description of the hand.
-        joints, tendons, motors, digits, buses: names of these parts in the order of the hand file.
+        hand_toml: the hand description with all defaults applied. joints, tendons, motors, digits,
+            buses: names of these parts, in the order of the hand file.
         period_ns: period of the tick [ns].
-        offset_ns: UNIX time at t = 0 of the run [ns], or 0 for a deterministic run.
-        metadata: content of the metadata record `handctl`: version, bus, seed, operator's note, and
-            more.
+        offset_ns: UNIX time at t = 0 of the run [ns]. The value is 0 for a deterministic run.
+        metadata: content of the metadata record `handctl`: version, bus, seed, note of the
+            operator, and more.
         gains: gains at the start of the run, by name. The metadata record `handctl.gains` and the
             first parameter event contain them.
         attachments: content of the files attached to the log, by file name, such as hand.urdf,
             gains.toml, calibration.toml, task.toml, initial_state.
         wall: data about the machine and the wall clock. The metadata record `handctl.wall` contains
             them.
-        deterministic: True for a lockstep run. The recorder then drops no tick and reads no clock.
-            Therefore equal runs write equal logs.
+        deterministic: True for a lockstep run. The recorder of such a run drops no tick and reads
+            no clock. So equal runs write equal logs.
     """
 
     hand_toml: str
@@ -68,11 +68,11 @@ class RunHeader:
 
     @classmethod
     def from_hand(cls, hand_toml: str, period_ns: int, **more: object) -> Self:
-        """Return a header with the names of joints, tendons, motors, digits and buses from the hand's description.
+        """Return a header with the names of joints, tendons, motors, digits and buses from the hand description.
 
         Args:
-            hand_toml: the resolved description of the hand.
-            period_ns: period of the control loop, the time from tick to tick [ns].
+            hand_toml: the hand description with all defaults applied.
+            period_ns: period of the control loop: the time from one tick to the next [ns].
             more: values of the other attributes of the header, by name.
         """
         hand = tomllib.loads(hand_toml)
@@ -106,7 +106,7 @@ class RunHeader:
         Every value that enters a calculation is checked.
 
         Args:
-            record: metadata record `handctl.run`. The values of this record are JSON texts.
+            record: metadata record `handctl.run`. The values of a metadata record are JSON texts.
             metadata: all metadata records of the log.
             attachments: all attachments of the log.
 
@@ -130,7 +130,7 @@ class RunHeader:
 
     @property
     def truth_offset_ns(self) -> int:
-        """Return the simulator's time at t = 0 of the run [ns], or 0 for a run that was not in lockstep.
+        """Return the time of the simulator at t = 0 of the run [ns], or 0 for a run that was not in lockstep.
 
         Raises:
             LogError: the value in the log is not a time.
@@ -156,7 +156,7 @@ class RunHeader:
         }[name]
 
     def dump(self) -> bytes:
-        """Encode the header for the pipe to the recorder, as a line of JSON and then the attachments in order."""
+        """Encode the header for the pipe to the recorder: one line of JSON, and then the attachments in order."""
         sizes = {name: len(data) for name, data in self.attachments.items()}
         fields = asdict(self) | {"attachments": sizes}
         for table in ("metadata", "gains", "wall"):
@@ -181,12 +181,12 @@ class RunHeader:
 
 
 def _checked_integer(key: str, value: Any, low: int, high: int) -> int:
-    """Return an integer from a log's header, if its type and range are valid.
+    """Return an integer from the header of a log, if its type and range are valid.
 
     Raises:
         ValueError: the value is not a whole number from `low` to `high`.
     """
-    # `isinstance(value, int)` would accept True. JSON distinguishes true from 1.
+    # `isinstance(value, int)` would also accept True. JSON distinguishes true from 1.
     if type(value) is not int or not low <= value <= high:
         raise ValueError(f"{key} is {_brief_text(value)}, not a whole number from {low} to {high}")
     return value
@@ -211,6 +211,6 @@ def _checked_names(key: str, value: Any) -> tuple[str, ...]:
 
 
 def _brief_text(value: Any) -> str:
-    """Return a header value as text for a message, at most 40 characters long."""
+    """Return a header value as text for an error message, with at most 40 characters."""
     text = json.dumps(value)
     return text if len(text) <= 40 else text[:37] + "..."

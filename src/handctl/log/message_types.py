@@ -3,8 +3,8 @@
 The names and fields of these types are part of the log format, and must not change.
 
 Source of the fields: the ROS 2 interface packages common_interfaces, rcl_interfaces, geometry2,
-can_msgs, ros2_socketcan_msgs and pal_statistics_msgs. The types of `handctl_msgs` are defined here
-alone.
+can_msgs, ros2_socketcan_msgs and pal_statistics_msgs. Only the types of `handctl_msgs` are defined
+by this project.
 """
 
 from handctl.core.tick_types import HandMode
@@ -110,15 +110,17 @@ _DEFINITION_SEPARATOR = "=" * 80 + "\n"
 
 
 def _collect_dependencies(name: str, types: dict[str, None]) -> None:
-    """Collect the message types that a definition uses, depth first, without duplicates.
+    """Collect the message types that a definition uses.
+
+    The search is depth-first, and the result has no duplicates.
 
     Args:
         name: name of the message type.
-        types: the types collected so far, in order. This function adds types to them.
+        types: the types collected so far, in order. This function adds further types to this list.
     """
     for line in MESSAGE_DEFINITIONS[name].splitlines():
-        # In a line such as "uint8[<=64] data", the type stands before the bracket, and the field
-        # name after it.
+        # In a line such as "uint8[<=64] data", the type stands before the bracket, and the name of
+        # the field stands after it.
         field_type = line.split(" ")[0].split("[")[0]
         if field_type in MESSAGE_DEFINITIONS and field_type not in types:
             types[field_type] = None

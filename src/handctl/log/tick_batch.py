@@ -54,8 +54,8 @@ class FrameBatch(NamedTuple):
     Attributes:
         frames: (m,) the frames, as FRAME_DTYPE.
         tick_indexes: (m,) index of the tick of each frame.
-        long_data: payload bytes after the eighth of all frames longer than eight bytes, in the
-            order of the frames.
+        long_data: payload bytes after the eighth byte, of all frames that have more than eight
+            bytes, in the order of the frames.
     """
 
     frames: NDArray[np.void]
@@ -74,8 +74,8 @@ class TickBatch(NamedTuple):
         phases: grasp phase of each tick.
         numbers: (n, columns) telemetry in the order of Telemetry.packed.
         received, sent: CAN frames that the controller has received and sent.
-        ticks_with_events: decoded record of each tick with events, requests or io events, by index
-            of the tick.
+        ticks_with_events: decoded record of each tick that has events, requests or io events, by
+            index of the tick.
     """
 
     messages: list[bytes]
@@ -92,9 +92,9 @@ class TickBatch(NamedTuple):
 
 
 def row_fields(header: RunHeader, width: int) -> tuple[str, ...]:
-    """Return the telemetry fields that a row of `width` columns contains.
+    """Return the telemetry fields that are in a row of `width` columns.
 
-    Logs of earlier versions of handctl lack the last fields.
+    Logs of earlier versions of handctl do not have the last fields.
 
     Args:
         header: header of the run.
@@ -129,12 +129,14 @@ def columns_of_fields(
 
 @dataclass(slots=True)
 class _FrameCollector:
-    """Collector for the CAN frames of one direction (received or sent), tick by tick.
+    """Collector for the CAN frames of one direction (received or sent).
+
+    The frames are added tick by tick.
 
     Attributes:
         parts: frames of each tick as FRAME_DTYPE bytes.
         counts: number of frames of each tick.
-        long_parts: payload bytes after the eighth of each longer frame.
+        long_parts: payload bytes after the eighth byte of each frame with more than eight bytes.
     """
 
     parts: list[bytes] = field(default_factory=list)
@@ -150,7 +152,9 @@ class _FrameCollector:
 
 
 class TickBatcher:
-    """Collector for tick records. The method `take_batch` returns the collected ticks as a batch.
+    """Collector for tick records.
+
+    The method `take_batch` returns the ticks collected so far as a batch.
 
     Attributes:
         misshapen_ticks: number of ticks whose telemetry does not have the shape described in the header.
@@ -205,7 +209,7 @@ class TickBatcher:
         return int(TICK_HEAD_STRUCT.unpack_from(message, 4)[1])
 
     def _add_frames(self, message: bytes) -> None:
-        """Append the received and sent frames of a Tick message, then process the rest of the message."""
+        """Append the received and the sent frames of a Tick message, and then process the rest of the message."""
         parts = message_layout(message)
         for direction, part in ((self._received, parts.received), (self._sent, parts.sent)):
             direction.parts.append(message[part])
@@ -215,15 +219,15 @@ class TickBatcher:
         self._add_tail(message, parts.tail_offset)
 
     def _add_long(self, data: bytes) -> None:
-        """Divide the payload bytes after the eighth between the received and the sent frames of the tick."""
+        """Divide the payload bytes after the eighth byte between the received and the sent frames of the tick."""
         lengths = np.frombuffer(self._received.parts[-1], FRAME_DTYPE)["length"].astype(int)
-        # In the message, the bytes of all received frames precede the bytes of all sent frames.
+        # In the message, the bytes of all received frames come before the bytes of all sent frames.
         split = int(np.maximum(lengths - 8, 0).sum())
         self._received.long_parts.append(data[:split])
         self._sent.long_parts.append(data[split:])
 
     def _add_tail(self, message: bytes, at: int) -> None:
-        """Append the grasp phase in a Tick message.
+        """Append the grasp phase that a Tick message contains.
 
         For a tick with events, requests or io events, also store its decoded record.
 
@@ -232,8 +236,8 @@ class TickBatcher:
             at: start of the phase in the message [bytes].
         """
         # Nearly all ticks have no events. The messages of such ticks end with the phase and empty
-        # lists. This end is the same in all ticks of one phase. The cache avoids the decoding of
-        # each end.
+        # lists. This end of the message is the same in all ticks of one phase. With the cache, an
+        # equal end is decoded only once.
         tail = message[at:]
         phase = self._phase_of_tail.get(tail)
         if phase is None:
@@ -247,7 +251,8 @@ class TickBatcher:
 
     def take_batch(self) -> TickBatch:
         """Return all ticks added since the last call as a batch, and begin another batch."""
-        # Four bytes of CDR encapsulation precede the part of constant length in each message.
+        # In each message, four bytes of CDR encapsulation come before the part with a constant
+        # length.
         fixed = np.frombuffer(
             b"".join([message[4 : 4 + TICK_HEAD_STRUCT.size] for message in self._messages]),
             FIXED_DTYPE,

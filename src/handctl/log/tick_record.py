@@ -19,7 +19,7 @@ Tick message:
     Phase, io events, requests, events.
 
 Frame, 24 bytes: t_ns i64, can_id u32, flags u16, bus u8, length u8, data 8 bytes. The long bytes
-are the payload bytes after the eighth of all frames, in the order of the frames.
+are the payload bytes after the eighth byte of all frames, in the order of the frames.
 """
 
 import functools
@@ -123,7 +123,7 @@ _FIELD_OF_EACH_AXIS = "q", "tension", "motor_torque", "contact"
 
 
 class TickRecord(NamedTuple):
-    """Tick that a log contains, without its telemetry.
+    """Tick in a log, without its telemetry.
 
     Attributes:
         tick_in: all inputs of the tick.
@@ -146,7 +146,7 @@ def record_bytes(kind: int, body: bytes) -> bytes:
 
 
 def _long_mask(records: RecordArray) -> NDArray[np.bool_]:
-    """Return a mask (n, 56) for the bytes after the eighth in n frames.
+    """Return a mask (n, 56) for the payload bytes after the eighth byte of n frames.
 
     The mask is True for bytes that belong to the payload.
     """
@@ -154,7 +154,7 @@ def _long_mask(records: RecordArray) -> NDArray[np.bool_]:
 
 
 def _long_data(records: RecordArray) -> bytes:
-    """Return the payload bytes after the eighth of all frames, in order."""
+    """Return the payload bytes after the eighth byte of all frames, in order."""
     return bytes(records["data"][:, _SHORT_DATA_BYTES:][_long_mask(records)].tobytes())
 
 
@@ -162,7 +162,7 @@ def _long_data(records: RecordArray) -> bytes:
 def _tail_without_events(phase: str) -> bytes:
     """Return the end of a Tick message without events: the phase and three empty sequences.
 
-    The bytes are the same at every offset divisible by four. Therefore they can be cached.
+    The bytes are the same at every offset divisible by four. Because of this, they can be cached.
     """
     out = CdrWriter()
     out.put_string(phase)
@@ -175,8 +175,8 @@ def _message_end(start: int, phase: str, tick_in: TickIn, events: tuple[TickEven
     """Return the end of a Tick message, which has phase, io events, requests and events.
 
     Args:
-        start: offset in the message body at which this end begins [bytes]. The alignment depends on
-            it.
+        start: offset in the message body at which this end begins [bytes]. The alignment of the
+            fields depends on this offset.
         phase: grasp phase in the tick.
         tick_in: inputs of the tick.
         events: events of the tick.
@@ -201,7 +201,7 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
 
     Raises:
         ValueError: state_hash is not 8 bytes long.
-        struct.error: a number does not fit the field.
+        struct.error: a number does not fit into its field.
     """
     received = frames_as_records(tick_in.frames).records
     sent = frames_as_records(out.frames).records
@@ -218,14 +218,14 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
     )
     beginnings = [records.getfield(_SHORT_FRAME_DTYPE).tobytes() for records in (received, sent)]
     long_part = _NO_LONG_DATA
-    # The slice with a stride reads the length bytes of all frames, without decoding the frames.
+    # A slice with a stride reads the length bytes of all frames, without decoding the frames.
     if (
         max(b"".join([part[_LENGTH_OFFSET::FRAME_RECORD_BYTES] for part in beginnings]), default=0)
         > _SHORT_DATA_BYTES
     ):
         long_data = _long_data(received) + _long_data(sent)
         long_part = _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
-    # The first member of a frame is an int64. Therefore CDR aligns the frames to 8 bytes. An empty
+    # The first member of a frame is an int64. CDR therefore aligns the frames to 8 bytes. An empty
     # sequence has no padding.
     padding = b"\0\0\0\0" if len(sent) else b""
     parts = [
@@ -270,7 +270,7 @@ def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
 
 
 def _axis_lengths(numbers: Telemetry | PackedTelemetry) -> list[int]:
-    """Return how many joints, tendons, motors and digits the telemetry has."""
+    """Return the numbers of joints, tendons, motors and digits in the telemetry."""
     if isinstance(numbers, PackedTelemetry):
         return [
             columns.stop - columns.start
@@ -284,8 +284,9 @@ class MessageLayout(NamedTuple):
 
     Attributes:
         received, sent: slices of the received frames and of the sent frames.
-        long_data: slice of the payload bytes after the eighth of all frames.
-        tail_offset: offset of the phase [bytes]. The lists of events and requests follow the phase.
+        long_data: slice of the payload bytes after the eighth byte of all frames.
+        tail_offset: offset of the phase in the message [bytes]. The lists of events and requests
+            follow the phase.
     """
 
     received: slice
@@ -309,7 +310,8 @@ def message_layout(message: bytes) -> MessageLayout:
     sent_end = sent_start + FRAME_RECORD_BYTES * sent
     (size,) = _COUNT_STRUCT.unpack_from(message, sent_end)
     long_data = slice(sent_end + 4, sent_end + 4 + size)
-    # The long bytes may end at any offset. The text that follows them is aligned to 4 bytes.
+    # The long bytes may end at any offset. The text that follows after the long bytes is aligned to
+    # 4 bytes.
     return MessageLayout(
         slice(start, end), slice(sent_start, sent_end), long_data, long_data.stop + -size % 4
     )
@@ -319,8 +321,8 @@ def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
     """Return the decoded frames, and the long payload bytes that belong to later frames.
 
     Args:
-        beginnings: first parts of the frames, FRAME_RECORD_BYTES bytes each.
-        long_data: payload bytes after the eighth of these frames, followed by those of later
+        beginnings: first part of each frame, FRAME_RECORD_BYTES bytes each.
+        long_data: payload bytes after the eighth byte of these frames, followed by those of later
             frames.
 
     Raises:
@@ -352,7 +354,7 @@ def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
 def _zero_unused_bytes(records: RecordArray) -> None:
     """Set the unused data bytes of short payloads to zero.
 
-    In a bad file they may have any value.
+    In a bad file, these bytes may have any value.
     """
     words = records.getfield(_DATA_WORD_DTYPE, _DATA_OFFSET)
     words &= _DATA_MASKS[np.minimum(records["length"], _SHORT_DATA_BYTES)]
@@ -360,7 +362,7 @@ def _zero_unused_bytes(records: RecordArray) -> None:
 
 @functools.lru_cache(maxsize=256)
 def _phase_without_events(tail: bytes) -> str | None:
-    """Return the phase if the end of a Tick message has no events.
+    """Return the phase at the end of a Tick message, if this end has no events.
 
     If it has events, return None.
     """
@@ -396,7 +398,7 @@ def unpack_tick(message: bytes) -> TickRecord:
 def _build_tick(
     fixed: _TickHead, received: Frames, sent: Frames, message: bytes, tail: int
 ) -> TickRecord:
-    """Return a tick, built from the parts of a Tick message.
+    """Build a tick from the parts of a Tick message, and return it.
 
     Args:
         fixed: values of the first part of the message.
@@ -454,8 +456,8 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
     """Decode Tick messages in which no payload is longer than eight bytes.
 
     Returns:
-        the ticks, or None if a message has a longer payload or ends early. In the second case, the
-        caller decodes each message with `unpack_tick`.
+        the ticks. None if a message has a longer payload or ends early. If the result
+        is None, the caller decodes each message with `unpack_tick`.
     """
     parts = list[bytes]()
     ends = [0]
@@ -475,8 +477,8 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
         long_count = start + FRAME_RECORD_BYTES * sent
         if message[long_count : long_count + 4] != _NO_LONG_DATA:
             return None
-        # The frames of all messages are joined, decoded in one call, and then divided again at
-        # `ends`.
+        # The frames of all messages are joined and decoded in one call. Then they are divided again
+        # at `ends`.
         parts += message[_FRAMES_OFFSET:sent_count], message[start:long_count]
         ends += end + constant_part[6], end + constant_part[6] + sent
         end = ends[-1]

@@ -1,1 +1,1 @@
-"""Uses of a recorded run: re-execution, repetition of the motion, judgement by other limits, comparison of two runs."""
+"""Uses of a recorded run: re-execution, repetition, judgement by other limits, comparison of two runs."""

@@ -38,7 +38,7 @@ def logged_gains(log: RunLog) -> Gains:
 
 
 def logged_setup(log: RunLog) -> RunSetup:
-    """Return the setup of the recorded run: control rate, tare of the load cells, zero of the motors, and program.
+    """Return the setup of the recorded run: control rate, tares of the load cells, zeros of the motors, and program.
 
     Raises:
         LogError: the log was written by a version that did not record the setup.
@@ -47,7 +47,7 @@ def logged_setup(log: RunLog) -> RunSetup:
 
 
 def rebuild_controller(log: RunLog, gains: Gains | None = None) -> Controller:
-    """Return a controller like that of the recorded run, with the gains in the log or with the given gains.
+    """Return a controller like that of the recorded run, with the gains in the log or with other given gains.
 
     Raises:
         LogError: a required record is missing from the log.
@@ -78,7 +78,7 @@ def _read_attachment(log: RunLog, name: str, model: type[AttachmentT]) -> Attach
 
 
 def _versions_text(log: RunLog) -> tuple[str, str]:
-    """Return the versions of handctl that wrote and read the log, as two texts for an error message."""
+    """Return the version that wrote the log and the version that reads it, as texts for an error message."""
     metadata = log.header.metadata
     wrote = f"handctl {metadata.get('version', UNKNOWN_IDENTITY)}, code {metadata.get('code', UNKNOWN_IDENTITY)}"
     here = f"handctl {version('handctl')}, code {code_identity()}"

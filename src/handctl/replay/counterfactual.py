@@ -1,11 +1,11 @@
 """Commands that the controller would have given in a recorded run with other gains, as numbers and as a figure.
 
-The controller runs on the measurements in the log. So the figure shows the command in each tick,
-but not the motion that the hand would have made.
+The controller runs on the measurements that the log contains. So the figure shows the command in
+each tick, but not the motion that these commands would cause.
 
 The recorded measurements do not follow the new commands. The safety monitor may therefore find a
-fault that no hand has, and relax the hand. From then on, the commands say nothing about the gains,
-so the comparison ends there.
+fault that no hand has, and relax the hand. From this tick on, the commands say nothing about the
+gains, so the comparison ends there.
 """
 
 from pathlib import Path
@@ -26,7 +26,7 @@ OTHER_COLOR = "#d9822b"
 
 
 class CommandCollector:
-    """Collector for the commands of each executed tick.
+    """Collector for the commands of each tick that is executed again.
 
     Pass the method `add_tick` to `execute_log` as `observer`.
     """
@@ -48,7 +48,7 @@ class CommandCollector:
         self._tension.append(out.telemetry.tension_goal)
 
     def comparable_ticks(self, log: RunLog) -> int:
-        """Return the number of ticks until the mode or the reaction of the safety monitor differs from the log."""
+        """Return the number of ticks before the first difference from the log in mode or safety reaction."""
         mode, action = np.array(self._reactions).T
         differs = (mode != log.mode) | (action != log.action)
         return int(np.argmax(differs)) if differs.any() else len(differs)
@@ -71,11 +71,11 @@ class CommandCollector:
 def command_change(
     log: RunLog, commands: CommandCollector, ticks: int
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Return RMS and peak of the new minus the logged command, for each motor [N m] and tendon [N].
+    """Return RMS and peak of the difference between new and logged commands, for each motor [N m] and tendon [N].
 
     Args:
         log: log of the run.
-        commands: commands that the other gains gave.
+        commands: commands that the controller gave with the other gains.
         ticks: number of ticks that count, see ``CommandCollector.comparable_ticks``.
     """
     torque = (commands.motor_torques - log.field("motor_torque_goal"))[:ticks]
@@ -93,9 +93,9 @@ def command_change(
 def draw_commands(
     path: Path, log: RunLog, commands: CommandCollector, ticks: int, title: str
 ) -> None:
-    """Draw the logged commands and the commands of other gains as PNG: tension and torque of each tendon.
+    """Draw the logged commands and the commands with other gains as PNG: tension and torque of each tendon.
 
-    The time after the comparable ticks is grey.
+    The time after the comparable ticks has a grey background.
 
     Args:
         path: PNG file to write.

@@ -1,6 +1,6 @@
 """Episode of a LeRobot dataset as a program for a hand.
 
-The joint angles in the episode's actions must pass the same checks as a trajectory file.
+The joint angles in the actions of the episode must pass the same checks as a trajectory file.
 
 The dataset has the layout of codebase version 3.0. An action has an element such as
 `index_j1.pos_rad` for every hinge of the hand, and `jaw_j1.pos_m` for every prismatic joint. The
@@ -48,15 +48,16 @@ MAX_INFO_BYTES = 1 << 24
 def find_episode(
     dataset: Path, episode: int, hand: Hand, period: float, speed_deg_s: float | None = None
 ) -> RecordedGoals:
-    """Return the motion of an episode: smooth joint angles with one value for each control period.
+    """Return the motion of an episode: a smooth curve of joint angles with one value for each control period.
 
     Args:
         dataset: folder of the dataset, with `meta` and `data`.
         episode: number of the episode, from 0.
         hand: hand that will follow the episode.
         period: control period of the hand [s].
-        speed_deg_s: limit of each joint's speed from frame to frame [deg/s]. Higher speeds are
-            reduced to it. If it is None, an episode in which a joint is too fast is refused.
+        speed_deg_s: limit of the speed of each joint from frame to frame [deg/s]. Higher speeds are
+            reduced to this limit. If it is None, an episode in which a joint is too fast is
+            refused.
 
     Raises:
         ConfigError: the dataset or the episode does not exist, the episode lacks joints of the
@@ -206,7 +207,9 @@ def _joint_angles(actions: Array, info: Mapping[str, Any], hand: Hand, dataset: 
 
 
 def _clip_to_range(angles: Array, hand: Hand, where: str) -> Array:
-    """Return the angles (frames, J), after clipping those that are slightly outside of their joint's range.
+    """Return the angles (frames, J).
+
+    Angles that are slightly outside of the range of their joint are clipped.
 
     Raises:
         ConfigError: an angle is not finite or lies far outside the joint's range.
@@ -214,7 +217,7 @@ def _clip_to_range(angles: Array, hand: Hand, where: str) -> Array:
     low, high = hand.joint_limits
     units = hand.display_units
     beyond = units.displayed(np.maximum(low - angles, angles - high))
-    wrong = ~(beyond <= MAX_CLIPPED_DEG)  # the negation also finds NaN
+    wrong = ~(beyond <= MAX_CLIPPED_DEG)  # the negated comparison also finds NaN
     if wrong.any():
         frame, joint = (int(index) for index in np.argwhere(wrong)[0])
         unit = units.names[joint]
@@ -226,7 +229,7 @@ def _clip_to_range(angles: Array, hand: Hand, where: str) -> Array:
 
 
 def _limit_rate(angles: Array, step: Array) -> Array:
-    """Return angles (frames, J) that follow the given angles but change by at most `step` (J,) per frame [rad]."""
+    """Return angles (frames, J) that follow the given angles, but change by at most `step` (J,) per frame [rad]."""
     slowed = angles.copy()
     for i in range(1, len(slowed)):
         slowed[i] = slowed[i - 1] + np.clip(angles[i] - slowed[i - 1], -step, step)

@@ -1,6 +1,9 @@
-"""Re-execution of a log. The controller runs again on the logged inputs, and each byte of the output is compared.
+"""Re-execution of a log.
 
-A re-execution uses no bus and reads no file except the log. No clock influences a decision.
+The controller runs again on the logged inputs, and each byte of its output is compared with the
+log.
+
+A re-execution uses no bus and reads no file except the log. No decision depends on a clock.
 """
 
 import gc
@@ -29,14 +32,15 @@ class LogExecution:
         differing_ticks: number of ticks in which at least one byte of the output differs.
         different_decisions: number of ticks in which a decision differs: mode, phase, action or
             events.
-        first_difference: the first difference from the logged output, or None if there is no
+        first_difference: the first difference from the logged output. None if there is no
             difference.
-        first_state_difference: first field of the controller's state that differs from its snapshot
-            in the log, or None if all snapshots are equal.
-        largest_difference: the largest difference of a number, measured by `relative_error`, or None.
+        first_state_difference: first field of the controller's state that differs from the snapshot
+            in the log. None if all snapshots are equal.
+        largest_difference: the largest difference of a number, measured by `relative_error`. The
+            value is None if there is no difference.
         wall_s: time that the re-execution took, without the design of the gains [s].
-        cpu_s: processor time of all processes together [s]. A single core that does nothing else
-            would need this time.
+        cpu_s: processor time of all processes together [s]. A single core without other work would
+            need this time.
         logged_s: duration of the recorded run [s].
     """
 
@@ -57,9 +61,9 @@ class LogExecution:
 
 
 def is_within_tolerance(execution: LogExecution, tolerance: float) -> bool:
-    """Return True if all decisions equal the logged ones, and no number differs from the log by more than `tolerance`.
+    """Return True if all decisions equal the log, and no number differs from it by more than `tolerance`.
 
-    A tolerance is useful because a machine of another kind may round differently.
+    A tolerance is useful because another kind of machine may round differently.
     """
     largest = relative_error(execution.largest_difference) if execution.largest_difference else 0.0
     return not execution.different_decisions and largest <= tolerance
@@ -79,8 +83,8 @@ def execute_log(
         gains: gains to use instead of those of the run.
         observer: function called with the input and the output of every tick.
         progress: function called at intervals with the number of ticks executed so far.
-        workers: number of processes. With other gains or with an observer, only one process is
-            used. The result does not depend on the number of processes.
+        workers: number of processes. With other gains or with an observer, the log is executed in a
+            single process. The result does not depend on the number of processes.
 
     Raises:
         LogError: the controller cannot be rebuilt from the log, or the log is damaged.
@@ -128,7 +132,9 @@ def _cpu_seconds() -> float:
 
 @contextmanager
 def gc_disabled() -> Iterator[None]:
-    """Disable garbage collection, as the control loop does, and the warnings of numpy about wrong numbers in a log.
+    """Disable garbage collection, as the control loop does.
+
+    Also disable the warnings of numpy about wrong numbers in a log.
 
     Ticks create no reference cycles, so no garbage accumulates.
     """

@@ -33,7 +33,10 @@ TensionLimit = Annotated[float, Field(gt=0, le=1000)]
 
 
 class NewLimits(Document):
-    """Content of a limits file. A limit missing in the file keeps the value from the run."""
+    """Content of a limits file.
+
+    If the file does not contain a limit, the limit of the run applies.
+    """
 
     schema_: int = Field(1, alias="schema", ge=1, le=1)
     tension_trip_N: TensionLimit | dict[str, TensionLimit] | None = None
@@ -48,12 +51,13 @@ class LimitStop(NamedTuple):
     """Fault that would stop the hand with the new limits.
 
     Attributes:
-        k, t_s: number and time [s] of the tick in which the fault is raised.
+        k, t_s: number and time [s] of the tick in which the fault occurs.
         fault, title: id and title of the fault.
         instance: motor, tendon or bus that has the fault.
         value: reading that exceeds the limit, in the unit of the limit.
         action: the safety action of the fault.
-        in_logged_run: True if the limits of the run itself raised the same fault in this tick.
+        in_logged_run: True if the fault also occurred in this tick with the limits of the run
+            itself.
     """
 
     k: int
@@ -75,8 +79,8 @@ class LimitsJudgement:
         stopped: number of ticks in which the new limits demand HOLD or a more severe reaction.
         stopped_logged: number of ticks in which the limits of the run demanded HOLD or a more
             severe reaction.
-        stops: fault that starts each stop, in order.
-        by_fault: number of stops by id of the fault.
+        stops: the fault with which each stop begins, in order.
+        by_fault: number of stops for each fault, by the id of the fault.
     """
 
     ticks: int
@@ -87,7 +91,7 @@ class LimitsJudgement:
 
 
 def load_limits(path: Path, controller: Controller) -> SafetyLimits:
-    """Return the limits of a controller, in which the values of a limits file replace the former values.
+    """Return the limits of a controller, with the values of a limits file in place of the former values.
 
     Raises:
         ConfigError: the file cannot be read or names a tendon that the hand does not have.
@@ -126,7 +130,9 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
 def judge_by_limits(
     log: RunLog, path: Path, progress: Callable[[int], None] | None = None
 ) -> LimitsJudgement:
-    """Judge every tick of a run by other limits, and return their effect. The logged run itself is not changed.
+    """Judge every tick of a run by other limits, and return the effect of these limits.
+
+    The log itself is not changed.
 
     Args:
         log: log of the run.
@@ -149,7 +155,7 @@ def _judge_ticks(
     limits: SafetyLimits,
     progress: Callable[[int], None] | None,
 ) -> LimitsJudgement:
-    """Judge each tick from the state that the run had, with the debounce counters and latches of the new limits."""
+    """Judge each tick from its logged state, but with the debounce counters and latches of the new limits."""
     other = replace(controller, other_limits=limits)
     state = controller.initial_state()
     shadow = other.initial_state()

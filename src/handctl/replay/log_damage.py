@@ -1,6 +1,6 @@
 """Search for the damage in a log that the reader refuses.
 
-The search finds the first tick with a changed byte.
+The search finds the first tick in which a byte was changed.
 """
 
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ Logs of earlier versions, for example, lack the hash chain.
 
 
 class _StoredTick(NamedTuple):
-    """Tick with the data stored in a log: number, Tick message, packed telemetry, chain hash."""
+    """Tick with the data that a log stores for it: number, Tick message, packed telemetry, chain hash."""
 
     k: int
     message: bytes
@@ -33,11 +33,13 @@ class _StoredTick(NamedTuple):
 
 
 def first_damage(path: Path) -> str:
-    """Return a description of the first damage and the first wrong tick of a log. The text is empty without damage.
+    """Return a description of the first damage and the first wrong tick of a log.
+
+    If there is no damage, the text is empty.
 
     The hash chain reveals a changed tick even if somebody has adjusted the checksums. If the chain
-    is intact, the damage is in topics derived from the ticks, and the result names the ticks of the
-    damaged chunk.
+    is intact, the damage is in topics that are derived from the ticks. The result then names the
+    ticks of the damaged chunk.
 
     Raises:
         LogError: the file is not a log of handctl.
@@ -76,7 +78,7 @@ def first_damage(path: Path) -> str:
 
 
 def _intact_content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
-    """Return the part of a chunk that can be decompressed, and a description of the chunk's defect."""
+    """Return the part of a chunk that can be decompressed, and a description of the defect of the chunk."""
     try:
         return file.chunk_content(chunk), ""
     except LogError as error:
@@ -115,7 +117,7 @@ def _chunk_ticks(
     if channels[2] == NO_CHANNEL:
         digests = [b""] * len(messages)
     for message, values, digest in zip(messages, values_of, digests, strict=True):
-        # The tick number follows the four bytes of CDR encapsulation in the message.
+        # In the message, the tick number comes after the four bytes of CDR encapsulation.
         k = int.from_bytes(message[4:12], "little", signed=True)
         yield _StoredTick(
             k, message, values[VALUES_START_OFFSET:VALUES_END_OFFSET], digest[-HASH_SIZE:]

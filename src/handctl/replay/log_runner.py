@@ -1,6 +1,6 @@
 """Execution of the controller on the inputs in a log.
 
-A tally counts the differences from the logged outputs.
+A tally counts the differences between the computed and the logged outputs.
 """
 
 import math
@@ -36,10 +36,12 @@ ProgressCallback = Callable[[int], None]
 
 
 def relative_error(difference: TickDifference) -> float:
-    """Return the size of a difference. The size is absolute for logged numbers below 1, and relative above.
+    """Return the size of a difference between a logged and a computed value.
+
+    For logged numbers below 1 the size is absolute, and for larger numbers it is relative.
 
     Returns:
-        the size, which is 0 for texts, and infinity if a number is NaN.
+        the size. The value is 0 for texts, and infinity if a number is NaN.
     """
     logged = difference.logged
     computed = difference.computed
@@ -51,7 +53,10 @@ def relative_error(difference: TickDifference) -> float:
 
 @dataclass(slots=True)
 class DifferenceTally:
-    """Counts of the differences found so far. The class LogExecution explains the attributes."""
+    """Counts of the differences that were found so far.
+
+    The class LogExecution explains the attributes.
+    """
 
     ticks: int = 0
     differing_ticks: int = 0
@@ -118,8 +123,8 @@ class LogRunner:
 
         The errors are those of `rebuild_controller`.
         """
-        # With other gains, the states differ from the snapshots in the log. Therefore the snapshots
-        # are not used.
+        # With other gains, the states differ from the snapshots in the log. The snapshots are not
+        # used in this case.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
         return LogRunner(
             log, rebuild_controller(log, gains), TelemetryColumns.from_header(log.header), snapshots
@@ -133,7 +138,7 @@ class LogRunner:
         observer: TickObserver | None,
         progress: ProgressCallback | None,
     ) -> tuple[ControllerState, DifferenceTally]:
-        """Execute the controller on a part of the log.
+        """Execute the controller on the inputs of a part of the log.
 
         Args:
             start: index of the first tick of the part.
@@ -144,7 +149,8 @@ class LogRunner:
                 call.
 
         Returns:
-            the state of the controller after the last tick, and the tally of the differences.
+            the state of the controller after the last tick of the part, and the tally of the
+            differences.
 
         Raises:
             LogError: the log is damaged, or the controller refuses an input in the log.
@@ -171,9 +177,10 @@ class LogRunner:
         return state, tally
 
     def _logged_ticks(self, start: int, stop: int) -> Iterator[tuple[TickRecord, bytes]]:
-        """Yield the logged ticks from index `start` up to, but not including, `stop`, each with telemetry."""
+        """Yield the logged ticks from index `start` up to, but not including, `stop`, each with its telemetry."""
         firsts = self.log.first_of_chunk
-        # Chunks are read as a whole. The ticks outside the part, at both ends, are cut off below.
+        # Chunks are read as a whole. Ticks of these chunks that are outside of the part are cut off
+        # below.
         chunk, last = np.searchsorted(firsts, (start, stop), side="right") - 1
         chunks = slice(int(chunk), int(last) + 1)
         both = zip(self.log.ticks(chunks), self.log.packed_telemetry(chunks), strict=True)
@@ -186,7 +193,7 @@ class LogRunner:
         try:
             was = restore_state(self.controller.derived.layout, self.snapshots[logged.tick_in.k])
         except ValueError:
-            return None  # the state of another version has other fields
+            return None  # a state of another version has other fields
         return state_difference(self.log.header, logged, was, state)
 
 

@@ -21,10 +21,9 @@ MAX_GAP_S = 0.05
 
 
 def active_interval(log: RunLog) -> tuple[float, float]:
-    """Return start and end of the interval of a run in which the hand was active [s].
+    """Return the start and the end of the time in which the hand was active in a run [s].
 
-    The phases that prepare the motion, such as the tightening of the tendons, do not belong to the
-    interval.
+    The phases that prepare the motion, such as the tightening of the tendons, are not included.
 
     Raises:
         LogError: the hand was never active, no tick has targets for all tendons, or the ticks are
@@ -73,12 +72,12 @@ def count_missing_ticks(log: RunLog) -> int:
 def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
     """Return the targets of a recorded run, resampled to another control period.
 
-    A digit that held a tension had no joint targets. If this is so in a neighbouring tick, the
-    digit's joint targets are NaN.
+    A digit that held a tension had no joint targets. If this was so in a neighbouring tick, the
+    joint targets of this digit are NaN.
 
     Args:
         log: log of the run.
-        period: the control period to resample to [s].
+        period: the new control period [s].
 
     Raises:
         LogError: as for `count_missing_ticks`.
@@ -86,7 +85,7 @@ def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
     count_missing_ticks(log)
     start, end = active_interval(log)
     steps = np.rint(np.arange(round((end - start) / period) + 1) * (period * 1e9))
-    # The bits of these times equal those of `log.times`. So no interpolation is needed if both
+    # These times are equal to `log.times` to the last bit. So no interpolation is needed if both
     # control periods are equal.
     times = np.asarray((round(start * 1e9) + steps.astype(np.int64)) * 1e-9, np.float64)
     q, dq, tension = (
@@ -123,13 +122,13 @@ def playback_program(log: RunLog, period: float, raw: bool) -> PlaybackProgram:
 
 
 def compare_replay(before: RunLog, after: RunLog) -> dict[str, Any]:
-    """Compare a replay with the recording, for each joint [deg] and each tendon [N].
+    """Compare a replay with the recorded run, for each joint [deg] and each tendon [N].
 
-    The comparison covers only the part of the recording that the replay has repeated.
+    The comparison covers only the part of the recorded run that the replay has repeated.
 
     Returns:
         the differences from `compare_runs`. The mapping is empty if the replay never began to
-        follow the recording.
+        follow the recorded run.
     """
     replay_start = _playback_start(after)
     return (
@@ -146,7 +145,7 @@ def compare_replay(before: RunLog, after: RunLog) -> dict[str, Any]:
 
 
 def followed_duration_s(before: RunLog, after: RunLog) -> float:
-    """Return for how long a replay followed the recording [s]."""
+    """Return how long a replay followed the recorded run [s]."""
     start, end = active_interval(before)
     replay_start = _playback_start(after)
     if replay_start is None:
@@ -156,5 +155,5 @@ def followed_duration_s(before: RunLog, after: RunLog) -> float:
 
 
 def _playback_start(after: RunLog) -> float | None:
-    """Return the time at which a replay began to follow the recording [s], or None if this never happened."""
+    """Return the time at which a replay began to follow the recorded run [s], or None if it never did."""
     return next((change.t_ns * 1e-9 for change in after.phases if change.name == "playback"), None)

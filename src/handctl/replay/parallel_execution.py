@@ -1,9 +1,9 @@
 """Re-execution of a log in several processes. Each process starts from a snapshot in the log.
 
-Each process executes a part of the log, from a snapshot whose hash is in the log. If the previous
-part ends in a state with the same hash, a serial execution would reach the same state. In this
-case, the results of the two parts can be added. If the hashes differ, one process executes the rest
-of the log serially. The result is therefore always equal to the result of a serial execution.
+Each process executes a part of the log, from a snapshot whose hash is in the log. If the state at
+the end of the previous part has the same hash, a serial execution would reach the same state. In
+this case, the results of the two parts can be added. If the hashes differ, one process executes the
+rest of the log serially. The result is therefore always equal to the result of a serial execution.
 """
 
 import json
@@ -33,7 +33,7 @@ PROGRESS_PERIOD_S = 0.2
 
 
 class LogPart(NamedTuple):
-    """Part of a log: ticks from index `start` up to `stop`, and the controller's state before the first of them."""
+    """Part of a log: ticks from index `start` up to `stop`, and the state of the controller before them."""
 
     start: int
     stop: int
@@ -41,7 +41,7 @@ class LogPart(NamedTuple):
 
 
 class WorkerProcess(NamedTuple):
-    """Worker process, with the part of the log to execute and the read end of the pipe with the result."""
+    """Worker process, with its part of the log and the read end of the pipe that carries the result."""
 
     process: int
     pipe: int
@@ -58,14 +58,14 @@ class ProgressCounts:
             processes: number of processes.
             progress: function called with the number of ticks that all processes have executed.
         """
-        # A process shares an anonymous memory mapping with its forked processes.
+        # A process shares an anonymous memory mapping with the processes that it forks.
         self._done: NDArray[np.int64] = np.frombuffer(mmap.mmap(-1, 8 * processes), np.int64)
         self._progress = progress
 
     def counter_of_process(self, process: int) -> Callable[[int], None]:
         """Return a function that counts the executed ticks of a process.
 
-        The function of the first process, which is the calling process, also reports progress.
+        For the first process, which is the calling process, this function also reports progress.
         """
 
         def count_ticks(ticks: int) -> None:
@@ -102,8 +102,8 @@ def run_parallel(
             parts[0].start, parts[0].stop, parts[0].state, None, counts.counter_of_process(0)
         )
         for worker in running:
-            # If the hashes are equal, the worker's part started from the state that a serial
-            # execution has at the same tick.
+            # If the hashes are equal, the worker process started its part from the state that a
+            # serial execution has at this tick.
             result = (
                 _wait_for_result(runner, worker, counts)
                 if state.digest() == worker.part.state.digest()
@@ -153,7 +153,7 @@ def _state_after(runner: LogRunner, index: int) -> ControllerState | None:
     """Return the controller's state in the snapshot after a tick.
 
     Returns:
-        the state, or None if this version cannot read the snapshot, or if the hash
+        the state. None if this version cannot read the snapshot, or if the hash of the state
         differs from the logged hash.
     """
     try:
@@ -173,7 +173,7 @@ def _start_worker(runner: LogRunner, part: LogPart, count: Callable[[int], None]
 def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> str:
     """Execute a part of a log, and return the result as JSON. If the log is damaged, the text is empty.
 
-    After an empty text, the calling process executes the part itself, finds the damage, and reports
+    If the text is empty, the calling process executes the part itself, finds the damage and reports
     the error.
     """
     try:
@@ -186,10 +186,10 @@ def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None])
 def _wait_for_result(
     runner: LogRunner, worker: WorkerProcess, counts: ProgressCounts
 ) -> tuple[ControllerState, DifferenceTally] | None:
-    """Wait for a worker process, and return the state and the tally at the end of the worker's part.
+    """Wait for a worker process. Return the state and the tally at the end of its part.
 
     Returns:
-        state and tally, or None if the process did not finish the part.
+        the state and the tally. None if the process did not finish its part.
     """
     data = b""
     while True:

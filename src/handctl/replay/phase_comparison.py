@@ -31,7 +31,7 @@ class PhaseSpan(NamedTuple):
 def phase_spans(log: RunLog) -> list[PhaseSpan]:
     """Return all phases of a run in order.
 
-    If a phase occurs several times, the occurrences are numbered: `hold`, `hold (2)`.
+    If a phase occurs several times, its occurrences are numbered: `hold`, `hold (2)`.
     """
     changes = log.phases
     spans = []
@@ -53,12 +53,13 @@ def compare_logs(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
     Args:
         a: log of the first run.
         b: log of the second run, of the same hand.
-        where: name of the second log's file, for the error message.
+        where: name of the file of the second log, for the error message.
 
     Returns:
-        Gains that differ, phases that only one of the runs has, and a comparison of each common
-        phase. The comparison has both durations [s] and the differences from `compare_runs`. The
-        comparison covers the shorter duration, and both runs are aligned at the start of the phase.
+        The gains that differ, the phases that only one of the runs has, and a comparison of each
+        common phase. The comparison of a phase contains both durations [s] and the differences from
+        `compare_runs`. The comparison covers the shorter of the two durations. Both runs are
+        aligned at the start of the phase.
 
     Raises:
         IncomparableError: the two logs are of different hands.

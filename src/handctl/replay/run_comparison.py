@@ -35,7 +35,7 @@ COMPARED_SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendo
 
 
 def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
-    """Raise an error if a log is of another hand than the given one.
+    """Raise an error if a log is of another hand than the given hand.
 
     Args:
         a: log to check.
@@ -68,8 +68,8 @@ def compare_signals(
         period: time between two rows [s].
 
     Returns:
-        By name of the column: rms and peak of the difference, in the unit of the signals, and
-        delay_s, the delay of `after` behind `before` [s]. The delay of a constant signal is NaN.
+        By name of the column: rms and peak of the difference in the unit of the signals, and
+        delay_s, by which `after` lags behind `before` [s]. The delay of a constant signal is NaN.
     """
     rows = min(len(before), len(after))
     change = after[:rows] - before[:rows]
@@ -81,7 +81,7 @@ def compare_signals(
 
 
 def rms_and_peak(change: Array) -> dict[str, float]:
-    """Return RMS and peak of a difference. NaN values are left out.
+    """Return RMS and peak of a difference. NaN values are ignored.
 
     RMS and peak are NaN if every value is NaN.
     """
@@ -98,8 +98,8 @@ def signal_delay(before: Array, after: Array, period: float) -> float:
     best shift is refined by a parabola through three neighbouring shifts.
 
     Returns:
-        NaN if the signal moves no more than noise, if no shift up to `MAX_DELAY_S` explains the
-        difference, or if a signal has a NaN.
+        The result is NaN if the signal moves no more than noise, if no shift up to `MAX_DELAY_S`
+        explains the difference, or if a signal contains NaN.
     """
     if np.isnan(before).any() or np.isnan(after).any():
         return float("nan")
@@ -107,7 +107,7 @@ def signal_delay(before: Array, after: Array, period: float) -> float:
     if reach < 1 or not np.ptp(before) > MIN_SIGNAL_SPAN * np.abs(before).max():
         return float("nan")
     inner = slice(reach, len(before) - reach)
-    # `roll` moves rows from one end of the signal to the other end. `inner` excludes these rows.
+    # `roll` moves rows from one end of a signal to the other end. `inner` excludes these rows.
     residual = np.array(
         [
             np.var(np.roll(after, -shift)[inner] - before[inner])
@@ -120,8 +120,8 @@ def signal_delay(before: Array, after: Array, period: float) -> float:
     ):
         return float("nan")
     earlier, lowest, later = residual[best - 1 : best + 2]
-    # The bend is the second difference of the variance. If the bend is not positive, the minimum is
-    # flat, and the shift is not refined.
+    # The bend is the second difference of the variance over the shifts. If the bend is not
+    # positive, the minimum is flat, and the shift is not refined.
     bend = earlier - 2.0 * lowest + later
     return float((best - reach + (0.5 * (earlier - later) / bend if bend > 0 else 0.0)) * period)
 
@@ -132,7 +132,7 @@ def resampled_field(log: RunLog, field: str, start: float, times: Array) -> Arra
     Args:
         log: log to read.
         field: name of the telemetry field.
-        start: time in the run from which `times` counts [s].
+        start: time in the run to which the time 0 in `times` corresponds [s].
         times: times after `start` [s]. For times outside the log, the value at the nearer end of
             the log is used.
     """
@@ -175,13 +175,13 @@ def compare_runs(
     return result
 
 
-def difference_lines(compared: dict[str, Any]) -> Iterator[str]:
+def difference_lines(comparison: dict[str, Any]) -> Iterator[str]:
     """Yield one line of text about the difference of each joint and tendon that has values in both runs.
 
     Args:
-        compared: result of `compare_runs`.
+        comparison: result of `compare_runs`.
     """
-    for signal, rows in compared.items():
+    for signal, rows in comparison.items():
         unit = signal.partition("_")[2]
         for name, row in rows.items():
             ms = 1e3 * row["delay_s"]

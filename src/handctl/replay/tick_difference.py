@@ -24,7 +24,7 @@ class TickDifference(NamedTuple):
         field: name of the field of TickOut or of the telemetry, e.g. `frames[3]`, `mode`,
             `tension_goal`.
         name: joint, tendon, motor or digit to which the value belongs, or an empty text.
-        logged, computed: the two values, as numbers in SI units or as texts.
+        logged, computed: the two values of the field, as numbers in SI units or as texts.
         ulps: distance between two numbers in units in the last place. None for texts.
     """
 
@@ -38,7 +38,10 @@ class TickDifference(NamedTuple):
 
 
 class TelemetryColumns(NamedTuple):
-    """Names for the columns of `Telemetry.packed`: the telemetry field, and the joint, tendon, motor or digit."""
+    """Names for the columns of `Telemetry.packed`.
+
+    A name consists of the telemetry field, and of the joint, tendon, motor or digit.
+    """
 
     field_names: tuple[str, ...]
     element_names: tuple[str, ...]
@@ -70,15 +73,17 @@ def _float_ordinal(value: float) -> int:
     The position of 0.0 and of -0.0 is 0.
     """
     bits = int(np.float64(value).view(np.int64))
-    # Read as integers, the bits of positive floats are in the order of the floats. The bits of
-    # negative floats are in the reverse order, and their sign bit is set.
+    # If the bits of positive floats are read as integers, the integers have the same order as the
+    # floats. The bits of negative floats have the reverse order, and their sign bit is set.
     return bits if bits >= 0 else -(bits & 0x7FFF_FFFF_FFFF_FFFF)
 
 
 def differing_fields(
     columns: TelemetryColumns, logged: TickRecord, numbers: bytes, computed: TickOut
 ) -> Iterator[TickDifference]:
-    """Yield every field that differs between the two ticks, decisions first and the state hash last.
+    """Yield every field that differs between the two ticks.
+
+    The decisions come first, and the state hash comes last.
 
     Args:
         columns: names of the telemetry columns.
@@ -97,7 +102,8 @@ def differing_fields(
     yield from text_difference("action", logged.action.name, computed.action.name)
     yield from text_difference("phase", logged.phase, computed.phase)
     yield from text_difference("events", _events_text(logged.events), _events_text(computed.events))
-    packed = computed.telemetry.packed()[: len(numbers)]  # an earlier version lacks the last fields
+    # an earlier version does not have the last fields
+    packed = computed.telemetry.packed()[: len(numbers)]
     if packed != numbers:
         for column, was, now in _changed_numbers(numbers, packed):
             yield TickDifference(
@@ -123,7 +129,7 @@ def state_difference(
     Args:
         header: header of the log.
         logged: logged tick after which the controller had the two states.
-        was: state of the snapshot in the log.
+        was: state according to the snapshot in the log.
         now: computed state.
     """
     k = logged.tick_in.k
@@ -157,7 +163,7 @@ def are_outputs_equal(logged: TickRecord, numbers: bytes, computed: TickOut) -> 
 def are_decisions_equal(logged: TickRecord, computed: TickOut) -> bool:
     """Return True if the decisions of a tick are the same in the log and in the re-execution.
 
-    Decisions are mode, action, phase, and the events. The texts of the events are not compared,
+    The decisions are mode, action, phase and events. The texts of the events are not compared,
     because they contain numbers.
     """
     was, now = ([event[:3] for event in events] for events in (logged.events, computed.events))
@@ -175,7 +181,10 @@ def _events_text(events: tuple[TickEvent, ...]) -> str:
 
 
 def _frame_text(frame: Frame) -> str:
-    """Return a CAN frame as text in the format of candump, with the time of the frame if known."""
+    """Return a CAN frame as text in the format of candump.
+
+    If the time of the frame is known, the text contains it.
+    """
     flags = f"#{frame.flags:X}" if frame.flags else ""
     at = f" at {frame.t_ns} ns" if frame.t_ns else ""
     return f"bus {frame.bus} {frame.can_id:03X}#{flags}{frame.data.hex().upper()}{at}"

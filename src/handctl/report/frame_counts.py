@@ -11,11 +11,12 @@ class FrameCounts(NamedTuple):
     """Numbers of late frames, lost frames and silent ticks of a run. Silent ticks may explain late frames.
 
     Attributes:
-        late_frames: number of load-cell frames that reply to an older SYNC than the last one.
-        lost_frames: number of tension frames that never arrived, plus the number of frames that a bus
-            refused to send.
-        silent_ticks: number of ticks in which no frame of any node followed a SYNC. Either the nodes or
-            the host had paused. The replies then arrive late, in the next tick.
+        late_frames: number of load-cell frames that reply to an older SYNC frame than the last one.
+        lost_frames: number of tension frames that never arrived, plus the number of frames that a
+            bus has refused to send.
+        silent_ticks: number of ticks in which no frame of any node came after a SYNC frame. In such
+            a tick, either the nodes or the host had paused. The replies then arrive late, in the
+            next tick.
     """
 
     late_frames: int

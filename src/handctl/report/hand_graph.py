@@ -1,8 +1,8 @@
 """Picture of the structure of a hand: buses, motors with spools, load cells, tendons, joints with encoders.
 
-The picture shows each digit as a chain of links. Below the chain, each tendon of the digit has a
-row. The row leads from the bus through the motor, the spool and the load cell to the joints that
-the tendon crosses, with the moment arm at each joint.
+The picture shows each digit as a chain of links. Below the chain, the picture has a row for each
+tendon of the digit. The row begins at the bus, and leads through the motor, the spool and the load
+cell to the joints that the tendon crosses. The moment arm is shown at each joint.
 """
 
 from collections.abc import Iterator
@@ -110,7 +110,7 @@ def text_graph(hand: Hand) -> str:
 
 
 def _sensors_text(hand: Hand) -> str:
-    """Return the kind of a hand's sensor node in words."""
+    """Describe the kind of the sensor node of a hand in words."""
     node = hand.sensor_node
     if not node.is_cia404:
         return "sensor node"
@@ -118,9 +118,11 @@ def _sensors_text(hand: Hand) -> str:
 
 
 def _moment_arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> str:
-    """Return a moment arm in mm as text. If ``sign`` is "+", a positive arm has a plus sign.
+    """Return a moment arm in mm as text.
 
-    A varying arm is given at both joint limits.
+    If ``sign`` is "+", a positive moment arm gets a plus sign.
+
+    If the moment arm varies, the text contains its values at both joint limits.
     """
     arm = tendon.arms[joint]
     if joint in tendon.excursion_ratio:
@@ -138,14 +140,14 @@ def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:
 
 
 def _tendon_label(tendon: Tendon) -> str:
-    """Return the label of a tendon: the name, and for a spool pair also the pretension."""
+    """Return the label of a tendon: its name, and for a spool pair also the pretension."""
     if tendon.pretension_N is None:
         return tendon.name
     return f"{tendon.name}, pair, {tendon.pretension_N:g} N"
 
 
 def _joint_xs(digit: Digit) -> Iterator[tuple[str, float]]:
-    """Yield the name of each joint of a digit, and its column in the picture."""
+    """Yield the name of each joint of a digit, with the column of the joint in the picture."""
     for i, joint in enumerate(digit.joints):
         yield joint, FIRST_JOINT_COLUMN_X + JOINT_STEP * i
 
@@ -269,7 +271,8 @@ def _draw_tendon(
         fontsize=6.5,
     )
     for joint, arm in crossed.items():
-        # The moment arm of a flexor is written below the joint, that of an extensor above it.
+        # The moment arm of a flexor is written below the joint, and the moment arm of an extensor
+        # above it.
         side = -1.0 if arm > 0.0 else 1.0
         shade = FLEXOR_COLOUR if arm > 0.0 else EXTENSOR_COLOUR
         axes.plot(columns[joint], y, "o", color=shade, markersize=4.5, zorder=2)
@@ -285,7 +288,7 @@ def _bus_x(bus: int) -> float:
 
 
 def _draw_buses(axes: Any, hand: Hand, ends: dict[str, list[float]]) -> None:
-    """Draw each bus as a vertical line between the motors on the bus, with name and bit rates."""
+    """Draw each bus as a vertical line between the motors on the bus, with its name and its bit rates."""
     for i, bus in enumerate(hand.bus):
         x = _bus_x(i)
         top, bottom = ends[bus.name]

@@ -1,6 +1,6 @@
 """Judgement of a grasp in a scene where the table under the object sinks.
 
-The object must stay in the hand.
+The grasp succeeds if the object stays in the hand.
 """
 
 from collections.abc import Collection
@@ -11,7 +11,7 @@ import numpy as np
 from handctl.log.read.reader import RunLog
 from handctl.report.truth_record import TruthRecord
 
-TABLE_SUNK_COLUMN = "support"
+TABLE_DEPTH_COLUMN = "support"
 """Column of the simulator's truth file that says how far the table has sunk [m].
 
 Only the truth files of scenes with a sinking table have this column.
@@ -26,30 +26,30 @@ Objects that the hand holds in the demo move by 3 mm at most.
 def judge_lift(
     log: RunLog, truth: TruthRecord | None, offset_ns: int, hold_phases: Collection[str]
 ) -> dict[str, Any]:
-    """Return how far the table sank while the hand held the object, and how far the object moved meanwhile.
+    """Return how far the table sank while the hand held the object, and how far the object moved in this time.
 
     Args:
         log: log of the run.
-        truth: true values from the simulator, or None on hardware.
-        offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
-        hold_phases: names of the task's hold phases.
+        truth: true values from the simulator. None on hardware.
+        offset_ns: time on the clock of the simulator at which the time of the run is 0 [ns].
+        hold_phases: names of the hold phases of the task.
 
     Returns:
-        `table_sunk_mm`: how far the table has sunk at the end of the last hold. `object_slid_mm`:
-        how far the object moved between the start of the sinking and this time. Both distances are
-        NaN without a sinking table or without a hold.
+        `table_sunk_mm`: distance by which the table has sunk at the end of the last hold.
+        `object_slid_mm`: distance that the object moved from the start of the sinking to the end of
+        the last hold. Both distances are NaN if the table never sank or if there was no hold.
     """
     unknown = dict.fromkeys(("table_sunk_mm", "object_slid_mm"), float("nan"))
     t_ns = _hold_times(log, hold_phases) + offset_ns
     if (
         truth is None
-        or not truth.has_column(TABLE_SUNK_COLUMN)
+        or not truth.has_column(TABLE_DEPTH_COLUMN)
         or not len(t_ns)
         or not truth.covers_times(t_ns)
     ):
         return unknown
     inside = (truth.t_ns >= t_ns[0]) & (truth.t_ns <= t_ns[-1])
-    sunk = truth.values[inside, truth.columns.index(TABLE_SUNK_COLUMN)]
+    sunk = truth.values[inside, truth.columns.index(TABLE_DEPTH_COLUMN)]
     positions = truth.columns_at(["object/x", "object/y", "object/z"], truth.t_ns[inside])[
         sunk > 0.0
     ]
@@ -60,7 +60,7 @@ def judge_lift(
 
 
 def _hold_times(log: RunLog, hold_phases: Collection[str]) -> Any:
-    """Return the times of the ticks from the start of the first hold phase to the end of the last one [ns]."""
+    """Return the times [ns] of the ticks from the start of the first hold phase to the end of the last hold phase."""
     changes = log.phases
     ends = [*[change.k for change in changes[1:]], int(log.k[-1]) + 1] if changes else []
     both = zip(changes, ends, strict=True)
@@ -71,9 +71,9 @@ def _hold_times(log: RunLog, hold_phases: Collection[str]) -> Any:
 
 
 def lift_failure(lift: dict[str, Any]) -> str:
-    """Return the reason why a grasp failed, or an empty text.
+    """Return the reason why a grasp failed. The text is empty if it did not fail.
 
-    The text is empty if the hand held the object, or if there was no object.
+    The text is also empty if there was no object.
 
     Args:
         lift: result of `judge_lift`.

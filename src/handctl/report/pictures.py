@@ -67,10 +67,10 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
             _draw_palm(axes, hand)
         paths = tree.points(q[index])
         turned = link_rotations(tree.poses(q[index]))
-        # A digit with a larger z lies behind the others in this projection, so it is drawn first.
+        # In this projection, a digit with a larger z lies behind the others, so it is drawn first.
         for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
-            # The object pushes the fingertip against its closing direction, which is the y axis of
-            # the last link.
+            # The object pushes the fingertip against the closing direction of the digit, which is
+            # the y axis of the last link.
             push = -max(float(force[index, d]), 0.0) * turned[digits[d].joints][-1, :, 1]
             shown = [meshes.get(f"{digits[d].name}_link{i + 1}") for i in range(len(paths[d]) - 1)]
             for mesh, position, rotation in zip(
@@ -88,7 +88,7 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
 
 
 def _project_points(points_m: Array) -> Array:
-    """Project points (.., 3) in the palm frame [m] to the plane of the picture, and return them (.., 2) [mm].
+    """Project points (.., 3) in the palm frame [m] to the plane of the picture, and return the result (.., 2) [mm].
 
     The viewer looks along the hinge axes, at an oblique angle.
     """
@@ -98,7 +98,7 @@ def _project_points(points_m: Array) -> Array:
 
 
 def _picture_limits(tree: HandTree, palm: Array) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits of a picture with all digits at rest and the whole palm, given by (n, 3) corners."""
+    """Return the limits of a picture with all digits at rest and the palm, given by (n, 3) corners."""
     digits = _project_points(np.concatenate(tree.points(np.zeros(len(tree.parent)))))
     corners = np.concatenate((digits - 20.0, digits + 10.0, _project_points(palm)))
     low = corners.min(axis=0)
@@ -129,10 +129,10 @@ def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
     bright = 0.55 + 0.45 * np.abs(normals @ LIGHT_DIRECTION)
-    # Points at the same place in the picture differ in z. The viewer looks towards positive z.
+    # Points at the same place of the picture differ only in z. The viewer looks towards positive z.
     order = np.argsort(-triangles[:, :, 2].mean(axis=1))
     faces = np.clip(bright[order, None] * np.array(to_rgb(colour)), 0.0, 1.0)
-    # The mesh is drawn as a bitmap. As vector graphics, the triangles of eight poses would need
+    # The mesh is drawn as a bitmap. As vector graphics, the triangles of eight poses would take
     # many megabytes.
     axes.add_collection(
         PolyCollection(list(_project_points(triangles[order])), facecolors=faces, edgecolors=faces, linewidths=0.2,
@@ -149,7 +149,7 @@ def _draw_digit(
         axes: axes of the picture.
         joints: (n + 1, 3) positions of the n joints and the tip in the palm frame [m].
         push: (3,) estimated force of the object on the tip in the palm frame [N].
-        colour: colour of the digit's links.
+        colour: colour of the links of the digit.
         has_mesh: True for each link that is drawn as a mesh.
     """
     path = _project_points(joints)
@@ -164,8 +164,8 @@ def _draw_digit(
             solid_joinstyle="round",
         )
     axes.plot(*path[:-1].T, "o", color="white", markersize=3)
-    # An unknown force or angle is NaN, for which this negated comparison is true. Then no arrow is
-    # drawn.
+    # An unknown force or angle is NaN, and this negated comparison is then true. In this case, no
+    # arrow is drawn.
     if not np.linalg.norm(push) >= MIN_ARROW_N:
         return
     start, end = _project_points(np.array([joints[-1], joints[-1] + ARROW_M_PER_N * push]))
@@ -207,7 +207,7 @@ def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
     ]
     inside = [
         (name, i) for name, i in middles if name not in PASSIVE_PHASES and i < len(log)
-    ]  # the ticks may be unordered
+    ]  # the ticks in the log may be unordered
     return [(name, i) for name, i in inside if log.mode[i] == int(HandMode.ACTIVE)][
         : 2 * POSES_PER_ROW
     ]
@@ -216,7 +216,7 @@ def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
 def draw_lateness(log: RunLog) -> str:
     """Draw a histogram of the lateness of the ticks, with a line at a quarter of the control period.
 
-    A tick beyond the line at a quarter of the control period counts as late.
+    A tick whose lateness is beyond this line counts as late.
     """
     late = log.late_ns / 1e3
     if not late.any():
@@ -246,8 +246,8 @@ def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
     """Draw the load of each bus over time. The load is computed from the worst-case time of each frame.
 
     Returns:
-        the picture, and the largest load of each bus (buses,) in a window of `LOAD_WINDOW_S`. A
-        shorter run is one window.
+        the picture, and for each bus (buses,) the largest load in a window of `LOAD_WINDOW_S`. If
+        the run is shorter than the window, the whole run is one window.
     """
     busy = np.zeros((len(log), len(hand.bus)))
     for i, tick in enumerate(log.ticks()):

@@ -68,8 +68,8 @@ def draw_run(
         path: path of the file to write.
         log: log of the run.
         hand: hand of the run.
-        truth: true values from the simulator, or None on hardware.
-        offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
+        truth: true values from the simulator. None on hardware.
+        offset_ns: time on the clock of the simulator at which the time of the run is 0 [ns].
         title: title of the figure.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -77,7 +77,7 @@ def draw_run(
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     n = len(hand.digit)
-    # In virtual time no tick is late, so the row with the lateness is left out.
+    # In virtual time no tick is late, so the figure has no row for the lateness.
     timed = bool(log.late_ns.any())  # in virtual time no tick is late
     layout = ConstrainedLayoutEngine(w_pad=LAYOUT_PAD_INCH)
     figure = Figure(figsize=(max(9.0, 2.6 + 2.6 * n), 7.6 + 1.4 * timed), layout=layout)
@@ -104,7 +104,10 @@ def draw_run(
 
 
 def _add_titles_and_phases(grid: Any, late: list[Any], log: RunLog, hand: Hand) -> None:
-    """Add titles, grid lines and phase marks, and limit the time axis to the interval in which the hand is active."""
+    """Add titles, grid lines and phase marks.
+
+    Limit the time axis to the interval in which the hand is active.
+    """
     for column, name in zip(grid.T, hand.digit_names, strict=True):
         column[0].set_title(name, fontsize=11, fontweight="bold")
         column[-1].set_xlabel("time [s]", fontsize=8)
@@ -130,9 +133,9 @@ def _add_titles_and_phases(grid: Any, late: list[Any], log: RunLog, hand: Hand) 
 
 
 def _fit_height(row: Sequence[Any], start: float, end: float) -> None:
-    """Limit the height of a row to the values in the interval in which the hand is active.
+    """Limit the height of a row to the values that occur while the hand is active.
 
-    After this interval, a hand without tension may move far.
+    Later, a hand without tension may move far.
     """
     lines = [line.get_data() for axes in row for line in axes.lines]
     visible = np.concatenate([y[(x >= start) & (x <= end)] for x, y in lines])
@@ -143,7 +146,7 @@ def _fit_height(row: Sequence[Any], start: float, end: float) -> None:
 
 
 def _legend_entries(truth: bool) -> tuple[list[Any], list[str]]:
-    """Return the sample lines of the legend, and their meanings."""
+    """Return the sample lines of the legend and their meanings."""
     from matplotlib.lines import Line2D
 
     marks = [
@@ -178,10 +181,12 @@ def _draw_angles(
         _draw_command_and_truth(axes, log, goal[:, d], None if real is None else real[:, d])
 
 
-def _draw_command_and_truth(axes: Any, log: RunLog, goal: Array | None, real: Array | None) -> None:
-    """Draw the command and the true value of the simulated plant next to the estimate."""
-    if real is not None:
-        axes.plot(log.times, real, color=PLANT_COLOUR, linewidth=0.7)
+def _draw_command_and_truth(
+    axes: Any, log: RunLog, goal: Array | None, true_values: Array | None
+) -> None:
+    """Beside the estimate, draw the command and the true value of the simulated plant."""
+    if true_values is not None:
+        axes.plot(log.times, true_values, color=PLANT_COLOUR, linewidth=0.7)
     if goal is not None:
         axes.plot(log.times, goal, color=COMMAND_COLOUR, linewidth=1.0, linestyle="--")
 
@@ -197,7 +202,7 @@ def _draw_tensions(
         row, hand.digit_tendons.values(), digit_colours(hand), strict=True
     ):
         names = hand.tendon_names[tendons]
-        # The repetition of TENDON_OPACITIES gives every tendon an opacity, even if a digit has more
+        # TENDON_OPACITIES is repeated so that every tendon has an opacity, even if a digit has more
         # than three tendons.
         for shade, i, name in zip(
             TENDON_OPACITIES * len(names), range(tendons.start, tendons.stop), names, strict=False
@@ -233,8 +238,8 @@ def _draw_forces(
         high = estimate[:, d] + sigma[:, d]
         axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
         if truth is not None:
-            # The truth file has the three components of the force. The estimate is the size of the
-            # force.
+            # The truth file contains the three components of the contact force. The estimate is
+            # only the size of the contact force.
             parts = [
                 truth.column_at(f"contact_force/{name}/{axis}", log.t_ns + offset_ns)
                 for axis in "xyz"
@@ -245,13 +250,13 @@ def _draw_forces(
 
 
 def _mark_phases(grid: Any, log: RunLog) -> None:
-    """Mark the start of each phase and the first fault in all rows.
+    """In all rows, mark the start of each phase and the first fault.
 
     The names are written in the first row.
     """
     error = ("error", "fault")
     faults = [event for event in log.events if (event.event.level, event.event.name) == error]
-    # The name of a fault is placed first, so that it is never left out.
+    # The name of a fault is placed first, so that it always has a place.
     marks = [
         (event.t_ns / 1e9, event.event.text.partition(" ")[0], FAULT_COLOUR) for event in faults[:1]
     ]
@@ -271,7 +276,9 @@ def _mark_phases(grid: Any, log: RunLog) -> None:
 def _mark_positions(
     times_s: Sequence[float], limits: tuple[float, float]
 ) -> list[tuple[float, float] | None]:
-    """Return the left end [s] and the height of the name of each mark, or None if there is no place.
+    """Return, for each mark, the left end [s] and the height of its name.
+
+    Return None if there is no place for the name.
 
     Args:
         times_s: time of each mark [s], the most important mark first.
@@ -280,7 +287,7 @@ def _mark_positions(
     width = MARK_WIDTH_FRACTION * (limits[1] - limits[0])
     positions: list[tuple[float, float] | None] = []
     for t_s in times_s:
-        # A name at the end of the axis is written to the left of its line.
+        # If a mark is near the end of the axis, its name is written to the left of its line.
         left = t_s if t_s + width <= limits[1] else t_s - width
         taken = {place[1] for place in positions if place and abs(place[0] - left) < width}
         free = [height for height in MARK_HEIGHTS if height not in taken]
@@ -290,7 +297,7 @@ def _mark_positions(
 
 
 def _write_mark(row: Sequence[Any], position: tuple[float, float], name: str, colour: str) -> None:
-    """Write the name of a mark into each plot of a row, at a position in time [s] and height."""
+    """Write the name of a mark into each plot of a row, at a given time [s] and height."""
     for axes in row:
         style = {
             "fontsize": 7,

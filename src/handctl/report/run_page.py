@@ -1,4 +1,7 @@
-"""HTML page about a run. It is a single file that can be attached to a paper or a bug report."""
+"""HTML page about a run.
+
+The page is a single file that can be attached to a paper or a bug report.
+"""
 
 import base64
 import html
@@ -49,12 +52,12 @@ def write_page(
         path: path of the file to write.
         log: log of the run.
         hand: hand of the run.
-        truth: true values from the simulator, or None on hardware.
-        offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
-        name: name of the log for the page.
+        truth: true values from the simulator. None on hardware.
+        offset_ns: time on the clock of the simulator at which the time of the run is 0 [ns].
+        name: name of the log that the page shows.
 
     Returns:
-        Size of the page [bytes].
+        The size of the page [bytes].
     """
     load_picture, load = draw_bus_loads(log, hand)
     metadata = log.header.metadata
@@ -99,7 +102,7 @@ def _html_table(rows: Iterable[tuple[str, str]]) -> str:
 
 
 def _text_table(values: Mapping[str, object]) -> str:
-    """Return an HTML table of texts that come from a log."""
+    """Return an HTML table of texts from a log."""
     return _html_table(
         (_escaped_text(key), f"<code>{_escaped_text(value)}</code>")
         for key, value in values.items()
@@ -155,7 +158,7 @@ def _number_table(
 
 
 def _number_text(value: float, unit: str) -> str:
-    """Return a number with unit as text. The text is empty for NaN."""
+    """Return a number with its unit as text. If the number is NaN, the text is empty."""
     return "" if value != value else f"{value:.2f} {unit}"
 
 
@@ -205,7 +208,7 @@ def _contact_times(log: RunLog) -> str:
 
 
 def _events_named(log: RunLog, name: str) -> Iterator[LoggedEvent]:
-    """Return the events of a run with a given name."""
+    """Return those events of a run that have a given name."""
     return (event for event in log.events if event.event.name == name)
 
 

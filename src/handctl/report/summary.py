@@ -18,7 +18,7 @@ from handctl.hand.file.display_units import EQUIVALENT_M_PER_RAD
 from handctl.hand.hand_loading import parse_toml
 from handctl.log.read.reader import RunLog
 from handctl.programs.task import Task
-from handctl.report.lift_judgement import TABLE_SUNK_COLUMN
+from handctl.report.lift_judgement import TABLE_DEPTH_COLUMN
 from handctl.report.truth_record import TruthRecord
 
 Array = NDArray[np.float64]
@@ -48,13 +48,13 @@ def summarise_run(
     Args:
         log: log of the run.
         hand: hand of the run.
-        truth: true values from the simulator. On hardware this argument is None, and all numbers
-            that need a truth are NaN. A truth file counts as None if its times do not match the
-            log, for example if an earlier simulator wrote it.
-        offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
+        truth: true values from the simulator. If it is None, as on hardware, all numbers that need
+            a true value are NaN. A truth file is ignored if its times do not match the log, for
+            example if an earlier simulator wrote it.
+        offset_ns: time on the clock of the simulator at which the time of the run is 0 [ns].
 
     Returns:
-        the numbers and texts by name.
+        the numbers and texts, by name.
     """
     truth = truth if truth and truth.covers_times(log.t_ns + offset_ns) else None
     late = log.late_ns / 1e3
@@ -78,7 +78,7 @@ def summarise_run(
 
 
 def _percentile(values: NDArray[Any], percent: float) -> float:
-    """Return a percentile of values. Without values the result is NaN."""
+    """Return a percentile of some values. Without values, the result is NaN."""
     return float(np.percentile(values, percent)) if len(values) else float("nan")
 
 
@@ -92,10 +92,12 @@ def root_mean_square(values: Array) -> float:
 
 
 def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
-    """Return one mask (ticks,) for each hold phase of a run, True where the hold is settled.
+    """Return one mask (ticks,) for each hold phase of a run.
 
-    A hold is settled while a digit is in contact and the targets of tension-controlled tendons have
-    been constant for some time. The tension goal of a tendon that keeps an angle follows its load.
+    A mask is True where the hold is settled.
+
+    A hold is settled while a digit is in contact and the targets of the tension-controlled tendons
+    have been constant for some time. If a tendon keeps an angle, its tension goal follows the load.
     """
     goal = np.where(_holding_mask(log, hand), np.nan_to_num(log.field("tension_goal")), 0.0)
     in_contact = log.field("contact").any(axis=1)
@@ -134,7 +136,7 @@ def _kinds_of_phases(log: RunLog) -> dict[str, str]:
 def _settled_mask(
     moving: NDArray[np.bool_], inside: NDArray[np.bool_], log: RunLog
 ) -> NDArray[np.bool_]:
-    """Return a mask (ticks,), True where the targets of a hold have been constant for SETTLING_TIME_S."""
+    """Return a mask (ticks,) that is True where the targets of a hold have been constant for SETTLING_TIME_S."""
     last = np.flatnonzero(moving)
     settled: NDArray[np.bool_] = (
         log.times >= log.times[last[-1] if len(last) else np.argmax(inside)] + SETTLING_TIME_S
@@ -145,9 +147,9 @@ def _settled_mask(
 def mean_angles(hand: Hand, q: Array) -> Array:
     """Return the mean joint angle of each digit (ticks, D) [rad].
 
-    The joint angles q of a digit are weighted with their moment arms r: sum(r q) / sum(r). The
-    result of a digit of prismatic joints is in m. Beside a hinge, a prismatic joint counts with its
-    scale, see ``DisplayUnits``.
+    The joint angles q of a digit are weighted with their moment arms r: sum(r q) / sum(r). For a
+    digit of prismatic joints, the result is in m. If a digit has both kinds of joints, a prismatic
+    joint counts with its scale, see ``DisplayUnits``.
     """
     columns = []
     for name in hand.digit_names:
@@ -161,16 +163,17 @@ def mean_angles(hand: Hand, q: Array) -> Array:
 def judge_tracking(
     log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, active: NDArray[np.bool_]
 ) -> dict[str, Any]:
-    """Return the tracking errors in free motion: the difference between the targets and the truth.
+    """Return the tracking errors in free motion: the differences between the targets and the true values.
 
-    There is an error for the mean joint angle of each digit, and for each joint angle.
+    The result has an error for the mean joint angle of each digit, and an error for each joint
+    angle.
 
     Args:
         log: log of the run.
         hand: hand of the run.
-        truth: true values from the simulator, or None on hardware.
+        truth: true values from the simulator. None on hardware.
         offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
-        active: mask (ticks,), True where the hand is active.
+        active: mask (ticks,) that is True where the hand is active.
     """
     goal = mean_angles(hand, log.field("q_goal"))
     free = active[:, None] & ~np.isnan(goal) & (log.field("contact") == 0.0)
@@ -203,7 +206,7 @@ def judge_tracking(
 
 
 def _touch_mask(truth: TruthRecord, hand: Hand, log: RunLog, offset_ns: int) -> NDArray[np.bool_]:
-    """Return a mask (ticks, D), True where the digit has a contact in the simulated plant."""
+    """Return a mask (ticks, D) that is True where the digit has a contact in the simulated plant."""
     t_ns = log.t_ns + offset_ns
     force = [
         np.sqrt(sum(truth.column_at(f"contact_force/{name}/{axis}", t_ns) ** 2 for axis in "xyz"))
@@ -220,18 +223,20 @@ def judge_tension(
     active: NDArray[np.bool_],
     holds: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
-    """Return the errors of the estimated and measured tensions, and in holds the errors of the true tensions.
+    """Return the errors of the estimated and the measured tensions.
 
-    The estimates and the load-cell readings are compared with the truth, and the truth is compared
-    with the command.
+    In holds, also return the errors of the true tensions.
+
+    The estimates and the load-cell readings are compared with the true tensions, and the true
+    tensions are compared with the commands.
 
     Args:
         log: log of the run.
         hand: hand of the run.
-        truth: true values from the simulator, or None if there are none.
+        truth: true values from the simulator. None if there are none.
         offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
         active: mask (ticks,), True where the hand is active.
-        holds: mask (ticks,) for each hold, True where the hold is settled.
+        holds: for each hold, a mask (ticks,) that is True where the hold is settled.
     """
     if truth is None:
         return dict.fromkeys(TENSION_ERROR_KEYS, float("nan"))
@@ -254,10 +259,10 @@ def judge_tension(
 
 
 def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
-    """Return a mask (ticks, N), True where a tendon follows a tension target because the digit is in contact.
+    """Return a mask (ticks, N) that is True where a tendon follows a tension target because its digit is in contact.
 
-    A spool pair for sideways motion is excluded, because such a pair holds a position instead. So
-    does a digit that carries others.
+    A spool pair for sideways motion is excluded, because such a pair holds a position instead. A
+    digit that carries other digits is also excluded.
     """
     slices = [hand.digit_tendons[name] for name in hand.digit_names]
     digit_of = np.repeat(
@@ -281,7 +286,7 @@ def judge_grasp(
 ) -> dict[str, Any]:
     """Return the motion of the object in a hold, and the estimated and the true forces on the fingertips.
 
-    If the table never sank, the object still rests on the table, and the motion is NaN.
+    If the table never sank, the object still rests on the table. The motion is then NaN.
 
     Args:
         log: log of the run.
@@ -314,8 +319,8 @@ def judge_grasp(
     }
     motion = float("nan")
     on_table = (
-        truth.has_column(TABLE_SUNK_COLUMN)
-        and not truth.column_at(TABLE_SUNK_COLUMN, t_ns[settled]).any()
+        truth.has_column(TABLE_DEPTH_COLUMN)
+        and not truth.column_at(TABLE_DEPTH_COLUMN, t_ns[settled]).any()
     )
     if truth.has_column("object/x") and not on_table:
         paths = [
@@ -350,8 +355,8 @@ def judge_angles(
     Returns:
         For each digit by name: `source` (see `angle_source`), `sigma_deg` (root mean square of the
         estimated standard deviations), `error_deg` (root mean square of the errors) and `inside`
-        (fraction of the errors within two standard deviations). Without a truth, `error_deg` and
-        `inside` are NaN.
+        (fraction of the errors within two standard deviations). Without true values, `error_deg`
+        and `inside` are NaN.
     """
     inside = np.any(holds, axis=0) if holds and np.any(holds) else active
     q = log.field("q")[inside]
@@ -397,7 +402,7 @@ ANGLE_SOURCE_TEXTS = {
 
 
 def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
-    """Return one row (title and text) for each digit whose joint angles have a known standard deviation."""
+    """Return one row (title and text) for each digit that has a standard deviation of its joint angles."""
     rows = []
     for name, angle in angles.items():
         if angle["sigma_deg"] != angle["sigma_deg"]:
@@ -414,9 +419,10 @@ def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
 
 
 def tracking_text(summary: Mapping[str, Any]) -> tuple[float, str]:
-    """Return factor and unit with which a user sees ``tracking_rmse_rad``.
+    """Return the factor and the unit with which ``tracking_rmse_rad`` is shown to a user.
 
-    The unit is mm if all digits slide. Otherwise a prismatic joint counts 10 mm per rad.
+    The unit is mm if all digits have only prismatic joints. Otherwise a prismatic joint counts 10
+    mm per rad.
     """
     units = {angle.get("unit", "deg") for angle in summary["joint_angles"].values()}
     if units == {"mm"}:
@@ -427,14 +433,14 @@ def tracking_text(summary: Mapping[str, Any]) -> tuple[float, str]:
 def measured_bus_load(
     log: RunLog, bitrate: int, data_bitrate: int | None, sent: Sequence[tuple[int, bool]]
 ) -> float:
-    """Return the fraction of a run's duration for which the frames occupy a bus in the worst case.
+    """Return the fraction of the duration of a run during which the frames occupy a bus in the worst case.
 
     Args:
-        log: log of the run, whose duration is used.
+        log: log of the run. Its duration is used.
         bitrate: bit rate of the bus [bit/s].
-        data_bitrate: bit rate of the data phase [bit/s], or None.
-        sent: number of payload bytes of every frame in both directions, and True for a CAN FD
-            frame.
+        data_bitrate: bit rate of the data phase [bit/s]. None for classical CAN.
+        sent: for every frame in both directions, the number of payload bytes, and True if it is a
+            CAN FD frame.
     """
     duration = float(log.times[-1] - log.times[0]) or 1.0
     return sum(frame_time_s(size, fd, bitrate, data_bitrate) for size, fd in sent) / duration

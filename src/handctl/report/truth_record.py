@@ -1,4 +1,4 @@
-"""Reader of the simulator's truth file, used to evaluate a finished run.
+"""Reader of the truth file of the simulator, which is used to evaluate a finished run.
 
 The controller never opens this file.
 """
@@ -25,7 +25,7 @@ class TruthRecord:
 
     Attributes:
         header: content of the first line of the truth file.
-        t_ns: (rows,) time on the simulator's clock [ns].
+        t_ns: (rows,) time on the clock of the simulator [ns].
         values: (rows, columns) float64, true values at each time.
         columns: names of the columns, e.g. `tension/index_tendon`, `q/index_j1`, `object/x`.
     """
@@ -36,28 +36,28 @@ class TruthRecord:
     columns: tuple[str, ...]
 
     def has_column(self, name: str) -> bool:
-        """Return True if the record has a column of this name."""
+        """Return True if the record has a column with this name."""
         return name in self.columns
 
     def covers_times(self, t_ns: NDArray[np.int64]) -> bool:
-        """Return True if at least one of the times lies within the record."""
+        """Return True if at least one of the given times lies within the record."""
         return bool(((t_ns >= self.t_ns[0]) & (t_ns <= self.t_ns[-1])).any())
 
     def column_at(self, name: str, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return a column of the record, interpolated at times on the simulator's clock [ns].
+        """Return a column of the record, interpolated at times on the clock of the simulator [ns].
 
-        At times outside the record, the result is NaN.
+        At times outside of the record, the result is NaN.
 
         Raises:
-            LogError: the column is missing, as in a truth file of another hand.
+            LogError: the column is missing, for example because the truth file is of another hand.
         """
         if name not in self.columns:
             raise LogError(
                 f"no column {name!r}", "the simulator's truth", "a truth file of the same hand"
             )
         values = self.values[:, self.columns.index(name)]
-        # Differences of the int64 times are exact in float64. The times themselves are too large
-        # for that.
+        # Differences of the int64 times are exact in float64. The times themselves are too large to
+        # be exact in float64.
         base = int(self.t_ns[0])
         return np.interp(
             (t_ns - base).astype(np.float64),
@@ -73,7 +73,7 @@ class TruthRecord:
 
 
 def read_truth(path: Path) -> TruthRecord:
-    """Read a truth file: a line of JSON, then rows of int64 time [ns] and float64 columns.
+    """Read a truth file: one line of JSON, and then rows of an int64 time [ns] and float64 columns.
 
     Raises:
         LogError: the file is missing or is not a truth file.
@@ -147,12 +147,12 @@ def truth_path_of(log_path: Path) -> Path:
 
 
 def find_truth(named: Path | None, log_path: Path, log: RunLog) -> TruthRecord | None:
-    """Return the true values of a run: of the named file, or else of the file next to the log of a lockstep run.
+    """Return the true values of a run, from the named file or from the file next to the log of a lockstep run.
 
-    If no file is named, and there is no truth file of this run next to the log, return None.
+    If no file is named and there is no truth file of this run next to the log, return None.
 
     Args:
-        named: truth file that the user has named, or None.
+        named: truth file that the user has named. None if the user has named none.
         log_path: path of the log.
         log: open log of the run.
 
@@ -174,7 +174,7 @@ def find_truth(named: Path | None, log_path: Path, log: RunLog) -> TruthRecord |
 def _complete_rows(data: bytes, columns: int) -> bytes:
     """Return the data up to the last complete row.
 
-    A simulator that is killed may leave an incomplete last row.
+    If a simulator is killed, its last row may be incomplete.
     """
     size = 8 * (columns + 1)
     return data[: len(data) // size * size]

@@ -1,6 +1,6 @@
 """Reactions to faults, in order of severity.
 
-If faults demand several reactions, the most severe one is executed.
+If several faults demand reactions, the most severe reaction is executed.
 """
 
 import enum
@@ -25,7 +25,7 @@ class SafetyAction(enum.IntEnum):
 
 
 class RelaxMethod(enum.Enum):
-    """Method by which RELAX removes the torque.
+    """Method by which the reaction RELAX removes the torque.
 
     No method raises a commanded torque (``controller.relaxing``).
     """

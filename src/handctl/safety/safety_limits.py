@@ -1,4 +1,4 @@
-"""Safety thresholds of a hand, which follow from its drives, its sensors, and its model."""
+"""Safety thresholds of a hand, which follow from the drives, the sensors and the model of the hand."""
 
 import math
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ TEMPERATURE_HARD_DEGC = 85.0
 
 def ticks_for(seconds: float, period: float, minimum: int) -> int:
     """Return the number of ticks for a time [s] at a period [s], rounded up, and at least ``minimum``."""
-    # The number is rounded up, because a limit must never be shorter than stated.
+    # The function rounds up, because a limit must never be shorter than stated.
     return max(minimum, math.ceil(seconds / period))
 
 
@@ -40,19 +40,23 @@ class SafetyLimits:
         motors: (N,) names of the motors.
         joints: (J,) names of the joints.
         tension_trip: (N,) tension above which a single sample leads to RELAX [N].
-        drive_limit: (N,) tension at the drive's own torque limit, above which the reaction is CUT
+        drive_limit: (N,) tension at the torque limit of the drive itself [N]. Above this tension,
+            the reaction is CUT.
+        tension_rail: reading, with the tare subtracted, from which a load cell counts as saturated
             [N].
-        tension_rail: tared reading from which a load cell counts as saturated [N].
-        tension_low: tared reading below which a wire is broken or a sensor has no supply, for any
-            tendon and tare [N].
+        tension_low: reading, with the tare subtracted, below which a wire is broken or a sensor has
+            no supply [N]. The threshold holds for any tendon and tare.
         silent_ticks: number of consecutive missing replies after which a node counts as silent.
         one_silent_ticks: number of consecutive missing replies after which a motor counts as silent
             while another motor answers.
         stalled_ticks: number of consecutive missed ticks after which the host counts as stalled.
-        temperature_soft: drive temperature at which derating begins [degC].
-        temperature_hard: drive temperature at which the tension limit reaches the floor [degC].
-        frames: number of frames per tick above which the bus counts as flooded.
-        noise: mean squared jerk of a motor's position above which the position is noisy [rad^2].
+        temperature_soft: drive temperature at which the controller begins to lower the tension
+            limit [degC].
+        temperature_hard: drive temperature at which the tension limit reaches the tension floor
+            [degC].
+        frames: number of frames in a tick above which the bus counts as flooded.
+        noise: mean squared jerk of a motor's position above which the position counts as noisy
+            [rad^2].
     """
 
     tendons: tuple[str, ...]

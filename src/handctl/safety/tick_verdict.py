@@ -1,4 +1,4 @@
-"""Judgement of each tick: latched faults, faults that buses and host report, and choice of the reaction.
+"""Judgement of each tick: latched faults, faults that buses and host report, and the choice of the reaction.
 
 Compiled code (``core.detectors.fault_detection``) debounces the detected faults. This module finds the names
 of newly active faults, debounces the reported faults, and latches faults until an operator clears
@@ -41,7 +41,7 @@ class LatchedFault(NamedTuple):
 
 
 class CountedFault(NamedTuple):
-    """Fault that is reported in this tick, with the number of consecutive ticks with such a report."""
+    """Fault that is reported in this tick, with the number of consecutive ticks in which it was reported."""
 
     id: str
     instance: str
@@ -57,7 +57,7 @@ class FaultFinding(NamedTuple):
 
 
 class TickVerdict(NamedTuple):
-    """Result of judging a tick.
+    """Result of the judgement of a tick.
 
     Attributes:
         action: most severe reaction that a fault demands.
@@ -86,16 +86,16 @@ def judge_tick(
 
     Args:
         latched: latched faults of the last tick.
-        reported_faults: reported faults of the last tick.
-        detected: faults from the detectors that became active in this tick, from
+        reported_faults: faults that were reported in the last tick.
+        detected: faults that became active in this tick according to the detectors, from
             ``faults_counting_since_now``.
-        demanded: most severe reaction to all active faults from the detectors.
-        reports: reports from buses, host and recorder in the tick, for ``locate_reports``.
+        demanded: most severe reaction to all active faults that the detectors have found.
+        reports: reports of buses, host and recorder in this tick, for ``locate_reports``.
     """
     action = demanded
     findings = list(detected)
     present = []
-    # A fault without a report in this tick is dropped, so its count starts again at 1.
+    # A fault without a report in this tick is dropped. The count of such a fault starts again at 1.
     before = {(report.id, report.instance): report.ticks for report in reported_faults}
     for fault, where, value in locate_reports(reports):
         ticks = before.get((fault.id, where), 0) + 1
@@ -124,11 +124,12 @@ def faults_counting_since_now(
 
     Args:
         limits: limits of the hand, with the names of tendons, motors, joints and nodes.
-        evidence: (rows, instances) evidence of each fault, NaN where the fault is absent.
+        evidence: (rows, instances) evidence of each fault. The value is NaN where the fault is
+            absent.
         ticks: (rows, instances) consecutive ticks with each fault.
     """
     # The compiled detectors continue to count after the debounce, so the count equals the debounce
-    # in one tick only.
+    # in a single tick only.
     rows, instances = np.nonzero(
         (ticks[: len(DEBOUNCE_TICKS)] == DEBOUNCE_TICKS[:, None]) & ~np.isnan(evidence)
     )
@@ -155,11 +156,12 @@ def _instance_name(limits: SafetyLimits, fault: Fault, kind: str, i: int) -> str
 def locate_reports(reports: Iterable[EventReport]) -> list[tuple[Fault, str, float]]:
     """Return fault, location, and value for each report.
 
-    If a fault is reported repeatedly at a location, the last report is returned.
+    If a fault is reported several times at the same location, only the last report is returned.
     """
     faults: dict[tuple[str, str], tuple[Fault, str, float]] = {}
     for kind, where, value in reports:
-        # The location of a recorder event is its kind ("disk_full"), so it is a part of the key.
+        # The location of a recorder event is the kind of the event ("disk_full"), so the kind is a
+        # part of the key.
         key = f"{kind}:{where}" if kind == "recorder" else kind
         for fault in FAULTS_BY_EVENT_KIND.get(key, ()):
             name = where or kind
@@ -176,8 +178,8 @@ def filter_error_frames(reports: Iterable[EventReport], any_node_heard: bool) ->
 
     Args:
         reports: reports of the tick.
-        any_node_heard: True if any node has ever answered, or if torque may act. The fault B18 cannot occur
-            then.
+        any_node_heard: True if any node has ever answered, or if a motor may make torque. The fault
+            B18 cannot occur if this is True.
     """
     kept, error = [], None
     for one in reports:

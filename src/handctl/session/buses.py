@@ -1,4 +1,4 @@
-"""Bus specifications on the command line, read without a hand file."""
+"""Specifications of buses on the command line, which are read without a hand file."""
 
 from collections.abc import Sequence
 
@@ -11,8 +11,8 @@ from handctl.session.defaults import DEFAULT_HAND
 def named_buses(arguments: Sequence[str]) -> dict[str, str]:
     """Return the specification of each bus by name, from the words after ``--bus``.
 
-    A word is NAME=SPEC, or SPEC alone. Buses without a name are named by position: main, bus1,
-    bus2.
+    A word has the form NAME=SPEC, or is SPEC alone. A bus without a name gets its name by position:
+    main, bus1, bus2.
 
     Raises:
         ConfigError: a name is given twice or is not a valid bus name.
@@ -36,12 +36,12 @@ def named_buses(arguments: Sequence[str]) -> dict[str, str]:
 def refuse_default_hand(specs: Sequence[str], where: str) -> None:
     """Raise an error if a bus may have real motors.
 
-    For such a bus, the operator must name the hand, because the limits of the default hand belong
-    to other motors and tendons.
+    If a bus may have real motors, the operator must name the hand, because the limits of the
+    default hand belong to other motors and tendons.
 
     Args:
         specs: specifications of the buses.
-        where: name of the argument that is missing, for the message.
+        where: name of the argument that is missing, for the error message.
 
     Raises:
         ConfigError: a bus may have real motors.

@@ -1,6 +1,6 @@
 """Calibration of a hand for a run.
 
-The calibration is read from a file, or measured before the run (commissioning).
+The calibration is either read from a file, or measured before the run (commissioning).
 """
 
 import datetime
@@ -38,8 +38,8 @@ def load_calibration(path: Path, hand: Hand) -> Calibration:
     """Read the calibration of a hand.
 
     Raises:
-        ConfigError: the file cannot be read, is for another hand, is for another version of the
-            hand description, or lacks a tendon.
+        ConfigError: the file cannot be read, is for another hand or another version of its
+            description, or lacks a tendon.
     """
     return calibration_from(read_toml(path), hand, str(path))
 
@@ -47,20 +47,21 @@ def load_calibration(path: Path, hand: Hand) -> Calibration:
 def find_calibration(
     path: Path, hand: Hand, named: bool, buses: Sequence[str] = ()
 ) -> tuple[Calibration | None, str]:
-    """Return the calibration in a file, if the hand may be armed with this calibration.
+    """Return the calibration in a file, if the hand may be armed with it.
 
     Args:
-        path: calibration file, which may not exist yet.
-        hand: description of the hand to arm.
-        named: True if the operator named the file. An invalid file is then an error.
-        buses: buses of the hand to arm.
+        path: path of the calibration file, which may not exist yet.
+        hand: description of the hand that will be armed.
+        named: True if the operator has named the file. In this case, an invalid file is an error.
+        buses: buses of the hand that will be armed.
 
     Returns:
-        The calibration and an empty text. If no calibration is valid, None and the reason.
+        The calibration, and an empty text. If no calibration is valid, the result is None and the
+        reason.
 
     Raises:
-        ConfigError: the named file exists and cannot be used, or it is of a simulated hand and a
-            bus can have real motors.
+        ConfigError: the named file exists but cannot be used, or it is of a simulated hand although
+            a bus may have real motors.
     """
     if not path.exists():
         return None, f"there is no {path}"
@@ -92,11 +93,11 @@ def run_commissioning(
     Args:
         plan: checked plan of the run.
         log: log file to write.
-        runner: function that executes the run, live or in lockstep.
+        runner: function that executes the run, either in real time or in lockstep.
 
     Raises:
         PowerError: a drive did not confirm that it is disabled.
-        DriveError: a tendon, sensor or drive did not pass the commissioning. See
+        DriveError: a tendon, a sensor or a drive did not pass the commissioning. See
             ``RunOutcome.check_finished``.
     """
     controller = make_controller(plan, CommissionProgram(), None, arm_at_once=True)
@@ -130,15 +131,15 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
 def previous_identified(
     path: Path, hand: Hand, drives: Mapping[str, str], tell: NoticeCallback = ignore_notice
 ) -> IdentifiedByTendon:
-    """Return the identified parameters of the previous calibration, by tendon.
+    """Return the identified parameters in the previous calibration, by tendon.
 
     These parameters stay valid when the load cells are tared again. The result is empty if the file
-    is missing or unusable, or if the hand has other drives now.
+    is missing or unusable, or if the hand now has other drives.
 
     Args:
         path: file of the previous calibration.
         hand: description of the hand.
-        drives: identities of the present drives by motor, empty if they are not known.
+        drives: identities of the present drives, by motor. The value is empty if they are unknown.
         tell: function that shows a notice to the operator.
     """
     try:
@@ -197,11 +198,12 @@ def ensure_calibration(
     A notice tells the operator why the hand is commissioned.
 
     Args:
-        plan: plan of the run that follows.
-        path: calibration file to write. The identified parameters in this file are kept.
-        reason: reason why there is no valid calibration, for the notice.
+        plan: plan of the run that follows the commissioning.
+        path: calibration file to write. Identified parameters that this file already contains are
+            kept.
+        reason: reason why there is no valid calibration. The notice contains it.
         runner: function that executes the run, live or in lockstep.
-        log: log file to write about the commissioning.
+        log: log file of the commissioning.
 
     Raises:
         DriveError: see ``run_commissioning``.

@@ -1,6 +1,6 @@
 """Defaults of the command line.
 
-This module has no imports. Therefore every command can import it quickly.
+This module imports nothing. Therefore every command can import it quickly.
 """
 
 DEFAULT_HAND = "jamia"

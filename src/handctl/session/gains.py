@@ -1,7 +1,7 @@
 """Gains of a run, and the origin of each value.
 
-A gains file replaces the packaged gains of the hand. The command line overrides single values of
-both.
+A gains file takes the place of the packaged gains of the hand. The command line overrides single
+values of the file or of the packaged gains.
 """
 
 from collections.abc import Sequence
@@ -30,9 +30,10 @@ class LayeredGains:
 
     Attributes:
         gains: gains that the run uses.
-        file: gains file, or None for the packaged gains.
-        provenance: provenance of the gains, as recorded in the file.
-        origins: origin of each value, by key: "packaged", the file, or "command line".
+        file: gains file. None for the packaged gains.
+        provenance: provenance of the gains, as it is recorded in the file.
+        origins: origin of each value, by the key of the value: "packaged", the file, or "command
+            line".
     """
 
     gains: Gains
@@ -48,8 +49,8 @@ def layered_gains(
 
     Args:
         hand: description of the hand.
-        file: gains file. If it is None, ``HAND.gains.toml`` is used if it exists.
-        words: KEY=VALUE words of the command line, which override every file.
+        file: gains file. If it is None, the file ``HAND.gains.toml`` is used if it exists.
+        words: KEY=VALUE words of the command line. They override every file.
         tell: function that shows a notice to the operator.
 
     Raises:
@@ -68,7 +69,7 @@ def layered_gains(
 
 
 def read_gains_for_hand(hand: Hand, path: Path, tell: NoticeCallback = ignore_notice) -> GainsFile:
-    """Read a gains file, and check that the gains are for this hand.
+    """Read a gains file, and check that its gains are for this hand.
 
     Gains for an earlier version of the hand file are accepted, but a notice tells the operator.
 
@@ -86,7 +87,7 @@ def read_gains_for_hand(hand: Hand, path: Path, tell: NoticeCallback = ignore_no
 
 
 def _origin_of(gains: Gains, key: str, file: Path | None) -> str:
-    """Return the origin of a gain that the command line does not set: the file, or the packaged gains."""
+    """Return the origin of a gain that the command line does not set: the gains file, or the packaged gains."""
     section, _, name = key.partition(".")
     in_file = tendon_key(key) is not None or (
         section in gains.model_fields_set and name in getattr(gains, section).model_fields_set

@@ -80,7 +80,7 @@ def installed_packages() -> tuple[str, ...]:
 def _name_and_version(dist: Distribution) -> str:
     """Return NAME==VERSION of an installed Python package.
 
-    This function reads only the two lines with name and version. The parser of
+    The function reads only the two lines that contain the name and the version. The parser of
     ``importlib.metadata`` reads all metadata of a package, and takes ten times as long.
     """
     lines = (dist.read_text("METADATA") or dist.read_text("PKG-INFO") or "").splitlines()

@@ -1,6 +1,6 @@
 """Reading of robot descriptions (URDF and MJCF) with MuJoCo.
 
-The simulator depends on MuJoCo. The rest of handctl does not.
+The simulator depends on MuJoCo. The other parts of handctl do not depend on it.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,15 +18,17 @@ The docstring of that function describes the result.
 
 
 def read_model_file(path: Path, kind: str) -> Mapping[str, Any]:
-    """Read the tree of a hand's links from a robot description. Return it as plain values.
+    """Read the tree of the links of a hand from a robot description.
+
+    The result consists of plain values.
 
     Args:
         path: path of the robot description.
         kind: ``urdf`` or ``mjcf``.
 
     Raises:
-        ConfigError: the file is unreadable, it does not describe a tree of hinges and links with
-            inertia, or MuJoCo is not installed.
+        ConfigError: the file is unreadable, does not describe a tree of hinges and links with
+            inertia, or MuJoCo is missing.
     """
     read: Callable[[str, str], Mapping[str, Any]] = load_simulator_object(
         MODEL_FILE_READER, "reading a robot description"

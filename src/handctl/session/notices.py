@@ -1,6 +1,6 @@
 """Notices and progress reports from a run to the operator.
 
-The functions that show them come from the caller of the run.
+The functions that show the notices are arguments of the run.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,7 @@
-"""Plan of a run. A plan contains all settings, which are checked before a bus is opened."""
+"""Plan of a run.
+
+A plan contains all settings of a run. The settings are checked before a bus is opened.
+"""
 
 import math
 import os
@@ -46,18 +49,19 @@ class OperatorDisplay(Protocol):
 
 @dataclass(frozen=True)
 class RunPlan:
-    """Plan of a run: all its settings, after their check.
+    """Plan of a run: all its settings after the check.
 
     Attributes:
         hand: description of the hand.
         gains: gains of the controller.
         rate_hz: control rate [Hz].
         bus_loads: worst-case load of each bus of the hand, as a fraction of its capacity.
-        buses: specification of each bus, empty in lockstep.
+        buses: specification of each bus. The value is empty in lockstep.
         attachments: files to store in the log.
         time_scale: ratio of the run's time to wall time.
-        clear_faults: True if the operator wants the latched errors of the drives to be cleared.
-        start_display: function that starts the display of a run, or None for no display.
+        clear_faults: True to clear the latched errors of the drives, as the operator has requested.
+        start_display: function that starts the display of a run. None for a run without a
+            display.
         show_notice: function that shows a notice to the operator.
         show_progress: function that shows the progress of a step before the run.
     """
@@ -92,14 +96,15 @@ class RunChoice:
     Attributes:
         hand: name of a packaged hand, or path of a hand file.
         hand_named: True if the operator named the hand.
-        bus_words: ``SPEC`` for a hand with one bus, ``NAME=SPEC`` for each bus, or None in lockstep.
-        gains_file: gains file, or None for the gains of the hand.
+        bus_words: words after ``--bus``: ``SPEC`` for a hand with one bus, or ``NAME=SPEC`` for
+            each bus. None in lockstep.
+        gains_file: gains file. None for the gains of the hand.
         gain_words: KEY=VALUE words that set single gains. These words override every file.
-        rate_hz: control rate [Hz]. If it is None, the highest usual rate that the buses allow is
-            used.
-        time_scale: ratio of the run's time to wall time. If it is None, the time scale of the
-            simulator on the bus is used.
-        log_path: log file to write, or None if the command names it later.
+        rate_hz: control rate [Hz]. If it is None, the run uses the highest usual rate that the
+            buses allow.
+        time_scale: ratio of the run's time to wall time. If it is None, the run uses the time scale
+            of the simulator on the bus.
+        log_path: log file to write. None if the command names the file later.
         clear_faults: True to clear the latched errors of the drives.
     """
 
@@ -123,11 +128,11 @@ def make_plan(
 
     Args:
         choice: choices of the operator.
-        display: function that starts the display of a run, or None for no display.
+        display: function that starts the display of a run. None for a run without a display.
         tell: function that shows a notice to the operator.
 
     Raises:
-        ConfigError: a choice of the operator is wrong. The error message is one line.
+        ConfigError: a setting of the operator is wrong. The error message is one line.
     """
     hand = load_hand(choice.hand)
     check_hand_ready(hand, str(choice.hand))
@@ -160,10 +165,11 @@ def make_plan(
 
 
 def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
-    """Return the time scale of a run: the chosen scale, or else that of the simulator on the bus, or else 1.
+    """Return the time scale of a run: the chosen scale, otherwise that of the simulator on the bus, otherwise 1.
 
     Args:
-        chosen: ratio of simulated time to wall time that the operator has chosen, or None.
+        chosen: ratio of simulated time to wall time that the operator has chosen. None if
+            there is no choice.
         buses: specification of each bus, empty in lockstep.
 
     Raises:
@@ -181,7 +187,7 @@ def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
         return 1.0
     simulated = (
         simulated_time_scale(buses[0]) if buses else None
-    )  # the request socket of the simulator belongs to the first bus
+    )  # only the first bus has the request socket of the simulator
     if chosen is not None and simulated not in (None, chosen):
         raise ConfigError(
             f"{chosen:g}", "--time-scale", f"{simulated:g}, as the simulator on {buses[0]} has"
@@ -194,10 +200,10 @@ def check_hand_ready(hand: Hand, where: str) -> None:
 
     Args:
         hand: description of the hand to run.
-        where: name or file of the hand, for the message.
+        where: name or file of the hand, for the error message.
 
     Raises:
-        ConfigError: the hand must not run. The message has the first reason.
+        ConfigError: the hand must not run. The message contains the first reason.
     """
     for mistake in reasons_not_ready(hand):
         raise mistake.error(where)
@@ -209,8 +215,8 @@ def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) 
     If none is requested, return the highest usual rate that the buses allow.
 
     Raises:
-        ConfigError: at this rate, a single lost tick would trigger the watchdog of a drive, or a
-            bus would be overloaded.
+        ConfigError: a single lost tick would trigger the watchdog of a drive at this rate, or a bus
+            would be overloaded.
     """
     best = highest_rate_of_buses(loads)
     rate = best if requested is None else requested
@@ -226,7 +232,7 @@ def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) 
 
 
 def _check_log(log: Path | None) -> None:
-    """Raise an error if the log file of the run exists, has a wrong ending, or has no folder."""
+    """Raise an error if the log file of the run already exists, has a wrong ending, or has no folder."""
     if log is None:
         return
     if log.suffix != ".mcap":
@@ -251,7 +257,7 @@ def default_rate(hand: Hand) -> float:
 
 
 def hint_lines(hand: Hand) -> tuple[str, ...]:
-    """Return one line for each protocol of a hand that has a hint, with the names of its motors."""
+    """Return one line for each drive protocol with a hint for the operator, with the names of its motors."""
     hints = ((motor.name, PROTOCOL_TRAITS[motor.protocol].hint) for motor in hand.motor)
     return lines_by_text((name, hint) for name, hint in hints if hint)
 
@@ -259,7 +265,7 @@ def hint_lines(hand: Hand) -> tuple[str, ...]:
 def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None:
     """Raise an error if no controller or filter can be designed from the gains.
 
-    This can happen although each gain is within its bounds.
+    There may be no such design although each gain is within its bounds.
 
     Args:
         hand: description of the hand.
@@ -304,10 +310,10 @@ def _specs_by_name(names: tuple[str, ...], arguments: Sequence[str]) -> tuple[st
 
 
 def commission_log(log: Path) -> Path:
-    """Return an unused path, next to the log of a run, for the log of the commissioning before it.
+    """Return an unused path next to the log of a run, for the log of the commissioning that comes before the run.
 
-    If a fault ends the commissioning, this log exists without a log of the run. When the operator
-    repeats the command, the new log gets another name.
+    If a fault ends the commissioning, this log exists, but no log of the run. When the operator
+    repeats the command, the log of the new commissioning gets another name.
     """
     number = 1
     path = log.with_suffix(".commission.mcap")

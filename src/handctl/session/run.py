@@ -54,13 +54,14 @@ class RunOutcome:
     """Outcome of a run.
 
     Attributes:
-        state: last state of the controller.
+        state: last state of the controller in the run.
         loop_stats: statistics of the control loop.
         log_summary: summary of the recorder.
-        priority: real-time priority that the operating system granted, or None in lockstep.
+        priority: real-time priority that the operating system granted. None in lockstep.
         offset_ns: reading of the simulator's clock at the start of the run [ns].
-        pauses: number of pauses of the clock, if the run and the simulator share a clock.
-        paused_ns: total duration of these pauses, in wall time [ns].
+        pauses: number of pauses of the clock that the run and the simulator share. The value is 0
+            without such a clock.
+        paused_ns: total duration of the pauses in wall time [ns].
     """
 
     state: ControllerState
@@ -87,8 +88,8 @@ class RunOutcome:
         """Raise an error if the run did not finish.
 
         Args:
-            where: text that names the purpose of the run, for the message.
-            right: remedy that the message suggests, empty if none is known.
+            where: text that names the purpose of the run, for the error message.
+            right: remedy that the message suggests. The value is empty if no remedy is known.
 
         Raises:
             PowerError: a drive did not confirm that it is disabled.
@@ -107,9 +108,9 @@ RunFunction = Callable[["RunPlan", Controller, Path], RunOutcome]
 def make_controller(
     plan: RunPlan, program: Program, calibration: Calibration | None, arm_at_once: bool
 ) -> Controller:
-    """Construct the controller of a run, and design it with the gains of the plan.
+    """Construct the controller of a run, including the design with the gains of the plan.
 
-    If code must be compiled first, a progress bar is shown.
+    If code must be compiled first, show a progress bar.
     """
     with plan.show_progress("compiling the controller, once") as report_progress:
         compile_kernels(report_progress)
@@ -123,15 +124,15 @@ def make_controller(
 class RunObserver(Protocol):
     """Object that watches a run from inside its process.
 
-    The observer can send requests, as an operator can.
+    An observer can send the same requests as an operator.
     """
 
     def poll_requests(self) -> tuple[str, ...]:
-        """Return the requests that the observer made since the last call."""
+        """Return the requests that the observer has made since the last call."""
         ...
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
-        """Receive the input and the output of a finished tick."""
+        """Receive the input and the output of a tick that is complete."""
         ...
 
 
@@ -148,12 +149,12 @@ def run_live(
         plan: checked plan of the run.
         controller: controller with its program.
         log: log file to write.
-        live_view: True to show the log in Rerun during the run. A separate process feeds the
-            viewer.
-        observer: observer that sends requests, or None.
+        live_view: True to show the log in Rerun during the run. A separate process then sends the
+            log to the viewer.
+        observer: observer of the run, which may send requests. None if there is none.
 
     Raises:
-        BusError: a bus cannot be opened, or another controller runs on it.
+        BusError: a bus cannot be opened, or another controller uses it.
         LogError: the log cannot be written.
     """
     for text in run_setup.caution_lines(controller.drives):
@@ -214,10 +215,10 @@ def run_lockstep(
     clock: LockstepClock,
     observer: RunObserver | None = None,
 ) -> RunOutcome:
-    """Execute a run in virtual time, with the simulated hand of a lockstep clock.
+    """Execute a run in virtual time, with the simulated hand that belongs to a lockstep clock.
 
-    Several runs may use the same clock, one after the other. In virtual time, there is no operator
-    who could clear a fault.
+    Several runs may use the same clock, one after the other. In virtual time, no operator can clear
+    a fault.
 
     Raises:
         DriveError: a fault has held the hand for too long.
@@ -252,8 +253,8 @@ def _start_recording(
         plan: plan of the run.
         log: log file to write.
         header: header of the run.
-        not_started: stack that closes both, if an error occurs before the loop starts. From then
-            on, ``_run_to_end`` closes them.
+        not_started: stack that closes the recorder and the display, if an error occurs before the
+            loop starts. After the start of the loop, ``_run_to_end`` closes them.
 
     Raises:
         LogError: the log cannot be written.
@@ -269,11 +270,11 @@ def _start_recording(
 def _open_clock(plan: RunPlan, stack: ExitStack) -> RealClock:
     """Return the clock of a run.
 
-    If the simulator on the bus offers a shared clock, the run uses that clock. Otherwise it uses
-    CLOCK_MONOTONIC.
+    If the simulator on the bus offers a shared clock, this clock is returned. Otherwise the clock
+    is CLOCK_MONOTONIC.
 
     Raises:
-        BusError: the file of the shared clock cannot be read, or is of another version.
+        BusError: the file of the shared clock cannot be read, or has the format of another version.
     """
     spec = plan.buses[0]
     if not is_socket_served(faults_path(spec)):
@@ -307,8 +308,8 @@ def refuse_view_without_screen(view_requested: bool) -> None:
 def _start_view(log: Path) -> Callable[[], None]:
     """Start the live view of a log.
 
-    A separate process feeds the viewer. The result is a function that stops this process. The
-    viewer itself stays open.
+    A separate process feeds the viewer. The result is a function that stops the process of the live
+    view. The viewer itself stays open.
     """
     from handctl.view.live_view import start_live_view
 
@@ -317,9 +318,9 @@ def _start_view(log: Path) -> Callable[[], None]:
 
 
 def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, ControllerState], None]:
-    """Return a function to call after each tick.
+    """Return a function that must be called after each tick.
 
-    That function records a snapshot of the controller's state once per second.
+    This function records a snapshot of the state of the controller once per second.
     """
     due_ns = SNAPSHOT_PERIOD_NS
 
@@ -385,7 +386,7 @@ def _request_source(
 ) -> Callable[[], tuple[TickRequest, ...]]:
     """Return a function that collects all requests for a tick.
 
-    If the plan says so, its first request is to clear the latched errors of the drives.
+    If the plan says so, the first request is to clear the latched errors of the drives.
     """
     orders = [CLEAR_REQUEST] if plan.clear_faults else []
 
@@ -450,7 +451,7 @@ def _status_callback(
 ) -> TickCallback:
     """Return a function to call after each tick.
 
-    That function updates the display, and the programs that observe the run.
+    The function updates the display and the programs that observe the run.
     """
     every = max(1, round(rate_hz / STATUS_RATE_HZ))
 

@@ -1,6 +1,6 @@
-"""Lockstep simulation of a controller with the simulated hand.
+"""Simulation of a controller and a simulated hand in lockstep.
 
-All lockstep runs are set up in this module.
+This module sets up all runs in lockstep.
 
 ``simulate_controller`` executes a whole run. ``SimulatedRun`` executes single ticks.
 ``SimulatorSettings.lockstep_clock`` provides the clock of runs with a log.
@@ -38,10 +38,11 @@ CHECKED_CONTROL_PERIOD_NS = 2_000_000
 
 
 class SimulatedHand(LockstepSimulator, Protocol):
-    """Simulated hand on the other side of the bus. Faults can be injected into it.
+    """Simulated hand on the other side of the bus. Tests can inject faults into it.
 
     Attributes:
-        world: simulated plant and nodes. Through it, tests and rewards read values without the bus.
+        world: simulated plant and nodes. Tests and rewards read true values from it, without the
+            bus.
     """
 
     world: Any
@@ -55,7 +56,7 @@ class SimulatedHand(LockstepSimulator, Protocol):
         ...
 
     def truth(self) -> dict[str, list[float]]:
-        """Return the present true tensions [N], and the torques that the motors are commanded to produce [N m]."""
+        """Return the present true tensions [N], and the torques that are commanded to the motors [N m]."""
         ...
 
 
@@ -64,14 +65,15 @@ class SimulatorSettings:
     """Settings of the simulated hand on the other side of the bus.
 
     Attributes:
-        hand: name of a packaged hand, path of a hand file, or description.
-        scene: name of a packaged scene, path or text of a scene, or None for a hand without
+        hand: name of a packaged hand, path of a hand file, or description of a hand.
+        scene: name of a packaged scene, or path or text of a scene. None for a hand without
             objects.
         seed: random seed of noise, slack and encoder offsets.
         perturb: factors for the parameters of the simulated plant.
         homed: True if the hand starts with taut tendons and its encoders at zero.
-        truth: file to which the true values of the simulated hand are written, or None.
-        wire: KEY=VALUE words that describe a simulated wire with delays. If it is None, answers
+        truth: file to which the true values of the simulated hand are written. If it is None, no
+            file is written.
+        wire: KEY=VALUE words that describe a simulated wire with delays. If it is None, frames
             arrive without delay.
         serials: serial numbers of the drives.
     """
@@ -87,7 +89,9 @@ class SimulatorSettings:
 
     @contextmanager
     def simulated_hand(self, period_ns: int) -> Iterator[SimulatedHand]:
-        """Construct the simulated hand. The end of the context closes the hand and its truth file.
+        """Construct the simulated hand.
+
+        At the end of the context, the hand and its truth file are closed.
 
         Args:
             period_ns: control period [ns].
@@ -129,7 +133,10 @@ class SimulatorSettings:
 
     @contextmanager
     def begin_run(self, controller: Controller) -> Iterator["SimulatedRun"]:
-        """Begin a run of a controller with this simulated hand. See ``simulated_hand``."""
+        """Begin a run in which a controller controls this simulated hand.
+
+        See ``simulated_hand``.
+        """
         with self.simulated_hand(round(1e9 * controller.model.period)) as peer:
             yield SimulatedRun.begin(controller, peer)
 
@@ -174,7 +181,7 @@ class SimulatedRun:
 
     @staticmethod
     def begin(controller: Controller, simulated_hand: SimulatedHand) -> "SimulatedRun":
-        """Begin a run of a controller with a simulated hand."""
+        """Begin a run in which a controller controls a simulated hand."""
         return SimulatedRun(
             controller,
             simulated_hand,
@@ -193,7 +200,7 @@ class SimulatedRun:
         late_ns: int = 0,
         skip: int = 0,
     ) -> TickOut:
-        """Run one tick, then advance the simulated hand to the next tick.
+        """Run one tick, and then advance the simulated hand to the next tick.
 
         Args:
             io: additional events of buses and host that the controller receives in this tick.
@@ -211,8 +218,8 @@ class SimulatedRun:
     def run_ticks(self, limit_s: float = math.inf) -> Iterator[tuple[TickIn, TickOut]]:
         """Run ticks until the controller is done.
 
-        Yield the input and output of each tick. At that moment, the simulated hand is still at the
-        time of the yielded tick.
+        Yield the input and output of each tick. When a tick is yielded, the simulated hand is still
+        at the time of this tick.
 
         Args:
             limit_s: longest duration of the run [s].

@@ -1,4 +1,6 @@
-"""Loading of tasks, trajectories and scenes, which are packaged or in files.
+"""Loading of tasks, trajectories and scenes.
+
+Tasks, trajectories and scenes are packaged or in files.
 
 Each task is checked against the hand.
 """
@@ -23,10 +25,10 @@ The packaged grasp suits hands that have the digits which this task moves.
 
 
 def load_task_for_hand(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
-    """Load a task, given by path or packaged name, and check that the task suits the hand.
+    """Load a task by its path or its packaged name, and check that the task suits the hand.
 
     If no name is given, the packaged grasp is loaded. For a hand with other digits, a default task
-    is made instead.
+    is generated instead.
 
     Raises:
         ConfigError: the task does not exist, or its content is wrong.

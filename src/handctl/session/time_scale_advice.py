@@ -27,10 +27,10 @@ def pace_advice(plan: RunPlan, outcome: RunOutcome) -> str:
 
 
 def slower_time_scale(plan: RunPlan, outcome: RunOutcome) -> float:
-    """Return a time scale at which this machine is fast enough, from the computing times of a run that was too slow.
+    """Return a time scale at which this machine is fast enough, from the computing times of a slow run.
 
-    Simulator and controller use one core each. On a machine with a single core, they share it. The
-    simulator reports its own computing time.
+    Simulator and controller use one core each. On a machine with a single core, they share this
+    core. The simulator reports its own computing time.
 
     Args:
         plan: plan of the run.

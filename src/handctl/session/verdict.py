@@ -41,11 +41,11 @@ def judge_run(
         plan: plan of the run.
         outcome: outcome of the run.
         log: log file of the run.
-        truth_file: truth file of the simulator, which is copied to the folder of the log, or None
-            for a real hand.
+        truth_file: truth file of the simulator, which is copied to the folder of the log. The value
+            is None for a real hand.
         picture: True to draw the picture.
-        task: executed task, if its grasp is to be judged. The run counts as failed if the grasp did
-            not hold the object.
+        task: task that the run has executed, if the grasp of this task is to be judged. The run
+            counts as failed if the grasp did not hold the object.
     """
     with RunLog(log) as record:
         if truth_file:
@@ -91,7 +91,7 @@ def _copy_truth(
 ) -> Path | None:
     """Copy the true values during a run to the folder of the log, and return the path of the copy.
 
-    If this fails, return the original path. If the file has no values of this run, return None.
+    If the file cannot be copied, return the original path. If the file has no values of this run, return None.
 
     Args:
         log: log of the run.
@@ -117,7 +117,7 @@ def _draw_picture(
 ) -> Path | None:
     """Draw the picture of the run, and return its path.
 
-    If the file cannot be written, return None.
+    If the picture cannot be written, return None.
     """
     path = log.with_suffix(".png")
     try:
@@ -129,7 +129,7 @@ def _draw_picture(
 
 
 def _report_omitted(path: Path, error: OSError, tell: NoticeCallback) -> None:
-    """Delete an incomplete file next to the log, and tell the operator that it is left out."""
+    """Delete an incomplete output file next to the log, and tell the operator that it is missing."""
     with suppress(OSError):
         path.unlink()
     tell(f"handctl: {path} is left out: {error.strerror or error}")

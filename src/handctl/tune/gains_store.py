@@ -1,8 +1,8 @@
-"""Gains of a hand on disk: the present gains, and a numbered history with which every change can be undone.
+"""Gains of a hand on disk: the present gains, and a numbered history from which every change can be undone.
 
 Runs use `HAND.gains.toml`. All gains applied so far are in `HAND.gains/0001.toml` and the following
-numbers. Each file is written under a temporary name and then renamed. Thus a reader gets either the
-complete old file or the complete new file.
+numbers. Each file is written under a temporary name and then renamed. A reader therefore gets
+either the complete old file or the complete new file.
 """
 
 import datetime
@@ -45,7 +45,7 @@ class StoredGains:
 
 
 class GainsStore:
-    """Store of the present and former gains of a hand.
+    """Store of the present and the former gains of a hand.
 
     Attributes:
         path: path of the file with the present gains.
@@ -66,7 +66,9 @@ class GainsStore:
         self.history_folder = folder / f"{hand}.gains"
 
     def present_gains(self) -> GainsFile | None:
-        """Return the present gains, or None if there is no gains file and runs use the packaged gains.
+        """Return the present gains.
+
+        Return None if there is no gains file, so that runs use the packaged gains.
 
         Raises:
             ConfigError: The file of the present gains cannot be used.
@@ -83,7 +85,7 @@ class GainsStore:
         return [StoredGains(path, load_gains_file(path)) for path in paths]
 
     def set_aside(self) -> Path | None:
-        """Rename the file of the present gains if it cannot be used, and return the new path.
+        """Rename the file of the present gains if it cannot be used. Return the new path.
 
         If the file can be used, return None. A damaged file must be renamed before a rollback is
         possible.
@@ -94,8 +96,8 @@ class GainsStore:
         try:
             self.present_gains()
         except ConfigError:
-            # The new name is the first unused one of NAME.damaged.toml, NAME.damaged1.toml, and so
-            # on.
+            # The new name is the first unused name among NAME.damaged.toml, NAME.damaged1.toml, and
+            # so on.
             numbers = (
                 Path(f"{self.path.with_suffix('')}.damaged{n or ''}.toml")
                 for n in itertools.count()
@@ -112,7 +114,7 @@ class GainsStore:
     def apply_gains(self, gains: Gains, provenance: GainsProvenance) -> GainsFile:
         """Make the given gains the present gains.
 
-        If a user edited the present gains, these are first added to the history.
+        If a user has edited the present gains, the edited gains are first added to the history.
 
         Raises:
             ConfigError: The files cannot be written, or the present file cannot be read, see
@@ -122,7 +124,7 @@ class GainsStore:
         return self._write_gains(gains, provenance)
 
     def roll_back(self, to: int | None = None) -> GainsFile:
-        """Restore the gains that the present gains replaced, or the gains with a given number.
+        """Restore the gains before the present gains, or the gains with a given number.
 
         Number 0 restores the packaged gains.
 
@@ -150,7 +152,7 @@ class GainsStore:
         return self._write_gains(old, provenance.model_copy(update={"note": note}), restores=number)
 
     def _keep_edited(self) -> None:
-        """Add the present gains to the history, if they are not yet there."""
+        """Add the present gains to the history, unless the history already contains them."""
         present = self.present_gains()
         if present is None:
             return
@@ -165,8 +167,8 @@ class GainsStore:
     ) -> GainsFile:
         """Write gains to the history with the next number, and then make them the present gains.
 
-        If the present file is not in the history, for example because a user copied it, the new
-        gains are recorded as the successor of the newest entry.
+        If the history does not contain the present file, for example because a user copied it, the
+        new gains are recorded as the successor of the newest entry.
         """
         present = self.present_gains()
         entries = self.history_entries()
@@ -188,8 +190,8 @@ class GainsStore:
         text = gains_text(gains, written)
         try:
             self.history_folder.mkdir(parents=True, exist_ok=True)
-            # The history is written first. After a crash between the two writes, the present gains
-            # are unchanged.
+            # The history is written first. So after a crash between the two writes, the present
+            # gains are unchanged.
             write_text_atomically(
                 self.history_folder / f"{written.number:04d}.toml", text, new=True
             )
@@ -202,12 +204,13 @@ class GainsStore:
 
 
 def _previous_number(entries: dict[int, StoredGains], present: GainsFile) -> int:
-    """Return the number of the gains that the present gains replaced.
+    """Return the number of the gains that were replaced by the present gains.
 
     After a rollback, the restored gains count as the present gains.
 
     Raises:
-        ConfigError: The present gains are restored packaged gains, or the history lacks an entry.
+        ConfigError: The present gains are restored packaged gains, or an entry of the history is
+            missing.
     """
     provenance = present.provenance
     while provenance.restores:

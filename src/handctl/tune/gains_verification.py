@@ -1,10 +1,10 @@
 """Verification of new gains on the hand.
 
-The hand does an exercise with the old gains, and then with the new gains at increasing amplitude.
+The hand does an exercise with the old gains, and then with the new gains at rising amplitude.
 
 If a limit is violated, an observer of the run requests the old gains again. The controller receives
-the observer's requests like those of any client. Therefore the log contains them, and can be
-executed again.
+the requests of the observer like those of any client. Therefore the log contains these requests,
+and the run can be executed again.
 """
 
 import json
@@ -61,20 +61,21 @@ AMPLITUDE_STEP = 0.05
 
 
 def round_amplitudes(largest: float = 1.0) -> tuple[float, ...]:
-    """Return the amplitudes of the rounds, given the largest of them."""
+    """Return the amplitudes of the rounds, given the largest amplitude."""
     return tuple(largest * amplitude for amplitude in ROUND_AMPLITUDES)
 
 
 @dataclass(frozen=True, slots=True)
 class BlockedDigit:
-    """A digit that something blocked during a move of the exercise.
+    """A digit that was blocked by something during a move of the exercise.
 
     Attributes:
         digit: name of the digit.
         by: names of the digits that were blocked at the same time.
         angle: mean joint angle of the digit with its unit, as text.
         amplitude: amplitude of the round.
-        proposed_amplitude: amplitude at which the digit stays in front of the contact, 0 if none.
+        proposed_amplitude: amplitude at which the digit stays in front of the contact. The value is
+            0 if there is none.
     """
 
     digit: str
@@ -98,11 +99,12 @@ class VerifyLimits:
     """Limits within which a run with the new gains must stay.
 
     Attributes:
-        tracking_rad: largest difference between goal and estimated angle of any joint while moving
-            [rad]. A prismatic joint moves 10 mm per rad.
-        trip_fraction: largest tension of a tendon, as a fraction of its ``tension_trip_N``.
-        ringing_factor: largest rate of change of the motor torques (RMS over a window), divided by
-            the largest rate with the old gains.
+        tracking_rad: largest difference between the goal and the estimated angle of any joint
+            during a move [rad]. A prismatic joint moves 10 mm per rad.
+        trip_fraction: largest tension of a tendon, as a fraction of the ``tension_trip_N`` of this
+            tendon.
+        ringing_factor: largest allowed rate of change of the motor torques (RMS over a window), as
+            a multiple of the largest rate with the old gains.
         ringing_floor_Nm_per_s: rate of change up to which the torques never count as oscillating [N
             m/s].
     """
@@ -119,9 +121,9 @@ class GainsRollback:
 
     Attributes:
         t_s: time at which the return was requested [s].
-        k: tick of the controller at which the return was requested.
+        k: number of the tick in which the return was requested.
         amplitude: amplitude of the exercise in that round.
-        why: text with the violated limit and the measured value.
+        why: text with the limit that was violated and the measured value.
     """
 
     t_s: float
@@ -132,19 +134,21 @@ class GainsRollback:
 
 @dataclass
 class VerifyObserver:
-    """Observer of a run that requests the new gains, and requests the old gains again if a limit is violated.
+    """Observer of a run that requests the new gains.
+
+    If a limit is violated, it requests the old gains again.
 
     Attributes:
         hand: description of the running hand.
         old_gains: gains with which the run starts.
-        new_gains: gains to verify. Only gains that a running controller accepts may differ from the old
-            gains.
+        new_gains: gains to verify. The old and the new gains may differ only in gains that a
+            running controller can change.
         limits: limits for the rounds with the new gains.
         amplitudes: amplitudes of the rounds of the exercise.
         old_rounds: number of rounds with the old gains.
-        rollback: return to the old gains, or None if it was not necessary.
-        blocked: first digit that was blocked in a move, or None. A blocked digit has no tracking
-            limit, because its error says nothing about the gains.
+        rollback: record of the return to the old gains. None if no return was necessary.
+        blocked: first digit that was blocked in a move. None if no digit was blocked. A
+            blocked digit has no tracking limit, because its error says nothing about the gains.
     """
 
     hand: Hand
@@ -164,7 +168,7 @@ class VerifyObserver:
     _max_ringing: float = 0.0
 
     def poll_requests(self) -> tuple[str, ...]:
-        """Return the observer's requests for this tick, see `RunObserver`."""
+        """Return the requests of the observer for this tick, see `RunObserver`."""
         requests = tuple(self._requests)
         self._requests = []
         return requests
@@ -193,7 +197,10 @@ class VerifyObserver:
             self._request_gains(self.old_gains, self.new_gains)
 
     def _blocked_names(self, out: TickOut) -> tuple[str, ...]:
-        """Return the names of the digits in contact, if one of them lags, beginning with the largest lag."""
+        """Return the names of the digits in contact, if one of them lags behind its goal.
+
+        The digit with the largest lag comes first.
+        """
         numbers = out.telemetry
         lag = np.abs(numbers.q_goal - numbers.q) / self.hand.display_units.scale
         lags = {
@@ -222,12 +229,12 @@ class VerifyObserver:
             max(0.0, round(math.floor(amplitude / AMPLITUDE_STEP) * AMPLITUDE_STEP, 2)),
         )
 
-    def _request_gains(self, gains: Gains, replaced: Gains) -> None:
-        """Queue a request for those of the given gains that a running controller accepts."""
-        # A running controller keeps the force of every tendon that a request does not set.
+    def _request_gains(self, gains: Gains, present_gains: Gains) -> None:
+        """Queue a request that sets those of the given gains that a running controller can change."""
+        # If a request does not set the force of a tendon, a running controller keeps this force.
         # Therefore the request sets the forces of all tendons.
         all_values = values_by_key(gains) | {
-            key: new for key, (_, new) in different_values(replaced, gains).items()
+            key: new for key, (_, new) in different_values(present_gains, gains).items()
         }
         values = {
             key: value
@@ -248,7 +255,8 @@ class VerifyObserver:
         self._torque = torque
         if before is None or out.mode != HandMode.ACTIVE:
             return 0.0
-        # The observer does not know the control rate. It uses the mean period so far.
+        # The observer does not know the control rate. The observer uses the mean period of the
+        # ticks so far.
         period = entry.t_ns / max(entry.k, 1) / 1e9
         self._rates.append(float(np.square(torque - before).mean()) / period**2)
         while len(self._rates) > RINGING_WINDOW_S / period:
@@ -268,7 +276,7 @@ class VerifyObserver:
         worst, limit = shown * error[joint], shown * self.limits.tracking_rad
         return f"tracking error {worst:.1f} {units.names[joint]}, limit {limit:.1f}"
 
-    def _violated_limit(self, out: TickOut, ringing: float) -> str:
+    def _violated_limit(self, out: TickOut, ringing_N: float) -> str:
         """Return a text about the limit that a tick violates, or an empty text if it violates none."""
         if out.action >= SafetyAction.HOLD:
             return f"safety: {out.action.name}"
@@ -284,8 +292,8 @@ class VerifyObserver:
                 return f"tension of {tendon.name} {tension:.0f} N, limit {bound:.0f}"
         limit = max(limits.ringing_factor * self._max_ringing, limits.ringing_floor_Nm_per_s)
         return (
-            f"motor torques oscillate by {ringing:.1f} N m/s, limit {limit:.1f}"
-            if ringing > limit
+            f"motor torques oscillate by {ringing_N:.1f} N m/s, limit {limit:.1f}"
+            if ringing_N > limit
             else ""
         )
 
@@ -305,14 +313,15 @@ SAME_VALUE_FRACTION = 0.02
 
 @dataclass(frozen=True, slots=True)
 class MeasureComparison:
-    """Comparison of old and new gains by one measure, at full amplitude.
+    """Comparison of old and new gains by one measure of quality, at full amplitude.
 
     Attributes:
         name: name of the measure.
         unit: unit of the measure.
-        old: mean over the runs with the old gains.
-        new: mean over the runs with the new gains.
-        spread: half of the 95 % interval of the difference. For a single run, it is assumed.
+        old: mean of the measure over the runs with the old gains.
+        new: mean of the measure over the runs with the new gains.
+        spread: half of the 95 % interval of the difference. If there is only one run, the value is
+            an assumption.
         verdict: "better", "worse" or "same".
     """
 
@@ -325,7 +334,7 @@ class MeasureComparison:
 
 
 def compare_rounds(runs: list[list[GainScore]]) -> list[MeasureComparison]:
-    """Compare the rounds at full amplitude with old and new gains, run by run.
+    """Compare the rounds at full amplitude with old and with new gains, run by run.
 
     Args:
         runs: scores of the rounds of each run.
@@ -351,16 +360,16 @@ def compare_rounds(runs: list[list[GainScore]]) -> list[MeasureComparison]:
 def scores_by_round(
     log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
 ) -> list[GainScore]:
-    """Calculate the score of each round of the exercise, beginning with the rounds with the old gains.
+    """Calculate the score of each round of the exercise. The rounds with the old gains come first.
 
-    The tracking error leaves out digits in contact, which cannot follow their commands.
+    The tracking error leaves out digits in contact, because they cannot follow their commands.
 
     Args:
         log: log of the verification.
-        hand: description of the hand of the run.
-        truth: ground truth of the simulator. On hardware it is None, and the estimates of the
-            controller are used.
-        offset_ns: time on the simulator's clock when the time of the run was 0 [ns].
+        hand: hand description of the run.
+        truth: true values from the simulator. None on hardware. The estimates of the
+            controller are then used.
+        offset_ns: time on the clock of the simulator at which the time of the run was 0 [ns].
     """
     starts = [change.k for change in log.phases if change.name == "settle"]
     phase = phase_of_each(log.phases, log.k)

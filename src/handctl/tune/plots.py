@@ -39,7 +39,7 @@ def _new_figure(width: float, height: float) -> Any:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
-    # The figure gets its own canvas, which needs neither a display nor the global state of pyplot.
+    # The figure has its own canvas, which needs neither a display nor the global state of pyplot.
     FigureCanvasAgg(figure)
     return figure
 
@@ -90,8 +90,8 @@ def _style_axes(row: Any, kind: LoopKind) -> None:
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     plane.plot(np.cos(turn), np.sin(turn), color=GREY_COLOR, linewidth=0.8)
     plane.plot([-1.0], [0.0], "+", color="black")
-    # On the negative real axis, the gain margin is the ratio of the distances of -1 and of the
-    # curve from the origin.
+    # On the negative real axis, the gain margin is a ratio of two distances from the origin: the
+    # distance of -1 and the distance of the curve.
     plane.plot([-(10.0 ** (-MIN_GAIN_MARGIN_DB / 20.0))], [0.0], "|", color="black")
     plane.set(
         title=f"Nyquist; bar: {MIN_GAIN_MARGIN_DB:g} dB",
@@ -184,15 +184,16 @@ def draw_verify(
     offset_ns: int,
     rollback: GainsRollback | None,
 ) -> None:
-    """Draw angles, tensions and motor torques of a verification, and the times at which the gains change.
+    """Draw the angles, tensions and motor torques of a verification, and the times at which the gains change.
 
     Args:
         path: PNG file to write.
         log: log of the verification.
         hand: description of the hand of the run.
-        truth: ground truth of the simulator, None on hardware.
-        offset_ns: time on the simulator's clock when the time of the run was 0 [ns].
-        rollback: return to the old gains during the run, or None if there was none.
+        truth: true values from the simulator. None on hardware.
+        offset_ns: time on the clock of the simulator at which the time of the run was 0 [ns].
+        rollback: record of the return to the old gains during the run. None if there was
+            none.
     """
     figure = _new_figure(12, 7.5)
     figure.suptitle(f"{hand.name}: {hand.digit_names[0]}, old gains first, new gains shaded")

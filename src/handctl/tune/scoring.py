@@ -40,17 +40,18 @@ FAILED_OBJECTIVE = 1e3
 
 @dataclass(frozen=True, slots=True)
 class GainScore:
-    """Score of gains: root mean square over all plants.
+    """Score of gains: the root mean square over all plants.
 
     Attributes:
-        tracking_deg: difference between goal and true mean joint angle while digits move [deg].
-        tension_N: difference between goal and true tension while tensions are held [N].
+        tracking_deg: difference between the goal and the true mean joint angle while digits move
+            [deg].
+        tension_N: difference between the goal and the true tension while tensions are held [N].
         effort_Nm_per_s: rate of the commanded motor torque, a measure of wear and noise [N
             m/s].
         peak_tension_N: largest true tension of any tendon on any plant [N].
         shortfall: missing part of a margin on the worst plant, as a fraction of the required
-            margin. It is 0 or less if all margins are large enough.
-        failure: reason why a run ended early, or has no score, else empty.
+            margin. The value is 0 or less if all margins are large enough.
+        failure: reason why a run ended early or has no score. It is empty if there is none.
         blocked: names of digits that something blocked in a move, separated by commas. While a
             digit is blocked, its tracking is not scored.
     """
@@ -74,7 +75,8 @@ class GainScore:
         Tracking and tension have most of the weight. The effort decides between gains with similar
         tracking and tension.
         """
-        # The weights are 1, 1 and 0.1. Divided by their sum 2.1, the cost of the reference is 1.
+        # The weights are 1, 1 and 0.1. The weights are divided by their sum 2.1, so the cost of the
+        # reference is 1.
         parts = [
             objective / max(other, 1e-9)
             for objective, other in zip(self.objectives, scale.objectives, strict=True)
@@ -83,17 +85,17 @@ class GainScore:
 
 
 def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
-    """Calculate the score of gains from a job.
+    """Calculate the score of the gains in a job.
 
-    Job and result are plain values. Therefore any process can evaluate a job.
+    The job and the result consist of plain values. Any process can therefore evaluate a job.
 
     Args:
-        job: table with hand (text of the hand file), rate_hz, gains (table), plants (tables of
-            factors) and seed. If the optional value must_keep_margins is True, gains without
-            sufficient margins are not simulated.
+        job: table with these keys: hand (text of the hand file), rate_hz, gains (table), plants
+            (tables of factors) and seed. If the optional value must_keep_margins is True, gains
+            without sufficient margins are not simulated.
 
     Returns:
-        A `GainScore` as a table.
+        The `GainScore`, as a table.
     """
     hand = hand_from_content(tomllib.loads(job["hand"]), "the hand of the search")
     # A job that has crossed a process boundary contains lists in place of tuples.
@@ -108,7 +110,7 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
         runs.append(score_exercise(hand, model, factors, int(job["seed"]) + i))
         if runs[-1].failure:
             return _score_table(replace(runs[-1], shortfall=shortfall))
-    # A root mean square gives the worst plants the largest weight.
+    # The root mean square gives the largest weight to the worst plants.
     tracking, tension, effort = np.sqrt(
         np.mean([np.square(run.objectives) for run in runs], axis=0)
     ).tolist()
@@ -128,8 +130,8 @@ def score_exercise(
 
     Args:
         hand: description of the hand.
-        model: model of the hand with its gains.
-        factors: factors by which the plant's parameters differ from the description.
+        model: model of the hand, with its gains.
+        factors: factors by which the parameters of the plant differ from the description.
         seed: seed of the simulated noise.
     """
     return score_run(hand, *simulate_program(hand, model, ExerciseProgram(), factors, seed))
@@ -151,8 +153,8 @@ def simulate_program(
         seed: seed of the simulated noise.
 
     Returns:
-        The ticks, the ground truth of the simulator, and the reason why the run ended early (else
-        empty).
+        The ticks, the true values from the simulator, and the reason why the run ended early. The
+        reason is empty if it did not.
     """
     ticks: TickRecords = []
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
@@ -175,7 +177,7 @@ def score_run(
         hand: description of the hand of the run.
         ticks: ticks of the run.
         truth: ground truth of the plant.
-        failure: reason why the run ended early, or empty.
+        failure: reason why the run ended early. The value is empty if it did not.
     """
     active = [(entry.t_ns, out) for entry, out in ticks if out.mode == HandMode.ACTIVE]
     tension = truth.values[
@@ -231,7 +233,9 @@ def digit_angles(hand: Hand, q: Array) -> Array:
 
 
 class GroundTruth(NamedTuple):
-    """Reference for a score: the ground truth of the simulator, or the estimates of the controller on hardware.
+    """Reference for a score: the true values from the simulator.
+
+    On hardware, the estimates of the controller take their place.
 
     Attributes:
         angle: (ticks, D) mean joint angle [rad], see ``digit_angles``.
@@ -243,7 +247,7 @@ class GroundTruth(NamedTuple):
 
     @staticmethod
     def from_record(truth: TruthRecord, hand: Hand, t_ns: NDArray[np.int64]) -> "GroundTruth":
-        """Return the ground truth at times on the simulator's clock [ns]."""
+        """Return the true values at times on the clock of the simulator [ns]."""
         return GroundTruth(
             digit_angles(hand, truth.columns_at([f"q/{joint}" for joint in hand.joints], t_ns)),
             truth.columns_at([f"tension/{name}" for name in hand.tendon_names], t_ns),

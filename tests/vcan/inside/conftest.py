@@ -40,11 +40,11 @@ in MuJoCo's profile.
 def run_simulator(
     *options: str, stderr_file: Path | None = None, time_scale: float = TIME_SCALE
 ) -> Iterator["subprocess.Popen[str]"]:
-    """Run ``firmware_sim`` with the hand jamia on vcan0, and check that its process ends in order.
+    """Run ``firmware_sim`` with the hand jamia on vcan0, and check that its process ends without an error.
 
     Args:
         options: further command-line arguments of the simulator.
-        stderr_file: file for the simulator's standard error.
+        stderr_file: file for the standard error of the simulator.
         time_scale: time scale of the simulator.
     """
     words = [

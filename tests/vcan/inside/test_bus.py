@@ -1,4 +1,4 @@
-"""Test the bus of handctl on the CAN sockets of the kernel."""
+"""Test the bus class of handctl on the CAN sockets of the kernel."""
 
 import socket
 import struct
@@ -107,7 +107,8 @@ def test_every_frame_that_was_not_read_in_time_is_counted(other_bus: Bus) -> Non
         received = 0
         while frames := other_bus.drain():
             received += len(frames)
-        flood.send(CLASSICAL_FRAME.pack(0x7FF, 0, b""))  # carries the kernel's count of drops
+        # this frame carries the kernel's number of dropped frames
+        flood.send(CLASSICAL_FRAME.pack(0x7FF, 0, b""))
         received += len(drain_bus(other_bus, 1))
     dropped = sum(number for kind, _, number in other_bus.take_events() if kind == "dropped")
     assert 0 < received < sent
@@ -115,7 +116,7 @@ def test_every_frame_that_was_not_read_in_time_is_counted(other_bus: Bus) -> Non
 
 
 def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None:
-    """The error frames are sent as the driver of a CAN controller sends them: a warning, bus-off, and a restart."""
+    """The test sends error frames as a CAN driver does: a warning, bus-off, and a restart."""
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as driver:
         driver.bind(("vcan0",))
         driver.send(CLASSICAL_FRAME.pack(ERROR_FLAG | 0x04, 8, bytes((0, 0x08, 0, 0, 0, 0, 96, 0))))
@@ -131,7 +132,7 @@ def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None
 
 
 def wait_for(bus: Bus, kind: str) -> list[Frame]:
-    """Wait for an event of a kind, and return the frames that were received before it."""
+    """Wait for an event of a given kind, and return the frames that were received before it."""
     frames, end = list(bus.drain()), time.monotonic() + WAIT_S
     while kind not in {event for event, _, _ in bus.take_events()}:
         assert time.monotonic() < end, f"no {kind} in {WAIT_S} s"
@@ -141,7 +142,7 @@ def wait_for(bus: Bus, kind: str) -> list[Frame]:
 
 
 def test_a_full_transmit_queue_refuses_and_is_an_event(slow_tunnel: tuple[str, str]) -> None:
-    """A queue of ten frames is in front of a wire of 50 kbit/s.
+    """In this test, a queue of ten frames is in front of a wire of 50 kbit/s.
 
     netem simulates this wire, because vcan alone never refuses a frame.
     """
@@ -165,7 +166,7 @@ def test_a_full_transmit_queue_refuses_and_is_an_event(slow_tunnel: tuple[str, s
 
 @pytest.fixture
 def slow_tunnel() -> Iterator[tuple[str, str]]:
-    """Make a CAN tunnel with a slow wire behind its first end, and yield the names of both ends."""
+    """Make a CAN tunnel with a slow wire behind its first end. Yield the names of both ends."""
     made = subprocess.run(
         ["bash", "-c", SLOW_TUNNEL_SCRIPT], capture_output=True, text=True, check=False
     )

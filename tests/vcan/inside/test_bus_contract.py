@@ -1,4 +1,4 @@
-"""Run the tests of the bus contract on real SocketCAN."""
+"""Run the tests of the bus contract on real SocketCAN interfaces."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""``handctl bus doctor`` and ``scan`` on real SocketCAN report the kernel's state of an interface."""
+"""``handctl bus doctor`` and ``scan`` report the state that the kernel has for a real SocketCAN interface."""
 
 import json
 import subprocess

@@ -72,5 +72,5 @@ def test_a_golden_grasp_repeats_on_vcan(tmp_path: Path) -> None:
     assert max(angles.values()) < 1.0, angles
     assert np.sqrt((apart**2).mean(axis=0)).max() < 1.0, (
         summary
-    )  # single peaks do not count, because the guest's clocks slip
+    )  # single peaks do not count, because the clocks of the guest jump
     np.testing.assert_allclose(new, old, rtol=0.05)

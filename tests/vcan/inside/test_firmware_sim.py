@@ -1,6 +1,6 @@
 """Test the simulated drives and the simulated sensor node on real CAN sockets.
 
-The frames were made from the fact sheets.
+The frames in these tests were made from the fact sheets.
 """
 
 import socket
@@ -42,7 +42,7 @@ class RawCanBus:
         pytest.fail(f"no frame {can_id:#x} within {WAIT_S} s")
 
     def motor_state(self, node: int) -> int:
-        """Send a refresh request to a motor, and return the state bits of its reply."""
+        """Send a refresh request to a motor, and return the state bits in its reply."""
         self.send(REGISTERS_ID, bytes([node, 0, REFRESH_FEEDBACK, 0, 0, 0, 0, 0]))
         return self.receive(node + 0x10)[0] >> 4
 
@@ -79,7 +79,7 @@ def test_the_drives_hold_the_limits_of_the_hand_file(bus: RawCanBus) -> None:
 def test_a_sync_brings_the_tensions_of_that_moment(bus: RawCanBus, counter: int) -> None:
     bus.send(SYNC_ID, bytes([counter]))
     reply = bus.receive(TENSIONS_ID)
-    assert len(reply) == 7  # a counter of 4 bits and four channels of 12
+    assert len(reply) == 7  # a counter of 4 bits, and four channels of 12 bits each
     bits = int.from_bytes(reply, "little")
     assert bits & 0xF == counter & 0xF
     assert bits >> 52 == 0

@@ -1,6 +1,6 @@
 """Test faults of the host that only root can cause.
 
-The wall clock is set, or an interface is taken down. The tests cause these faults in the guest,
+In these tests, the wall clock is set, or an interface is taken down. This happens in the guest,
 during a run.
 """
 
@@ -42,7 +42,7 @@ TIME_SCALE = 0.1
 
 
 def set_interface_up(can_interface: str, up: bool) -> None:
-    """Set an interface up or down as ``ip link set INTERFACE up`` does, but without a process."""
+    """Set an interface up or down, like ``ip link set INTERFACE up``, but without starting a process."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         name = can_interface.encode().ljust(16, b"\0")
         (flags,) = struct.unpack_from(
@@ -65,7 +65,7 @@ class FaultObserver:
         self.reset()
 
     def reset(self) -> None:
-        """Reset the record of caused faults and of modes, for a new run."""
+        """For a new run, reset the record of the faults that were caused and of the modes."""
         self.done_ns, self.modes, self.pulled, self.left = (
             0,
             list[HandMode](),
@@ -91,7 +91,7 @@ class FaultObserver:
 def run_pull(folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFile]:
     """Arm a hand, pull every tendon, relax and disarm it.
 
-    The observer causes faults during the pull.
+    The observer causes faults while the hand pulls its tendons.
     """
     path = hand_file(folder, ["mit"])
     hand = load_hand(str(path))
@@ -110,10 +110,11 @@ def run_pull(folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFi
 def run_until_done(
     folder: Path, observer: FaultObserver, expected: str
 ) -> tuple[RunOutcome, TruthFile]:
-    """Return the first run that ended as expected.
+    """Return the first run that has ended as expected.
 
-    A run that ended because the guest's only core was busy is repeated. A defect may end runs in
-    the same way as a busy core. Then none of five runs ends as expected, and the test fails.
+    If a run ended because the only core of the guest was busy, it is repeated. A defect may end
+    runs in the same way as a busy core. In this case, none of five runs ends as expected, and the
+    test fails.
     """
     failure = ""
     for number in range(5):
@@ -154,7 +155,7 @@ def restored_clock() -> Iterator[None]:
 @pytest.mark.timeout(600)
 @pytest.mark.usefixtures("restored_clock")
 def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
-    """The wall clock is set one hour forward and then two hours back.
+    """In this test, the wall clock is set one hour forward, and then two hours back.
 
     Such a change of the clock is the fault H11 of the catalogue.
     """
@@ -182,7 +183,7 @@ def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
 def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(
     can_interface: str, tmp_path: Path
 ) -> None:
-    """The fault B14 of the catalogue is a CAN interface that is taken down."""
+    """A CAN interface that is taken down is the fault B14 of the catalogue."""
     observer = FaultObserver(lambda: set_interface_up(can_interface, False))
     outcome, truth = run_until_done(tmp_path, observer, "B14")
     assert "B14" in outcome.state.failure, outcome.state.failure

@@ -1,8 +1,8 @@
 """Arm a hand, pull its tendons and disarm it over real SocketCAN.
 
-The tests use each drive protocol, and one hand on two buses.
+The tests use each drive protocol, and a hand on two buses.
 
-The simulated hand is forked from this process, because in the guest its imports would take longer
+The simulated hand is a fork of this process, because its imports would take longer in the guest
 than the test.
 """
 
@@ -60,7 +60,7 @@ def run_simulator_in_child(words: Sequence[str], ready: int) -> None:
 def simulated_hand_process(
     path: Path, buses: Sequence[str], time_scale: float, truth: Path
 ) -> Iterator[None]:
-    """Run a simulated hand with taut tendons in another process, and check that this process ends in order."""
+    """Run a simulated hand with taut tendons in another process, and check that this process ends without an error."""
     names = load_hand(str(path)).bus_names
     words = [
         word
@@ -96,7 +96,7 @@ def simulated_hand_process(
 
 
 class HandDrives:
-    """The drives of a hand on real sockets, without a controller.
+    """The drives of a hand on real CAN sockets, without a controller.
 
     The drives run tick by tick on a slowed clock, with SYNC.
     """
@@ -111,7 +111,7 @@ class HandDrives:
         self.drives, self.sensors = make_drives(hand), make_sensors(hand)
         self.states = [drive.initial_state() for drive in self.drives]
         self.k = 0
-        compile_kernels()  # compile first, or watchdogs would fire
+        compile_kernels()  # compile the kernels first, because watchdogs would otherwise fire
         self.clock.start()
 
     def tick(self, target: DriveTarget, torque: float = 0.0) -> None:
@@ -167,9 +167,9 @@ def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) ->
 
 
 def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
-    """The whole controller runs with its recorder.
+    """In this test, the whole controller runs, with its recorder.
 
-    The hand has two protocols that the module ``test_run`` does not use.
+    The drives of the hand have two protocols that the module ``test_run`` does not use.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402", "cia402", "odrive"]))
     outcome, truth = run_pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)
@@ -180,13 +180,13 @@ def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
     for digit in DIGIT_NAMES:
         assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, (
             digit
-        )  # a low limit, because the guest's clocks slip
+        )  # the limit is low, because the clocks of the guest jump
 
 
 def run_pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[RunOutcome, TruthFile]:
     """Arm a hand, pull every tendon for a moment, relax and disarm it.
 
-    Return the outcome of the run and the true values of the simulator.
+    Return the outcome of the run, and the true values from the simulator.
     """
     hand, time_scale = load_hand(str(path)), 0.1
     load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))

@@ -1,6 +1,7 @@
 """Test that python-can receives the frames of a hand.
 
-Programs such as candump, BUSMASTER and scripts of users can then receive them too.
+Programs such as candump and BUSMASTER, and the scripts of users, can then also receive these
+frames.
 """
 
 import can

@@ -1,7 +1,9 @@
-"""Test the whole chain on real SocketCAN. ``handctl run`` grasps a cylinder with a simulated hand in another process.
+"""Test a whole run on real SocketCAN.
 
-At night the hand is commissioned first. By day it starts with known motor zeros and a new
-calibration, because seven seconds of commissioning take 45 s in the guest.
+``handctl run`` grasps a cylinder with a simulated hand in another process.
+
+In a nightly run, the hand is first commissioned. In other runs, the hand starts with known motor
+zeros and a new calibration, because a commissioning of seven seconds takes 45 s in the guest.
 """
 
 import json
@@ -56,7 +58,7 @@ def run_handctl(folder: Path, time_scale: float) -> subprocess.CompletedProcess[
 
 
 def run_until_undisturbed(folder: Path) -> tuple[subprocess.CompletedProcess[str], Path]:
-    """Return the first run that no busy core of the guest has ended, and the folder of this run."""
+    """Return the first run that was not ended by a busy core of the guest, and the folder of this run."""
     for number, time_scale in enumerate(TIME_SCALES):
         place = folder / str(number)
         place.mkdir()
@@ -79,7 +81,7 @@ def test_a_run_grasps_holds_and_releases(tmp_path: Path) -> None:
     assert result["log_complete"]
     assert log.stat().st_size == result["log_bytes"]
     assert result["ticks"] > 4 * result["rate_hz"]  # longer than four seconds
-    assert result["frames_rx"] > 4 * result["ticks"]  # four motors and the load cells reply
+    assert result["frames_rx"] > 4 * result["ticks"]  # the four motors and the load cells reply
     assert result["frames_lost"] < 0.01 * result["frames_rx"]
     assert result["tension_hold_error_n"] < 2.0
     assert result["object_motion_mm"] < 5.0

@@ -1,4 +1,7 @@
-"""Test a stream of targets to a hand on real SocketCAN. Client, controller and simulated hand are three processes."""
+"""Test a stream of targets to a hand on real SocketCAN.
+
+The client, the controller and the simulated hand are three processes.
+"""
 
 import contextlib
 from pathlib import Path
@@ -49,16 +52,17 @@ class GuestStoppedError(Exception):
 
 
 def measure_tracking(time_scale: float, calibration: Path) -> dict[str, Any]:
-    """Measure the tracking error of a stream and that of the same motion in a task.
+    """Measure the tracking error of a stream, and the tracking error of the same motion in a task.
 
     Raises:
-        GuestStoppedError: client, controller or simulated hand did not run for a while.
+        GuestStoppedError: the client, the controller or the simulated hand did not run for some
+            time.
     """
     try:
         return streaming.measure_tracking(
             "socketcan:vcan0", time_scale, (calibration, HOMED_OPTIONS)
         )
-    except UnconfirmedError as error:  # the controller ended before a request
+    except UnconfirmedError as error:  # the controller ended before it received a request
         raise GuestStoppedError from error
     except DriveError as error:
         if any(fault in str(error) for fault in STALL_FAULTS):

@@ -1,6 +1,7 @@
 """Declaration of the arguments of the commands in this folder.
 
-The code of a command is imported only when that command runs. Therefore help texts appear fast.
+The code of a command is imported only when that command runs. This makes the help texts appear
+fast.
 """
 
 import argparse
@@ -199,7 +200,7 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
 
 
 def _parse_lengths(text: str) -> tuple[float, ...]:
-    """Return the lengths [mm] that a list such as ``40,30`` gives."""
+    """Return the lengths [mm] in a list such as ``40,30``."""
     return tuple(float(part) for part in text.split(","))
 
 

@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
     Args:
         args: arguments with bus, bitrate, data_bitrate, json, and hand. The hand gives the expected
-            bit rates and motors. Without a hand, all motors and bit rates are accepted.
+            bit rates and motors. If no hand is given, all motors and bit rates are accepted.
     """
     hand = load_hand(args.hand) if args.hand else None
     if not args.bus:
@@ -184,8 +184,8 @@ def _event_findings(result: BusScan) -> list[LinkFinding]:
     ]
 
 
-def _answers_text(timed: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
-    node, trip = timed
+def _answers_text(node_and_trip: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
+    node, trip = node_and_trip
     name = f"{node.protocol} {node.node_id}"
     if not trip.answers:
         return LinkFinding(

@@ -1,6 +1,6 @@
 """``handctl bus plan``: compute the worst-case load of each bus of a hand.
 
-If a bus is overloaded, the command proposes a division of the motors among more buses.
+For an overloaded bus, the command proposes to divide the motors among more buses.
 """
 
 import argparse
@@ -20,9 +20,9 @@ from handctl.session.plan import bus_specs, highest_rate_of_buses
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compute and print the load of each bus.
+    """Compute and print the load of each bus of a hand.
 
-    Return 1 if a bus is overloaded or an interface has a wrong bit rate.
+    Return 1 if a bus is overloaded or a CAN interface has a wrong bit rate.
     """
     if args.table:
         _print_table() if not args.json else print_json(

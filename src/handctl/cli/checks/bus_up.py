@@ -18,7 +18,7 @@ COMMAND_TIMEOUT_S = 10.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the commands that set up each interface, or run them as root."""
+    """Print the commands that set up each interface. With ``--yes``, run them as root instead."""
     if not args.bus:
         raise ConfigError("missing", "--bus", "the interfaces, such as --bus socketcan:can0")
     commands = [
@@ -85,7 +85,7 @@ def _check_root(commands: list[CommandWords]) -> None:
 
 
 def _run_command(command: CommandWords) -> None:
-    """Run one command that sets up an interface.
+    """Run one system command that sets up an interface.
 
     Raises:
         BusError: the command fails.

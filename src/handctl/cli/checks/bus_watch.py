@@ -39,7 +39,7 @@ MAX_WATCH_S = 86400.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the readings for a given time, or until Ctrl-C.
+    """Show the readings for a given time, or until the operator presses Ctrl-C.
 
     Return 1 if a drive no longer replies at the end.
     """
@@ -95,7 +95,7 @@ def _checked_arguments(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand,
 
 
 def _show_readings(
-    args: argparse.Namespace, hand: Hand, watch: BusWatch, ended: TerminationFlag
+    args: argparse.Namespace, hand: Hand, watch: BusWatch, termination: TerminationFlag
 ) -> None:
     """Poll the drives in every tick. Show their readings at intervals and at the end."""
     begin = time.monotonic()
@@ -109,7 +109,7 @@ def _show_readings(
             from rich.live import Live
 
             live = stack.enter_context(Live(console=rich_console(), auto_refresh=False))
-        while not ended.requested and (now := time.monotonic()) < end:
+        while not termination.requested and (now := time.monotonic()) < end:
             watch.run_tick()
             if now < due:
                 continue
@@ -155,7 +155,7 @@ def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
 
 
 def _joint_reading(hand: Hand, index: int, value: float) -> dict[str, float]:
-    """Return the reading of a joint encoder by its key, with the position of a prismatic joint in m."""
+    """Return the reading of a joint encoder. If the joint is prismatic, its position is in m."""
     return {("position_m" if hand.is_prismatic[index] else "angle_rad"): value}
 
 

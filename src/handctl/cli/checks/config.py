@@ -106,7 +106,8 @@ def _all_errors(args: argparse.Namespace) -> list[str]:
             )
             errors.append(placed[0].error(str(path)) if in_hand else error)
     places = [error.where for error in errors]
-    # A later error at the same key follows from the first error, and is not reported.
+    # If the first error at a key causes a later error at the same key, the later error is not
+    # reported.
     return [str(error) for i, error in enumerate(errors) if error.where not in places[:i]]
 
 
@@ -136,7 +137,7 @@ def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], 
     def check_scene() -> None:
         """Check that the hand can be simulated in the scene that the user has named, if any."""
         if args.scene:
-            # Only this check needs the module of the simulated hand.
+            # Only this check imports the module of the simulated hand.
             from handctl.session.simulate import SimulatorSettings
 
             SimulatorSettings(hand, args.scene).check_constructible()

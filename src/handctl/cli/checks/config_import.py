@@ -109,7 +109,8 @@ def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Describe
     Args:
         path: file of the description.
         kind: ``urdf`` or ``mjcf``.
-        output: folder of the hand file. The paths of meshes are relative to this folder.
+        output: folder in which the hand file will be written. The hand file contains the paths of
+            meshes relative to this folder.
 
     Returns:
         the hand, and one line of text for each part of the description that was not used.
@@ -169,7 +170,7 @@ def _ask_questions(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
     check_terminal()
     for question in IMPORT_QUESTIONS:
         if question.answer_field == SPRING_FIELD and answers.tendons == "one":
-            continue  # one tendon closes the digit, so springs must open it
+            continue  # a digit that is closed by one tendon must be opened by springs
         if getattr(answers, question.answer_field) is None and question.answer_field not in known:
             answers = replace(
                 answers,

@@ -29,7 +29,7 @@ from handctl.programs.default_task import grasp_warnings
 
 
 def lengths_from_text(text: str) -> tuple[float, ...]:
-    """Return the lengths [mm] that a list such as ``40,30`` gives."""
+    """Return the lengths [mm] in a list such as ``40,30``."""
     return tuple(float(part) for part in text.replace(",", " ").split())
 
 
@@ -128,7 +128,7 @@ def _ask_questions(args: argparse.Namespace, answers: HandAnswers) -> HandAnswer
         if getattr(args, question.answer_field) is not None:
             continue
         if question.answer_field == SPRING_FIELD and answers.tendons == "one":
-            continue  # one tendon closes the digit, so springs must open it
+            continue  # a digit that is closed by one tendon must be opened by springs
         default = getattr(
             answers, PROPORTIONAL_DEFAULT.get(question.answer_field, question.answer_field)
         )

@@ -115,7 +115,7 @@ def _run_checks(
             )
             if not off and len(results) < len(
                 CHECKED_REQUIREMENTS
-            ):  # ended by Ctrl-C or a bug: report it here
+            ):  # the checks were ended by Ctrl-C or a bug: report this here
                 raise PowerError(NOT_OFF_WARNING)
     return results, off
 

@@ -118,7 +118,7 @@ def _check_memory() -> DoctorFinding:
 
 
 def _check_wakeups() -> DoctorFinding:
-    """Check how late the system wakes a sleeping control process, and whether a hypervisor takes the processor away."""
+    """Measure how late the system wakes a process, and whether a hypervisor takes the processor away."""
     begin, ticks = time.monotonic(), _processor_ticks()
     latest = 0.0
     with realtime_priority():

@@ -1,6 +1,7 @@
 """Part of a hand file that describes the drives a scan has found.
 
-Values that the drives report are filled in. Values that the user must measure are marked.
+In this part, the values that the drives report are filled in. The values that the user must measure
+are marked.
 """
 
 from collections.abc import Mapping, Sequence
@@ -106,7 +107,10 @@ def _source_comment(key: str, settings: Mapping[str, float], hint: str) -> str:
 
 
 def _torque_source(settings: Mapping[str, float]) -> str:
-    """Return the comment on the torque limit. The reported torque is the full scale, and no limit to begin with."""
+    """Return the comment on the torque limit.
+
+    The torque that a drive reports is its full scale, which is no suitable limit to begin with.
+    """
     reported = settings.get("torque_max_N_m", 0.0)
     if not reported:
         return TO_FILL_IN_COMMENT + BEGIN_SMALL_HINT

@@ -33,7 +33,8 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     unchecked_hz = _lowest_unchecked_rate(hand)
     if rate_hz >= unchecked_hz:
         return []
-    # The compiled core computes the control loops. No other check of a hand needs to import it.
+    # The compiled core computes the control loops. No other check of a hand needs to import the
+    # compiled core.
     from handctl.tune.loops.linear import LoopKind, open_loop
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB, margins_of_loop
 

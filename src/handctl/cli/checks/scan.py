@@ -70,7 +70,7 @@ def add_identities(
 ) -> tuple[DiscoveredNode, ...]:
     """Return the nodes that a scan has found.
 
-    To each CANopen node, add the identity that it reports over SDO.
+    For each CANopen node, the result also has the identity that the node reports over SDO.
     """
     canopen_ids = [drive.node_id for drive in nodes if drive.protocol == "cia402"]
     if not canopen_ids:

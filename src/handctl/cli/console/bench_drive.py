@@ -62,9 +62,9 @@ drive.
 
 
 def parse_options(words: list[str]) -> dict[str, Any]:
-    """Return the options that KEY=VALUE words give.
+    """Return the options of a drive from words of the form KEY=VALUE.
 
-    The values are TOML, but a text may be written without quotes.
+    The values are written as TOML, but a text may be written without quotes.
 
     Raises:
         ConfigError: a word is not TOML.
@@ -85,14 +85,14 @@ def _option_from_word(word: str) -> dict[str, Any]:
     except ConfigError as error:
         if (
             UNQUOTED_TEXT.fullmatch(value) and not value.isdecimal()
-        ):  # TOML refuses numbers with too many digits
+        ):  # TOML refuses numbers that have too many digits
             return parse_toml(quoted, "--option")
         right = "KEY=VALUE, as in gear_ratio=6.0 or motor_type=ak80-9"
         raise ConfigError(f"{word}: {error.what}", "--option", right) from None
 
 
 def _torque_drive(motor: Motor) -> Drive:
-    """Return a motor's drive, in torque mode."""
+    """Return the drive of a motor, in torque mode."""
     return make_drive(motor, 0)
 
 
@@ -100,15 +100,17 @@ def describe_drive(
     args: argparse.Namespace,
     options: dict[str, Any],
     node: DiscoveredNode | None,
-    make: Callable[[Motor], Drive] = _torque_drive,
+    make_drive: Callable[[Motor], Drive] = _torque_drive,
 ) -> Drive:
-    """Return the drive with the values that it reports. Values on the command line take precedence.
+    """Return the drive with the values that it reports.
+
+    If the command line also gives a value, the command line takes precedence.
 
     Args:
         args: arguments with ``protocol``, ``node`` and ``limit`` [N m].
         options: options of the drive, from the command line.
         node: the drive found by a scan, or None before the scan.
-        make: function that constructs the drive of a motor.
+        make_drive: function that constructs the drive of a motor.
 
     Raises:
         ConfigError: the protocol does not have the option, or does not allow the node number.
@@ -130,7 +132,7 @@ def describe_drive(
         **settings, "torque_max_N_m": args.limit, "torque_peak_N_m": args.limit, "options": reported | options,
     }  # fmt: skip
     try:
-        return make(Motor.model_validate(motor))
+        return make_drive(Motor.model_validate(motor))
     except ValidationError as error:
         wrong = error.errors(include_url=False)[-1]
         key = str(wrong["loc"][-1]) if wrong["loc"] else args.protocol
@@ -205,8 +207,9 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
 def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
     """Return a scan result for a drive that answers commands, but no scan.
 
-    The function listens and sends nothing. Therefore a frame with the drive's identifier must come
-    from another host. The first check after the scan shows whether the drive is present.
+    The function only listens, and sends nothing. If a frame with the identifier of the drive
+    arrives, another host must have caused it. The first check after the scan shows whether the
+    drive is present.
     """
     seen: list[Frame] = []
     collect_frames(bus, SCAN_LISTEN_S, seen)
@@ -215,7 +218,7 @@ def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
 
 
 def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:
-    """Return a drive with the torque range that the scanned drive had.
+    """Return a drive with the torque range that the scan has read from it.
 
     In the MIT protocol, this range scales every torque.
     """

@@ -1,4 +1,4 @@
-"""Buses of a command line: the bus of a running controller, and the simulator that a bus lacks."""
+"""Find the bus of a running controller on a command line, and describe the simulator that a bus lacks."""
 
 import argparse
 import shlex
@@ -7,12 +7,12 @@ from handctl.session.buses import named_buses
 
 
 def controller_bus(args: argparse.Namespace) -> str:
-    """Return the bus that identifies a running controller: the first ``--bus`` without the NAME= in front."""
+    """Return the bus that identifies a running controller: the first ``--bus``, without its prefix NAME=."""
     return next(iter(named_buses(args.bus).values()))
 
 
 def simulator_command(args: argparse.Namespace) -> str:
-    """Return the command that starts a simulator for the hand, or the drive, and the buses of a command line."""
+    """Return the command that starts a simulator on the buses of a command line, for the hand or the drive."""
     named = named_buses([args.bus] if isinstance(args.bus, str) else args.bus)
     buses = [f"{name}={spec}" for name, spec in named.items()] if len(named) > 1 else named.values()
     if (node := getattr(args, "node", None)) is not None:

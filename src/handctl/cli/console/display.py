@@ -31,7 +31,7 @@ NO_BREAK_SPACE = "\u00a0"
 
 
 class DisplayProcess:
-    """Controller's end of the pipe to the display process.
+    """Controller's end of the pipe that leads to the display process.
 
     Attributes:
         ticks_per_line: number of ticks between two lines of JSON.
@@ -39,7 +39,7 @@ class DisplayProcess:
         pipe: file descriptor of the pipe to the display process.
         worst_late_ns: largest lateness of a tick since the last line [ns].
         last_warning_ns: time at which a warning of each fault id was last printed [ns].
-        shown: remedies that the display has already printed.
+        shown: remedies that were already printed.
     """
 
     def __init__(
@@ -168,7 +168,7 @@ def _print_lines(head: dict[str, Any]) -> None:
 def _tension_lines(names: Sequence[str], line: dict[str, Any]) -> str:
     """Return the state and the tensions of a hand as text.
 
-    A hand with many tendons needs several lines.
+    The text of a hand with many tendons has several lines.
     """
     start = f"{line['t']:8.3f} s  {line['mode']:<9} {line['phase']:<10} tension [N]  "
     pairs = zip(short_names(names), line["tension"], strict=True)

@@ -62,8 +62,8 @@ def announce_motion(
 def _file_text(what: str, path: Path, made: str) -> str:
     """Return the kind, path and age of a file as one text.
 
-    The age counts from the date written in the file. A file without a date counts from its
-    modification time.
+    The age is the time since the date that is written in the file. If a file has no date, the age
+    is the time since the file was last modified.
     """
     then = path.stat().st_mtime
     with suppress(ValueError):
@@ -83,7 +83,7 @@ def confirm_motion(warning: str, yes: bool) -> None:
     """Ask the operator to confirm a motion, unless the command line includes ``--yes``.
 
     Args:
-        warning: line about the consequence of the confirmation.
+        warning: line about the consequence if the operator confirms.
         yes: True if ``--yes`` was given.
 
     Raises:

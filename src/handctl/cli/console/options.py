@@ -59,7 +59,7 @@ def checked_count(number: int, option: str, maximum: int) -> int:
 def add_protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:
     """Declare --protocol and --motor-type.
 
-    The hand then has drives of this protocol instead of those in its file.
+    With this option, the hand has drives of the given protocol instead of those in its file.
     """
     text = "drives of the simulated hand (default: as in its file)" + more
     parser.add_argument("--protocol", choices=tuple(PROTOCOL_TRAITS), help=text)
@@ -103,14 +103,17 @@ def _bit_rate(word: str) -> int:
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --json. Standard output then contains the result as JSON, and no other text."""
+    """Declare --json.
+
+    With this option, standard output contains the result as JSON, and no other text.
+    """
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON on standard output"
     )
 
 
 def add_dry_run_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --dry-run. The command then checks all its inputs, but opens no bus."""
+    """Declare --dry-run. With this option, the command checks all its inputs, but opens no bus."""
     parser.add_argument(
         "--dry-run", action="store_true", help="check all files and the bus load, open no bus"
     )
@@ -169,7 +172,7 @@ def add_output_option(
 def add_perturb_option(parser: argparse.ArgumentParser) -> None:
     """Declare --perturb.
 
-    Each factor multiplies a value of the hand file to give the simulated hand's value.
+    Each factor multiplies a value of the hand file. The product is the value of the simulated hand.
     """
     text = "change parameters of the simulated hand, e.g. stiffness=0.8 friction=1.3 (python -m firmware_sim --help)"
     parser.add_argument(
@@ -228,7 +231,7 @@ def print_escaped(text: str, error: bool = False) -> None:
 def warn_if_lossy(path: Path, warning: str) -> ExitCode:
     """Warn if a log is incomplete.
 
-    Return the exit code for a command that has used the readable part of a log.
+    Return the exit code of a command that has used only the readable part of a log.
     """
     if warning:
         print_escaped(f"handctl: {path}: {warning}", error=True)
@@ -236,7 +239,7 @@ def warn_if_lossy(path: Path, warning: str) -> ExitCode:
 
 
 def add_wire_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --wire. Each simulated frame then takes as long as on a real bus."""
+    """Declare --wire. With this option, each simulated frame takes as long as on a real bus."""
     text = "the simulated bus has a bit rate, queues and errors; e.g. --wire queue=10 (python -m firmware_sim --help)"
     parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help=text)
 
@@ -251,7 +254,7 @@ def print_json(result: dict[str, Any]) -> None:
     text = json.dumps(_json_value(result), indent=2, allow_nan=False)
     sys.stdout.write(
         text.replace("\x7f", "\\u007f") + "\n"
-    )  # JSON leaves this control character as it is
+    )  # the conversion to JSON leaves this control character unescaped
 
 
 def print_json_line(result: dict[str, Any]) -> None:

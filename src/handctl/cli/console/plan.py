@@ -69,8 +69,8 @@ def _print_plan(args: argparse.Namespace, run_plan: plan.RunPlan) -> None:
 def print_notice(text: str) -> None:
     """Print a notice to standard error, unless ``--quiet`` is given.
 
-    A text that begins with ``handctl:`` is a caution, and is printed even then. A command that
-    makes several runs, such as commissioning and a task, prints each caution once.
+    A text that begins with ``handctl:`` is a caution, and is printed even with ``--quiet``. If a
+    command makes several runs, such as commissioning and a task, it prints each caution only once.
     """
     if text.startswith("handctl:"):
         if is_first_caution(text):
@@ -100,10 +100,11 @@ def layered_gains(args: argparse.Namespace, hand: Hand) -> gains.LayeredGains:
 
 
 def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
-    """Return the path of the calibration file, which may not exist yet.
+    """Return the path of the calibration file of a hand. The file may not exist yet.
 
     Raises:
-        ConfigError: the calibration file could not be written. This check precedes all motion.
+        ConfigError: the calibration file could not be written. The path is checked before any
+            motion.
     """
     path: Path = args.calibration or Path(f"{hand.name}.calibration.toml")
     check_output(
@@ -129,7 +130,8 @@ def find_calibration(
         buses: buses of the hand to arm.
 
     Returns:
-        the path of the file, the calibration or None, and the reason if it is None.
+        the path of the file, the calibration, and a reason. If the hand may not be armed with the
+        calibration, None takes its place and the reason is stated.
 
     Raises:
         ConfigError: a named file exists but cannot be used, or the file cannot be written.

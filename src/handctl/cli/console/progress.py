@@ -10,7 +10,7 @@ from handctl.cli.console.verbosity import is_quiet
 
 
 class ProgressCallback(Protocol):
-    """Function that long work calls to report its progress."""
+    """Function that a long computation calls to report its progress."""
 
     def __call__(self, done: int, total: int | None = None, label: str | None = None) -> None:
         """Report that ``done`` of ``total`` steps are done. ``label`` names the present step."""

@@ -102,13 +102,13 @@ def check_terminal() -> None:
         )
 
 
-def ask_question(question: HandQuestion, shown: str, default: Any) -> Any:
+def ask_question(question: HandQuestion, default_text: str, default: Any) -> Any:
     """Ask a question until the answer is valid or empty.
 
     Return the answer, or the default if it is empty.
     """
     while True:
-        text = input(f"{question.question_text} [{shown}]: ").strip()
+        text = input(f"{question.question_text} [{default_text}]: ").strip()
         if not text:
             return default
         try:
@@ -121,11 +121,11 @@ def ask_motor_type(protocol: str | None, answer: str | None) -> str | None:
     """Ask for the type of the motors, unless it is known or the protocol needs no type.
 
     Args:
-        protocol: protocol of the drives, None if it is unknown.
+        protocol: protocol of the drives. None if the protocol is unknown.
         answer: motor type that an option gives, or None.
 
     Returns:
-        the motor type. If there is no answer, the result is None.
+        the motor type. If the operator gives no answer, the result is None.
     """
     types = PROTOCOL_TRAITS[protocol].motor_types if protocol else ()
     if answer is not None or not types:

@@ -14,7 +14,7 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
     """Return a console of the package rich.
 
     Args:
-        error: True to print on standard error. If standard error is closed, the output is dropped
+        error: True to print on standard error. If standard error is closed, the text is dropped
             without an error.
         min_width: smallest width [columns]. In a narrower terminal, the lines of a table wrap, so
             that no number is cut.
@@ -28,7 +28,7 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
         ) -> Iterable[Segment]:
             """Escape all printed text.
 
-            The control codes that rich itself writes stay as they are.
+            The function does not escape the control codes that rich itself writes.
             """
             for segment in super().render(renderable, options):
                 done = segment.control or segment.text.isprintable()
@@ -39,7 +39,7 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
             return super().render_str(escape_text(text, "\n\t"), **keywords)
 
         def on_broken_pipe(self) -> None:
-            """Raise the error of a closed pipe that commands without rich raise too.
+            """Raise the same error for a closed pipe as a command without rich raises.
 
             ``main`` handles this error. If only the progress output has lost its reader, the
             command continues without that output.

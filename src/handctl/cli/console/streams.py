@@ -16,7 +16,8 @@ def open_standard_streams() -> None:
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number, which is this one
+            # opens the file with the lowest free number, which is this one
+            os.open(os.devnull, os.O_RDWR)
     sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
     sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
@@ -38,7 +39,7 @@ def flush_stdout() -> None:
 
 
 def discard_output() -> None:
-    """Discard buffered output that cannot be written.
+    """Discard buffered output that cannot be written to standard output.
 
     Otherwise the process would try to write it at its end, and fail again.
     """

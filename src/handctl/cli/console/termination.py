@@ -19,7 +19,10 @@ from handctl.signal_handlers import installed_handler
 
 
 class TerminationRequested(KeyboardInterrupt):
-    """Exception that SIGTERM raises. SIGHUP, which a closed terminal sends, raises it too."""
+    """Exception that SIGTERM raises.
+
+    SIGHUP, which a closed terminal sends, also raises this exception.
+    """
 
 
 def _raise_terminated(number: int, frame: FrameType | None) -> None:
@@ -44,7 +47,8 @@ def terminate_on_signals() -> Iterator[None]:
 def install_excepthook() -> None:
     """End the process with a traceback and ``ExitCode.INTERNAL`` after an unexpected exception.
 
-    All other exit handlers run first and close their resources. The exit code is set after them.
+    All other exit handlers run first and close the resources of the command. The exit code is set
+    after these handlers.
     """
     bugs: list[BaseException] = []
 

@@ -30,7 +30,7 @@ _printed_cautions: ContextVar[set[str] | None] = ContextVar("printed_cautions", 
 def use_verbosity(args: argparse.Namespace) -> Iterator[None]:
     """Apply ``--quiet`` and ``--verbose`` of a command line while the command runs.
 
-    The command begins without printed cautions, see ``is_first_caution``.
+    When a command begins, no caution counts as printed, see ``is_first_caution``.
     """
     quiet = getattr(args, "quiet", False)
     verbose = getattr(args, "verbose", False)

@@ -62,18 +62,22 @@ def print_summary(result: dict[str, Any], plan: RunPlan) -> None:
     console.print(f"view the run: handctl view {result['log']}", soft_wrap=True)
 
 
-def _pauses_text(silent: int) -> str:
-    """Return a text that gives the number of ticks in which no node answered.
+def _pauses_text(silent_ticks: int) -> str:
+    """Return a text with the number of ticks in which no node answered.
 
-    Such ticks explain late frames.
+    Ticks without an answer explain late frames.
     """
-    return f", bus silent for {silent} tick{'s' if silent > 1 else ''}" if silent else ""
+    return (
+        f", bus silent for {silent_ticks} tick{'s' if silent_ticks > 1 else ''}"
+        if silent_ticks
+        else ""
+    )
 
 
 def _clock_text(result: dict[str, Any]) -> list[tuple[str, str]]:
     """Return a table row with the time for which the simulated clock waited for a slow machine.
 
-    If the clock never waited, return no row.
+    If the clock has never waited, return no row.
     """
     if not result["clock_pauses"]:
         return []

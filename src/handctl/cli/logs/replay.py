@@ -1,7 +1,7 @@
 """``handctl replay``: execute a recorded run again, repeat its motion on a hand, or judge it by other limits.
 
-Only the module of the requested kind of replay is imported. Therefore buses are imported for
-``replay drive`` alone.
+Only the module of the requested kind of replay is imported. So only ``replay drive`` imports the
+modules of buses.
 """
 
 import argparse

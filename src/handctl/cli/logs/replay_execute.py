@@ -1,6 +1,6 @@
 """``handctl replay execute``: execute the controller again on a log, with the logged gains or other gains.
 
-Neither this module nor the modules that it imports use a bus.
+Neither this module nor a module that it imports uses a bus.
 """
 
 import argparse
@@ -41,7 +41,8 @@ def run(args: argparse.Namespace) -> int:
 def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
     """Execute the log with the logged gains.
 
-    Return True if all computed ticks equal the logged ticks, or differ by at most the tolerance.
+    Return True if all computed ticks equal the logged ticks, or if the differences are within the
+    tolerance.
     """
     from importlib.metadata import version
 
@@ -113,7 +114,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
 
 
 def _writer_text(log: Any) -> tuple[str, str]:
-    """Return the version and code identity of the handctl that wrote a log."""
+    """Return the version and the code hash of the handctl that wrote a log."""
     from handctl.log.code_identity import UNKNOWN_IDENTITY
 
     return log.header.metadata.get("version", UNKNOWN_IDENTITY), log.header.metadata.get(

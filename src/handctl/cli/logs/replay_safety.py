@@ -1,4 +1,4 @@
-"""``handctl replay safety``: list the safety stops that would have occurred in a recorded run with other limits.
+"""``handctl replay safety``: list the safety stops that a recorded run would have had with other limits.
 
 This module uses no bus.
 """

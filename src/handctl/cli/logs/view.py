@@ -18,7 +18,7 @@ def run(args: argparse.Namespace) -> int:
     """Show a log, or write the requested recording and picture. Return the exit code."""
     os.environ.setdefault(
         "RUST_LOG", "error"
-    )  # hide Rerun's own log lines: handctl reports the errors itself
+    )  # hide the log lines of Rerun itself, because handctl reports the errors
     _check_options(args)
     if args.follow:
         from handctl.view.follow import follow_log
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _picture_moment_s(args: argparse.Namespace, log: Any) -> float:
-    """Return the time in the run for which the picture is drawn [s].
+    """Return the time [s] within the run for which the picture is drawn.
 
     Raises:
         ConfigError: the time given by ``--at`` is not within the run.
@@ -72,7 +72,7 @@ def _picture_moment_s(args: argparse.Namespace, log: Any) -> float:
 def _check_options(args: argparse.Namespace) -> None:
     """Raise an error if options contradict each other.
 
-    This check precedes the reading of the log.
+    This check comes before the log is read.
     """
     from handctl.view.viewer import check_screen, software_vulkan
 

@@ -1,8 +1,8 @@
 """Parser of command lines.
 
-Each error is one line that suggests a correction. Help texts end with an example. The messages of
-argparse quote words of the user. The parser escapes and shortens these messages before they are
-printed.
+Each error message of the parser is one line that suggests a correction. Each help text ends with an
+example. The messages of argparse contain words that the user has typed. The parser escapes and
+shortens these messages before they are printed.
 """
 
 import argparse
@@ -27,7 +27,7 @@ RUNNING_HAND = "handctl run --hand jamia --bus local:demo"
 
 
 class CommandExample(NamedTuple):
-    """Example command line for a help text. A user can paste it into a shell.
+    """Example command line for a help text. A user can copy it into a shell.
 
     Attributes:
         command_line: the command line.
@@ -38,7 +38,10 @@ class CommandExample(NamedTuple):
     parallel_commands: tuple[str, ...] = ()
 
     def help_epilog(self) -> str:
-        """Return the end of a help text with the example. The last line is the command line."""
+        """Return the end of a help text with the example.
+
+        The last line of the example is the command line.
+        """
         beside = (
             ["in other terminals:", *(f"  {command}" for command in self.parallel_commands)]
             if self.parallel_commands
@@ -65,7 +68,7 @@ class HelpFormatter(argparse.HelpFormatter):
 class VerbParser(argparse.ArgumentParser):
     """Argument parser with the options that every command has.
 
-    Parsers of subcommands have the same class.
+    Parsers of subcommands belong to the same class.
     """
 
     def __init__(self, **keywords: Any) -> None:
@@ -74,8 +77,8 @@ class VerbParser(argparse.ArgumentParser):
         The keyword arguments are those of ``ArgumentParser``.
         """
         super().__init__(**{"formatter_class": HelpFormatter} | keywords)
-        # The options have no default. With a default, the parser of a subcommand would reset an
-        # option that stands before the subcommand.
+        # These options have no default. With a default, the parser of a subcommand would reset an
+        # option that the user has written before the subcommand.
         volume = self.add_mutually_exclusive_group()
         add = volume.add_argument
         text = "print more detail on standard error"
@@ -92,7 +95,7 @@ class VerbParser(argparse.ArgumentParser):
     def add_subparsers(self, **keywords: Any) -> Any:
         """Add subcommands to this parser.
 
-        The options of a subcommand are known only to its own parser.
+        Only the parser of a subcommand knows the options of this subcommand.
         """
         self._has_sub_verbs = True
         return super().add_subparsers(**keywords)
@@ -108,8 +111,8 @@ class VerbParser(argparse.ArgumentParser):
         for word in _option_names(args or ()):
             if new := new_spelling(self._verb_names(), word):
                 raise ConfigError(f"{word} has been renamed", self._verb_names(), new)
-            # This check comes first. Otherwise argparse would report a missing argument where the
-            # user has misspelt its name.
+            # This check comes first. Without this check, argparse would report a missing argument
+            # when the user has misspelt the name of the argument.
             if not (
                 self._has_sub_verbs
                 or any(option.startswith(word) for option in self._option_string_actions)
@@ -159,7 +162,7 @@ class VerbParser(argparse.ArgumentParser):
 
 
 def _option_names(words: Iterable[str]) -> Iterable[str]:
-    """Yield the option names in a command line, up to the word ``--``."""
+    """Yield the names of the options in a command line, up to the word ``--``."""
     for word in words:
         if word == "--":
             return
@@ -189,7 +192,7 @@ def add_sub_verb(
     """Add the parser of a subcommand, and return this parser.
 
     Args:
-        sub_verbs: parsers of the command's subcommands.
+        sub_verbs: parsers of the subcommands of the command.
         name: name of the subcommand.
         text: one line of help that starts with a small letter and has no full stop.
         example: example command line for the end of the help.

@@ -1,7 +1,7 @@
 """Renamed options.
 
-If the user writes an old spelling, the error message gives the new spelling. The same rows are in
-the table of renamed options in docs/reference/command-line.md.
+If the user writes an old spelling, the error message gives the new spelling. The table of renamed
+options in docs/reference/command-line.md has the same rows.
 """
 
 RENAMED_OPTIONS = {

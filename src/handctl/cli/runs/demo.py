@@ -62,7 +62,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run_demo(args: argparse.Namespace) -> int:
-    """Run the demo, and return the exit code. Simulator and controller read the same hand file."""
+    """Run the demo, and return the exit code.
+
+    The simulator and the controller read the same hand file.
+    """
     if args.lockstep and args.time_scale != 1:
         raise ConfigError(
             f"{args.time_scale:g}",
@@ -89,7 +92,8 @@ def _run_demo(args: argparse.Namespace) -> int:
         outcome = _run_in_real_time(args, plan, TaskProgram(task), log, identified)
         truth = truth_path(plan.buses[0])
     wall = time.monotonic() - started
-    from handctl.session.verdict import judge_run  # only needed after the run, to read its log
+    # this module is needed only after the run, to read its log
+    from handctl.session.verdict import judge_run
 
     result = judge_run(plan, outcome, log, truth, task=task)
     if result["truth"] != str(truth):  # a copy is next to the log
@@ -111,7 +115,9 @@ def _calibration_path(log: Path) -> Path:
 
 
 def _check_not_overwritten(path: Path, log: Path) -> None:
-    """Check that a file of the demo does not exist yet. It could be the calibration of a real hand.
+    """Check that a file of the demo does not exist yet.
+
+    An existing file could be the calibration of a real hand.
 
     Raises:
         ConfigError: the file exists.
@@ -149,9 +155,9 @@ def _commission_and_run(
     runners: tuple[RunFunction, RunFunction],
     identified: IdentifiedByTendon,
 ) -> RunOutcome:
-    """Commission the hand, then run the program.
+    """Commission the hand, and then run the program.
 
-    The controller uses parameters of the hand that were identified earlier.
+    In this run, the controller uses parameters of the hand that were identified earlier.
     """
     first, then = runners
     print_note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
@@ -183,8 +189,8 @@ def _make_simulated_hand(args: argparse.Namespace, truth: Path | None) -> Simula
     return SimulatorSettings(args.hand, args.scene, args.seed, perturb, truth=truth, wire=args.wire)
 
 
-def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall: float) -> dict[str, Any]:
-    """Return result fields with the simulated time, the real time and their ratio.
+def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall_s: float) -> dict[str, Any]:
+    """Return three fields of the result: the simulated time, the real time, and the ratio of both.
 
     Both times include commissioning.
     """
@@ -192,8 +198,8 @@ def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall: float) -> dict[str, A
     return {
         "lockstep": True,
         "simulated_s": simulated,
-        "wall_s": wall,
-        "times_real_time": simulated / wall,
+        "wall_s": wall_s,
+        "times_real_time": simulated / wall_s,
     }
 
 

@@ -17,7 +17,10 @@ from handctl.session.run import make_controller, run_live
 
 
 def run(args: argparse.Namespace) -> int:
-    """Arm a hand, move one digit or joint, then relax and disarm the hand. Return the exit code."""
+    """Arm a hand, move one digit or joint, and then relax and disarm the hand.
+
+    Return the exit code.
+    """
     if args.mode:
         return jog_drive.run(args)
     if (
@@ -53,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _jog_program(args: argparse.Namespace, names: tuple[str, ...], ceiling: float) -> JogProgram:
-    """Check the goal before the hand moves, and return the program that moves the hand to it.
+    """Check the goal before the hand moves, and return the program that moves the hand to this goal.
 
     An angle may be the goal of a digit or of a single joint.
 

@@ -130,7 +130,7 @@ def _describe_motion(
 
     def make_jog_drive(motor: Motor) -> Drive:
         if motor.protocol in ("odrive", "cia402"):
-            # These drives count turns, and report no range.
+            # A drive of this protocol counts turns, and reports no range.
             motor = motor.model_copy(update={"position_range_rad": MAX_POSITION_RANGE_RAD})
         if goal.mode == DriveMode.FORCE_POSITION and node and "torque_max_N_m" in node.settings:
             motor = _with_current_limit(motor, node.settings["torque_max_N_m"], goal.max_torque_N_m)
@@ -142,7 +142,7 @@ def _describe_motion(
 def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor:
     """Return a Damiao motor whose commands contain a torque limit.
 
-    In a command, the limit is a fraction of full scale.
+    A command contains the limit as a fraction of full scale.
 
     Args:
         motor: description of the motor.
@@ -155,9 +155,9 @@ def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor
 
 
 def _torque_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options that also apply in torque mode.
+    """Return those options of a drive that also apply in torque mode.
 
-    Options of the position and velocity modes are left out.
+    The result does not contain the options of the position and velocity modes.
     """
     return {
         key: value
@@ -167,7 +167,7 @@ def _torque_options(options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _goal_text(goal: JogGoal) -> str:
-    """Return the motion of a drive in words."""
+    """Describe the motion of a drive in words."""
     motion = (
         f"{goal.mode.value} {goal.target:+g} {COMMAND_UNITS[goal.mode]} for {goal.duration_s:g} s"
     )
@@ -181,8 +181,8 @@ def _move_drive(
 ) -> tuple[JogResult, bool]:
     """Move and disable a drive. Return the result, and True if the drive has confirmed that it is disabled.
 
-    If a fault or a limit stops the motion, the drive stays latched, in the mode of the motion.
-    Otherwise the drive ends in torque mode.
+    If a fault or a limit stops the motion, the drive keeps its latched fault, and stays in the mode
+    of the motion. Otherwise the drive ends in torque mode.
     """
     result: JogResult | None = None
     with open_rig(args, drive) as (rig, bus):
@@ -203,7 +203,8 @@ def _move_drive(
                 if complete
                 else rig.confirm_off(watchdog_s)
             )
-            if not off and result is None:  # ended by Ctrl-C or a bug: report it here
+            # the motion was ended by Ctrl-C or a bug: report this here
+            if not off and result is None:
                 raise PowerError(NOT_OFF_WARNING)
     return result, off
 

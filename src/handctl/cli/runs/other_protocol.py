@@ -1,6 +1,6 @@
 """Hand file for a simulated hand whose drives use another protocol than its packaged file.
 
-The fault campaign uses such hands too.
+The fault campaign also uses such hands.
 """
 
 import argparse
@@ -66,7 +66,7 @@ def write_in_protocol(args: argparse.Namespace) -> Path:
 def _hand_text(args: argparse.Namespace) -> str:
     """Return the text of the hand file with drives of ``args.protocol``."""
     from handctl.campaign.run_stages import (
-        hand_with_protocol,  # a slow import, because it imports the whole controller
+        hand_with_protocol,  # this import is slow, because it imports the whole controller
     )
 
     hand = hand_with_protocol(args.hand, args.protocol, args.motor_type)

@@ -1,4 +1,4 @@
-"""Watch on standard input for ``--until-eof``.
+"""End of a run when standard input ends, for the option ``--until-eof``.
 
 The end of standard input ends the run. Standard input ends when the program that started the run
 ends.
@@ -19,7 +19,7 @@ class StdinWatch:
     """Observer of a run that requests a stop when standard input has ended, see ``session.run.RunObserver``."""
 
     def __init__(self) -> None:
-        """Create the observer. Standard input is assumed to be open."""
+        """Create the observer. At the start, standard input is assumed to be open."""
         self.input_ended = False
 
     def poll_requests(self) -> tuple[str, ...]:
@@ -34,4 +34,4 @@ class StdinWatch:
         return (STOP_REQUEST,)
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
-        """Ignore a tick of the run. ``session.run.RunObserver`` requires this method."""
+        """Do nothing in a tick of the run. ``session.run.RunObserver`` requires this method."""

@@ -37,7 +37,7 @@ def _send_request(args: argparse.Namespace, question: dict[str, object]) -> int:
 
 
 def _print_kinds(args: argparse.Namespace) -> int:
-    """Print each kind of fault with the components of the hand that can have this fault."""
+    """Print each kind of fault, with the components of the hand that can have this kind of fault."""
     kinds = ask_simulator(find_simulator(args.bus), {"kinds": True})["kinds"]
     if args.json:
         print_json({"kinds": kinds})

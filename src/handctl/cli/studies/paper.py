@@ -63,8 +63,8 @@ def run(args: argparse.Namespace) -> int:
 def _load_or_measure(path: Path | None, jobs: int) -> dict[str, Any]:
     """Return the results of the experiments.
 
-    If the file exists, read the results from it. Otherwise run the experiments and save their
-    results.
+    If the file of results exists, read the results from it. If it does not exist, run the
+    experiments and save their results.
 
     Raises:
         ConfigError: the file contains no results, or the file cannot be written.
@@ -79,7 +79,10 @@ def _load_or_measure(path: Path | None, jobs: int) -> dict[str, Any]:
 
 
 def _check_writable(report_file: Path | None, *folders: Path | None) -> None:
-    """Check that the report and the folders can be written. This check precedes the experiments."""
+    """Check that the report and the folders can be written.
+
+    This check comes before the experiments.
+    """
     if report_file:
         check_output(report_file, "--output")
     for folder in filter(None, folders):

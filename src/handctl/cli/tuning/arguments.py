@@ -1,6 +1,7 @@
 """Declaration of the arguments of the commands in this folder.
 
-The code of a command is imported only when that command runs. Therefore help texts appear fast.
+The code of a command is imported only when that command runs. This makes the help texts appear
+fast.
 """
 
 import argparse
@@ -92,7 +93,7 @@ def gains(parser: VerbParser) -> None:
     def add_kind(name: str, text: str) -> VerbParser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"gains {name}"])
         add_json_option(one)
-        if name != "set":  # "set" needs no --hand: the running controller knows its hand
+        if name != "set":  # "set" needs no --hand, because the running controller knows its hand
             add_hand_option(one)
         return one
 

@@ -1,4 +1,4 @@
-"""``handctl gains``: show, compare, apply and roll back the gains of a hand, also while the hand runs."""
+"""``handctl gains``: show, compare, apply and roll back the gains of a hand, even while the hand runs."""
 
 import argparse
 import itertools
@@ -82,7 +82,7 @@ def gain_meaning(gain: GainBounds) -> str:
 
 
 def _provenance_text(provenance: GainsProvenance) -> str:
-    """Return the provenance of gains as a phrase that gives number, time and sources."""
+    """Return the provenance of gains as a phrase with number, time and sources."""
     sources = [*provenance.log, *filter(None, (provenance.fit, provenance.study, provenance.note))]
     number = f", number {provenance.number}" if provenance.number else ""
     made = f", made {provenance.made}" if provenance.made else ""
@@ -146,7 +146,7 @@ def _gains_to_compare(word: str, hand: Hand) -> Gains:
 
 
 def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
-    """Make the gains of a file the present gains of the hand."""
+    """Make the gains in a file the present gains of the hand."""
     file = read_gains_for_hand(hand, args.file, print_notice)
     check_gain_margins(hand, file.gains)
     options = {
@@ -166,7 +166,8 @@ def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
 def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
     """Restore earlier gains of the hand from the history.
 
-    If the file of the present gains is unusable and no number is given, restore the newest entry.
+    If no number is given and the file of the present gains is unusable, restore the newest entry of
+    the history.
     """
     store = GainsStore(hand.name, hand.identity)
     entries = store.history_entries()

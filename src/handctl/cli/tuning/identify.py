@@ -60,7 +60,7 @@ BLOCKED_HINT = (
 
 
 def run(args: argparse.Namespace) -> int:
-    """Excite a hand or read logs, then fit, report and save the parameters of the hand.
+    """Excite a hand, or read logs. Then fit, report and save the parameters of the hand.
 
     Return the exit code.
     """
@@ -84,7 +84,8 @@ def run(args: argparse.Namespace) -> int:
         excitation_steps(plan.hand, tuple(args.digits or plan.hand.digit_names))
     )
     path, calibration, reason = find_calibration(args, plan.hand, plan.buses)
-    if args.lockstep and not args.calibration:  # keep simulated results out of the real hand's file
+    # the results of a simulation must not go into the file of a real hand
+    if args.lockstep and not args.calibration:
         path = _simulated_calibration_path(plan.hand)
     total = sum(step.duration_s for step in program.steps)
     if args.dry_run:
@@ -112,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _in_lockstep(
-    args: argparse.Namespace, plan: RunPlan, program: ExciteProgram, log: Path, about: str
+    args: argparse.Namespace, plan: RunPlan, program: ExciteProgram, log: Path, introduction: str
 ) -> tuple[Calibration, RunOutcome]:
     """Commission and excite a simulated hand in virtual time.
 
@@ -123,7 +124,7 @@ def _in_lockstep(
         args.hand, seed=args.seed, perturb=perturb, truth=log.with_suffix(".truth")
     )
     with simulator.lockstep_clock(plan.period_ns) as clock:
-        print_note(about)
+        print_note(introduction)
         return _commission_and_excite(plan, program, log, partial(run_lockstep, clock=clock))
 
 
@@ -142,7 +143,7 @@ def _commission_and_excite(
 def _identify_from_logs(args: argparse.Namespace) -> int:
     """Identify parameters from recorded runs, without moving the hand. Return the exit code.
 
-    If several logs give results for a tendon, the result of the last log is used.
+    If several logs give results for the same tendon, the last of these logs counts.
 
     Raises:
         ConfigError: a log cannot be used, or would change the calibration of another hand.
@@ -274,15 +275,17 @@ def _report_results(
     return ended
 
 
-def _print_refusals(spoilt: dict[str, str], met: dict[str, str], incoherent: list[str]) -> None:
-    """Print which parameters are not kept, and why.
+def _print_refusals(
+    blocked_digits: dict[str, str], met: dict[str, str], incoherent_tendons: list[str]
+) -> None:
+    """Print which parameters are not kept, with the reasons.
 
     Args:
-        spoilt: event of each blocked digit.
-        met: contact of each digit that met something during its sweep.
-        incoherent: names of the tendons with a low coherence.
+        blocked_digits: for each blocked digit, the event that reports this.
+        met: for each digit that touched something during its sweep, the contact.
+        incoherent_tendons: names of the tendons whose coherence is too low.
     """
-    for digit, reason in spoilt.items():
+    for digit, reason in blocked_digits.items():
         print_escaped(
             f"handctl: no parameters of {digit} are kept: {reason}; expected a digit that touches nothing",
             error=True,
@@ -292,28 +295,31 @@ def _print_refusals(spoilt: dict[str, str], met: dict[str, str], incoherent: lis
             f"handctl: springs and friction of {digit} are not kept: {reason}; {BLOCKED_HINT}",
             error=True,
         )
-    if incoherent:
+    if incoherent_tendons:
         print_escaped(
-            f"handctl: inertia, viscous friction and delay of {', '.join(incoherent)} are not kept: "
+            f"handctl: inertia, viscous friction and delay of {', '.join(incoherent_tendons)} are not kept: "
             f"{LOW_COHERENCE_TEXT}, so the values are not worth using; let handctl identify move the digits",
             error=True,
         )
 
 
 def _search_command(args: argparse.Namespace, path: Path) -> str:
-    """Return the command line that tunes the identified hand. The options select the same hand."""
+    """Return the command line that tunes the gains for the identified hand.
+
+    The options in it select the same hand.
+    """
     words = ["handctl", "tune", "search", "--hand", str(args.hand), "--calibration", str(path)]
     return shlex.join(words + same_hand_words(args))
 
 
 def _draw_pictures(
-    hand: Hand, results: dict[Path, dict[str, TendonResult]], say: Callable[[str], None]
+    hand: Hand, results: dict[Path, dict[str, TendonResult]], print_line: Callable[[str], None]
 ) -> list[Path]:
     pictures = []
     for log, tendons in results.items():
         for name, one in tendons.items():
             picture = log.with_suffix(f".identify-{name}.png")
-            say(f"drawing {picture}")
+            print_line(f"drawing {picture}")
             draw_identification(picture, one, f"{hand.name} {name}: {log.name}")
             pictures.append(picture)
     return pictures

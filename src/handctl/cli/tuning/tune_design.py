@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _report_failure(args: argparse.Namespace, reason: str) -> int:
-    """Report the reason why no gains are written, and return the exit code."""
+    """Report why no gains are written, and return the exit code."""
     if args.json:
         print_json({"gains": None, "picture": None, "enough": False, "why": reason})
     print_escaped(f"handctl: tune design: {reason}; nothing is written", error=True)
@@ -156,13 +156,14 @@ def _print_design(result: Any, rate: float, plants: int) -> None:
         print_escaped(f"before: in simulation the hand does not come to rest: {reason}")
 
 
-def _margin_cells(before: Any, after: Any, unproven: str) -> list[str]:
-    """Return the cells of a row of the table: each margin before and after.
+def _margin_cells(before: Any, after: Any, missing_margin_text: str) -> list[str]:
+    """Return the cells of a row of the table: each margin with the old gains and with the new gains.
 
     Args:
         before: margins with the old gains.
         after: margins with the designed gains.
-        unproven: text in the first cell for a loop without margins. The other cells have a dash.
+        missing_margin_text: text in the first cell if a loop has no margins. The other cells then contain a
+            dash.
     """
     from handctl.tune.loops.margins import MAX_DELAY_S, MAX_GAIN_DB
 
@@ -170,7 +171,7 @@ def _margin_cells(before: Any, after: Any, unproven: str) -> list[str]:
         limit = {"gain_db": MAX_GAIN_DB, "delay_s": MAX_DELAY_S}.get(name, math.inf)
         value = getattr(margins, name)
         if not margins.stable:
-            return unproven if name == "gain_db" else "-"
+            return missing_margin_text if name == "gain_db" else "-"
         return (
             "-"
             if math.isnan(value)

@@ -43,9 +43,9 @@ def ensemble_of_tuned_hand(
     """Return the factors between the parameters of each simulated plant and those of the hand to tune.
 
     The plants form an ensemble around the best estimate of the hand. Without a calibration, the
-    center of the ensemble has the parameters of the hand file, multiplied by the factors of
-    ``--perturb``. A calibration already contains these factors. Therefore they are not applied
-    again.
+    hand at the center of the ensemble has the parameters of the hand file, multiplied by the
+    factors of ``--perturb``. The identified values in a calibration already contain the effect of
+    these factors. With a calibration, the factors are therefore not applied again.
 
     Raises:
         ConfigError: the number of plants is too small or too large, or ``--perturb`` is wrong.
@@ -62,7 +62,7 @@ def ensemble_of_tuned_hand(
 def verify_command(args: argparse.Namespace, out: Path) -> str:
     """Return the command line that verifies new gains in simulation.
 
-    The options of this command select the same hand.
+    The options of the returned command line select the same hand.
     """
     words = ["handctl", "tune", "verify", str(out), "--lockstep", "--hand", str(args.hand)]
     words += ["--calibration", str(args.fit)] if args.fit else []
@@ -88,14 +88,14 @@ def write_gains(
 
 
 class TunedHand(NamedTuple):
-    """Hand to tune, the same hand with identified parameters, and the spread of its parameters.
+    """Hand to tune, the same hand with identified parameters, and the spread of these parameters.
 
     Attributes:
-        hand: hand with the parameters of the hand file. A gains file records the name and identity
-            of this hand.
-        identified_hand: hand with identified parameters in place of the parameters in the file. The
-            controller has this hand as its model, as in a run with this calibration. The ensemble
-            of simulated plants has this hand at its center.
+        hand: hand with the parameters of the hand file. A gains file records the name and the
+            identity of this hand.
+        identified_hand: hand with identified parameters in place of the parameters in the file.
+            This hand is the model of the controller, as in a run with the same calibration. This
+            hand is also the center of the ensemble of simulated plants.
         factor_spread: half width of the ensemble for each parameter, from the identification, see
             ``draw_ensemble``.
     """

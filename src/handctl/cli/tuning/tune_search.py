@@ -98,7 +98,7 @@ def _report_infeasible(
 def _designed_gains(
     hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]
 ) -> tuple[Gains, ...]:
-    """Return gains that are designed for the same plants.
+    """Return gains that ``tune design`` finds for the same plants.
 
     The search also starts from these gains. If the design fails, return an empty tuple.
     """

@@ -1,6 +1,6 @@
 """``handctl tune verify``: test new gains on the hand, in rounds of rising amplitude.
 
-If a round fails, the hand returns to the old gains.
+If a round fails, the hand gets its old gains again.
 """
 
 import argparse
@@ -26,7 +26,10 @@ from handctl.session.simulate import SimulatorSettings
 
 
 def run(args: argparse.Namespace) -> int:
-    """Verify new gains on the hand. Return 0 only if they pass the round with full amplitude."""
+    """Verify new gains on the hand.
+
+    Return 0 only if the new gains pass the round with full amplitude.
+    """
     from handctl.programs.exercise import ExerciseProgram
     from handctl.tune.gains_verification import VerifyObserver, round_amplitudes
 
@@ -134,9 +137,9 @@ def _judge_run(
 
 
 def _stop_reason(failure: str, observer: Any, round_count: int) -> str:
-    """Return the reason why a run did not pass all rounds, or an empty text if it did.
+    """Return the reason why a run did not pass all rounds. The text is empty if it passed them.
 
-    A blocked digit comes first, because it explains most other reasons.
+    A blocked digit is reported before other reasons, because it explains most of them.
     """
     if observer.blocked:
         return str(observer.blocked)
@@ -221,7 +224,7 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
     if result.get("columns"):
         _print_columns(result)
     console.print(f"log: {result['log']}\npicture: {result['picture']}", soft_wrap=True)
-    # The verdict is the last line, also if a run ended early.
+    # The verdict is the last line, even if a run ended early.
     if result["verified"]:
         words = ("handctl", "gains", "apply", str(args.candidate), "--hand", str(args.hand))
         apply = shlex.join(words)
@@ -239,7 +242,7 @@ def return_text(back: dict[str, Any]) -> str:
 
 
 def _gains_label(number: int, back: dict[str, Any] | None, amplitudes: tuple[float, ...]) -> str:
-    """Return the label of the gains that a test round used: old, new, first new and then old, or old again."""
+    """Return the label of the gains that a test round used: old, new, first new and then old, or again old."""
     from handctl.tune.gains_verification import OLD_GAINS_ROUNDS
 
     if number < OLD_GAINS_ROUNDS:

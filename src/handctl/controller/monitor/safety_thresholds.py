@@ -1,4 +1,4 @@
-"""Thresholds of the safety monitor for a hand, computed from its drives, its sensors, and its model."""
+"""Thresholds of the safety monitor for a hand, computed from the drives, the sensors and the model of the hand."""
 
 from collections.abc import Sequence
 
@@ -118,13 +118,14 @@ def compiled_constants(
 
 
 def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object]:
-    """Return the constants of the drives' position loops that depend on their frames.
+    """Return those constants of the drives' position loops that depend on the frames of the drives.
 
     For kp [N m/rad] and kd [N m s/rad], the constants are the step of one count and the largest
-    value. Further constants are the force that one count of feedback causes [N], and 1 for each
-    drive that moves its commanded position by itself. A drive whose commands have no kp and kd gets
-    a count of 1. Feedback is the position and the speed that the drive reports. Both are rounded to
-    counts of the protocol, or to counts of the encoder if these are coarser.
+    value that a frame can contain. Further constants are the force [N] that one count of feedback
+    causes, and 1 for each drive that moves its commanded position by itself. For a drive whose
+    commands have no kp and kd, the count is 1. Feedback is the position and the speed that the
+    drive reports. A drive rounds both to counts of the protocol, or to counts of the encoder if
+    these are coarser.
     """
     gain = np.ones(len(drives)) if model.torque_gain is None else model.torque_gain
     loop = servo_constants(model)
@@ -143,7 +144,8 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
             signal for message in drive.cyclic_messages.feedback for signal in message.signals
         ):
             if signal.quantity in inputs:
-                # A float has finer steps than the encoder whose position it contains.
+                # A floating-point number has finer steps than the encoder whose position it
+                # contains.
                 encoder = model.space.encoder_step[n] / model.space.spool[n]
                 step = (
                     max(signal.step, encoder)
@@ -164,7 +166,7 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
 def torque_resolution(drive: Drive) -> float:
     """Return the torque of one count in the feedback or in the command, whichever is larger [N m at the spool].
 
-    For a floating-point torque, the result is 0.
+    For a torque in floating point, the result is 0.
     """
     messages = (*drive.cyclic_messages.feedback, *drive.cyclic_messages.commands)
     signals = [
@@ -188,16 +190,16 @@ def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorInterface) -> in
 
 
 def _noise_limit(model: HandModel) -> float:
-    """Return the largest mean squared jerk of a motor's position without encoder noise [rad^2].
+    """Return the largest mean squared jerk of a motor's position that occurs without encoder noise [rad^2].
 
-    The jerk is the change of the position step from one tick to the next: acceleration times period
-    squared. This limit includes the jerk of a healthy motor, and rounding of the encoder.
+    Here, the jerk is the change of the position step from one tick to the next: acceleration times
+    period squared. This limit includes the jerk of a healthy motor and the rounding of the encoder.
     """
     space = model.space
     period = model.period
-    # Acceleration of the bare rotor at full torque [rad/s^2]. Torque / spool radius is a force,
-    # force / mass an acceleration along the tendon, and this acceleration / spool radius that of
-    # the rotor.
+    # Acceleration of the bare rotor at full torque [rad/s^2]. Torque / spool radius is a force, and
+    # force / mass is an acceleration along the tendon. This acceleration / spool radius is the
+    # acceleration of the rotor.
     acceleration = float((model.torque_limit / space.spool / space.motor_mass / space.spool).max())
     rounding = ROUNDING_NOISE_COUNTS * float((space.encoder_step / space.spool).max()) ** 2
     return NOISE_FACTOR * (

@@ -1,10 +1,10 @@
-"""Detection of unsolicited and duplicate replies: a node sends more replies than this host has sent requests.
+"""Detection of unsolicited and duplicate replies: a node sends more replies than this host sent requests.
 
 If a motor replies before the first request from this host, a second controller has sent it a
 request (fault H13). A single such reply is enough for this fault. If there are more replies than
 requests, the excess reply is a duplicate (fault B05), or a masquerade if its bytes differ (fault
 B06). Only frames that the state machine of the drive or sensor node accepts as replies are counted.
-Heartbeats and frames with an old counter are not counted. The code runs only in ticks with excess
+Heartbeats and frames with an old counter are not counted. This code runs only in ticks with excess
 replies.
 """
 
@@ -32,13 +32,13 @@ def detect_unsolicited_replies(
 ) -> tuple[str, ...]:
     """Detect unsolicited and duplicate replies in a tick.
 
-    Duplicates are written into ``DUPLICATES``.
+    The numbers of duplicates are written into ``DUPLICATES``.
 
     Args:
         drives: drives of the hand.
         sensors: sensor node of the hand.
         last_state: state before the tick.
-        state: state with the data received in the tick.
+        state: state that includes the data received in the tick.
         frames: frames received in the tick.
 
     Returns:
@@ -48,8 +48,8 @@ def detect_unsolicited_replies(
     surplus = state.view("surplus").tolist()
     signs = []
     for n, count in enumerate(surplus):
-        # The count is the number of outstanding requests plus 1. So the count 1 means a reply
-        # without a request.
+        # The field counts the outstanding requests plus 1. So the value 1 at a reply means that
+        # there was no request.
         if count == 1:
             signs.append(f"{drives[n].name} answering it")
         elif count:
@@ -91,9 +91,8 @@ def _detect_duplicate_answers(
 def _has_lost_answers(last_state: ControllerState) -> bool:
     """Return True if answers of the load cells were missing in the last ``LATE_ANSWER_WINDOW_TICKS`` ticks.
 
-    An additional answer without a counter then counts as late, and not as a duplicate. An
-    additional answer also counts as late after a tick without an answer, and if this host has
-    missed a tick.
+    An additional answer without a counter is then regarded as late, and not as a duplicate. The
+    same holds after a tick without an answer, and after a tick that this host has missed.
     """
     return bool(
         last_state.layout.table(last_state.block, "node_int")[s.LOST_REPLIES, -1]
@@ -102,14 +101,14 @@ def _has_lost_answers(last_state: ControllerState) -> bool:
 
 
 def _duplicate_kind(payloads: list[bytes], due: int) -> int:
-    """Return 2 if the bytes of an excess reply differ from those of the last expected reply, else 1."""
+    """Return 2 if the bytes of an excess reply differ from those of the last expected reply, and otherwise 1."""
     return 2 if len(set(payloads[due - 1 :])) > 1 else 1
 
 
 def _accepted_payloads(
     drive: Drive, last_state: ControllerState, n: int, frames: Sequence[Frame]
 ) -> list[bytes]:
-    """Return the payloads that the drive's state machine accepts as replies, in the order of reception."""
+    """Return the payloads that the state machine of the drive accepts as replies, in the order of reception."""
     drive_state = last_state.drive(n)
     payloads = []
     for frame in frames:

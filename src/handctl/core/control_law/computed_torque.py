@@ -1,7 +1,7 @@
-"""Two control laws of a tendon-driven digit: computed torque for its motions, and a tension loop for pulling.
+"""Two control laws of a tendon-driven digit: computed torque for motions, and a tension loop for pulling.
 
 Motion: inverse dynamics give the joint torque that the trajectory requires. The tensions f of the
-tendons must make this torque. The motor force u is the tension f_0 at the load cell, plus the
+tendons must make this joint torque. The motor force u is the tension f_0 at the load cell, plus the
 feedback, plus the force for the inertia and the friction of the motor:
 
     f = allocate(M theta_d'' + h(theta_d, theta_d'))    f_0 = f / efficiency
@@ -9,11 +9,11 @@ feedback, plus the force for the inertia and the friction of the motor:
         + c_i m_m s_d'' + c_f (b_m v + friction(s_d'))
         - c_d disturbance + K_f (f_0 - f_hat)
 
-The excursions are s = R_r theta. With moment arms that vary with the joint angles q, the excursions
-are e(q), and s'' = R q'' + R' q'^2. The speed v is the tendon speed at the spool, so the feedback
-damps the rotor, and not the digit behind the tendon. The factors c_i, c_f and c_d are fractions
-that belong to the gains. The mass m_m of the rotor is about twenty times the mass m_l of the
-finger. The feedback accelerates rotor and finger.
+The excursions of the tendons are s = R_r theta. With moment arms that vary with the joint angles q,
+the excursions are e(q), and s'' = R q'' + R' q'^2. The speed v is the speed of the tendon at its
+spool, so the feedback damps the rotor, and not the digit behind the tendon. The factors c_i, c_f
+and c_d are fractions that belong to the gains. The mass m_m of the rotor is about twenty times the
+mass m_l of the finger. The feedback accelerates both the rotor and the finger.
 
 Tension: the tension loop is a state feedback of tension error and tendon speed, with a slow
 integral. If the digit is expected to follow a trajectory, the loop feeds forward the speed of the
@@ -99,7 +99,10 @@ RELAX_FLOOR_N = 5.0
 
 @kernel_helper
 def command_no_torque(x: StateTables, c: ConstantTables) -> None:
-    """Command no torque. The setpoint of a later tension loop starts at the present tension."""
+    """Command no torque.
+
+    When a later tension loop begins, its setpoint starts at the present tension.
+    """
     begin_servo_commands(x, c)
     for n in range(x.tendon.shape[1]):
         x.tendon[s.SETPOINT, n] = x.tendon[s.TENSION, n]
@@ -116,14 +119,14 @@ def command_no_torque(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
-    """Start or end a hold that safety demands.
+    """Start or end a hold that the safety monitor demands.
 
-    Until the end of the hold, the tensions at its start, plus a margin, are limits.
+    During the hold, the tensions at its start, plus a margin, are limits.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        hold: True if safety demands the hold.
+        hold: True if the safety monitor demands the hold.
     """
     if hold and not x.run_int[s.HOLDING]:
         for n in range(x.tendon.shape[1]):
@@ -138,10 +141,11 @@ def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
 def present_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
     """Return the present tension limits (N,) [N], which apply in addition to the limits of the hand file.
 
-    The limit of a warm drive falls from the ceiling at the soft temperature to the floor at the
+    For a warm drive, the limit falls from the ceiling at the soft temperature to the floor at the
     hard temperature. The limit of a blocked digit is ``MAX_PRESS_N`` above the tension that the
-    trajectory requires. During a hold that safety demands, the limit is ``HOLD_MARGIN_N`` above the
-    tension at its start. The limit of a spool pair applies to the net tension in both directions.
+    trajectory requires. During a hold that the safety monitor demands, the limit is
+    ``HOLD_MARGIN_N`` above the tension at the start of the hold. The limit of a spool pair applies
+    to the net tension in both directions.
     """
     limit = np.full(x.tendon.shape[1], math.inf)
     warm = False
@@ -162,7 +166,7 @@ def present_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
 
 @kernel_helper
 def _derated_tension(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the largest tension that the drive's temperature allows.
+    """Return the largest tension that the temperature of the drive allows.
 
     A drive that reports no temperature counts as cool.
     """
@@ -192,8 +196,8 @@ def write_motor_torques(
         x: state tables.
         c: constants of the hand.
         trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
-        relax_rate: rate at which the envelope of motor forces falls in a relaxing hand [N/s], 0 in
-            other modes.
+        relax_rate: rate at which the envelope of the motor forces falls while the hand relaxes
+            [N/s]. The value is 0 in other modes.
         open_loop: True if the motor forces of a relaxing hand equal the envelope, without feedback.
         ticks: number of periods since the last tick, 1 without missed ticks.
     """
@@ -259,7 +263,7 @@ def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> flo
         limit: present tension limit [N].
     """
     force = min(max(force, c.tendon[h.FORCE_MIN, n]), c.tendon[h.FORCE_MAX, n])
-    # The motor force is bounded by the tension limit plus the friction that the motor has to
+    # The bound of the motor force is the tension limit plus the friction that the motor has to
     # overcome.
     bound = limit + c.tendon[h.MOTOR_COULOMB, n]
     force = min(force, bound)
@@ -283,7 +287,7 @@ def _write_filter_force(
     """
     x.tendon[s.FILTER_FORCE, n] = force - _motor_friction(x, c, n, force)
     if c.run_int[h.HAS_CARRIER_ARMS]:
-        # The filter's travel of the spool excludes the motion of carrying digits, so the force for
+        # The spool travel in the filter excludes the motion of carrying digits, so the force for
         # this motion is subtracted.
         x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carried
         x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(
@@ -326,7 +330,9 @@ def _write_joint_torques(
 def _relaxing_force(
     x: StateTables, c: ConstantTables, n: int, force: float, ceiling: float, open_loop: bool
 ) -> float:
-    """Return the motor force of a relaxing hand [N]: limited by the envelope, or in open loop the envelope itself.
+    """Return the motor force of a relaxing hand [N].
+
+    The value is at most the envelope, and in open loop it is the envelope itself.
 
     Args:
         x: state tables.
@@ -347,11 +353,11 @@ def _relaxing_force(
 def _motion_terms(
     x: StateTables, c: ConstantTables, trajectory: Matrix, limit: Vector
 ) -> tuple[Vector, Matrix, Matrix]:
-    """Return pulley efficiencies (N,), and goal, feedback, null-space force and integral of each tendon [N].
+    """Return pulley efficiencies (N,), and the goal, feedback, null-space force and integral of each tendon [N].
 
     The results are an array (N,), an array (2, N) with tension goals and feedback forces, and an
-    array (2, N) with null-space forces and integrals. The feedback accelerates rotor and digit. All
-    terms are 0 for tendons that follow no trajectory.
+    array (2, N) with null-space forces and integrals. The feedback accelerates both the rotor and
+    the digit. All terms are 0 for tendons that follow no trajectory.
 
     Args:
         x: state tables.
@@ -372,7 +378,7 @@ def _motion_terms(
         place = x.tendon[s.EXCURSION, n]
         if c.tendon_int[h.HAS_SURPLUS, n]:
             surplus = True
-            # If no motion of the digit explains a part of the excursions, this part is an error of
+            # If a part of the excursions fits no motion of the digit, this part is an error of
             # tendon length. The feedback ignores it.
             place = (
                 part_explained_by_motion(c, n, x.tendon[s.EXCURSION])
@@ -387,8 +393,8 @@ def _motion_terms(
             * (rate - x.tendon[s.SPEED, n])
         )
         counted = c.run[h.FRICTION_FRACTION]
-        # Tension behind the pulleys, as a fraction of the tension before them: the efficiency while
-        # the tendon is wound, and 1 / efficiency while it is paid out.
+        # Tension behind the pulleys, as a fraction of the tension before them. The fraction is the
+        # efficiency while the tendon is wound up, and 1 / efficiency while it is paid out.
         winding = math.tanh(
             (rate + _goal_of_carriers(c, n, trajectory)[0]) / CAPSTAN_FRICTION_SPEED_M_S
         )
@@ -443,9 +449,9 @@ def _take_up_slack(
 ) -> None:
     """Replace the feedback on slack tendons, so that their spools wind at a low speed.
 
-    A slack tendon does not move its digit. Feedback of the position could pay the tendon out
-    further, or pull it taut with a jerk that resembles a torn tendon. For a nearly slack tendon,
-    feedback that pays out is reduced, so that springs or the antagonist first open the digit.
+    A slack tendon does not move its digit. Position feedback could pay the tendon out further, or
+    pull it taut with a jerk that looks like a torn tendon. For a nearly slack tendon, feedback that
+    pays out is reduced, so that springs or the antagonist open the digit first.
 
     This applies to streamed digits. In other motions, only feedback that pays out a slack tendon is
     replaced, see ``_is_paid_out_while_slack``.
@@ -500,7 +506,7 @@ def _is_paid_out_while_slack(x: StateTables, c: ConstantTables, n: int, feedback
 
 @kernel_helper
 def _goal_along_tendon(c: ConstantTables, n: int, trajectory: Matrix) -> tuple[float, float, float]:
-    """Return excursion [m], rate [m/s] and acceleration [m/s2] of a tendon on the joints' trajectories."""
+    """Return excursion [m], rate [m/s] and acceleration [m/s2] of a tendon on the trajectories of the joints."""
     excursion = 0.0
     rate = 0.0
     acceleration = 0.0
@@ -572,8 +578,8 @@ def _motion_force(
     x.tendon[s.TENSION_GOAL, n] = tension
     if _takes_up_slack(x, c, n):
         rate = _take_up_speed(rate)
-    # If the drive closes the position loop, its position command includes the planned stretch, so
-    # the loop in the drive controls the tension too.
+    # If the drive closes the position loop, its position command includes the planned stretch of
+    # the tendon. The loop in the drive then also controls the tension.
     inner_gain = 0.0 if _is_moved_by_drive(x, c, n) else c.run[h.TENSION_FEEDBACK]
     return (
         tension

@@ -9,7 +9,7 @@ from handctl.core.tick_types import Vector
 
 
 class GoalKind(enum.IntEnum):
-    """Type of control of a digit."""
+    """Kind of control of a digit, for example motion or tension."""
 
     LIMP = 0
     """The drives are enabled and make no torque."""
@@ -21,12 +21,14 @@ class GoalKind(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DigitGoal:
-    """Goal of a digit. Goals are compared by identity, so that values that follow from a goal can be cached.
+    """Goal of a digit.
+
+    Goals are compared by identity, so that values derived from a goal can be cached.
 
     Attributes:
         kind: type of control.
         trajectory: for MOTION, the trajectory in the digit's coordinates. For TENSION, the expected
-            motion, which is fed forward without feedback.
+            motion of the digit, which is fed forward without feedback.
         since: program time at which the trajectory starts [s].
         tension: for TENSION, (n_t,) target tensions at the load cells [N].
         rate: for TENSION, rate at which the setpoint approaches the target [N/s].

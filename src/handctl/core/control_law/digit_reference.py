@@ -36,8 +36,8 @@ def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool)
     Args:
         x: state tables.
         c: constants of the hand.
-        is_time_frozen: True while safety holds the hand. The digits then rest at their positions on the
-            trajectory.
+        is_time_frozen: True while the safety monitor holds the hand. The digits then rest at their
+            present positions on the trajectory.
 
     Source: Flash & Hogan (1985): position 10 s^3 - 15 s^4 + 6 s^5 of normalised time s.
     """
@@ -81,7 +81,7 @@ def _add_blend(x: StateTables, k: int, elapsed: float, blend_duration: float) ->
         x: state tables.
         k: index of the coordinate.
         elapsed: time since the start of the move [s].
-        blend_duration: time in which the earlier motion fades [s].
+        blend_duration: time in which the earlier motion fades out [s].
     """
     speed = x.coordinate[s.TRAJECTORY_START_SPEED, k]
     bend = x.coordinate[s.TRAJECTORY_START_ACCELERATION, k]
@@ -106,7 +106,7 @@ def _add_blend(x: StateTables, k: int, elapsed: float, blend_duration: float) ->
 
 @kernel_helper
 def joint_trajectories(x: StateTables, c: ConstantTables) -> Matrix:
-    """Return angles, rates and accelerations (3, J) of all joints on the trajectories."""
+    """Return the angles, rates and accelerations (3, J) of all joints on their trajectories."""
     joints = x.joint.shape[1]
     way = np.zeros((3, joints))
     for j in range(joints):
@@ -135,7 +135,7 @@ def is_tendon_streamed(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 @kernel_helper
 def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix) -> None:
-    """Write the joint torques that the trajectories require, by inverse dynamics, springs and damping.
+    """Write the joint torques that the trajectories require, from inverse dynamics, springs and damping.
 
     Args:
         x: state tables.
@@ -183,13 +183,13 @@ def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix)
 
 @kernel_helper
 def write_required_tensions(x: StateTables, c: ConstantTables) -> int:
-    """Write the tensions at the joints that make the required joint torques.
+    """Write tensions at the joints that make the required joint torques.
 
     Returns:
-        A number with a bit for each digit whose tensions are out of bounds, or not unique. For
-        these digits the bounded least-squares problem of ``tension_allocation`` must be solved. If
-        the only tendon of a digit has a tension out of bounds, the bound itself is the best
-        tension. The bit of this digit is 0.
+        A number with one bit for each digit. The bit is 1 if the tensions of the digit are out of
+        bounds or not unique. For these digits the bounded least-squares problem of
+        ``tension_allocation`` must be solved. If a digit has a single tendon and its tension is out
+        of bounds, the bound itself is the best tension. The bit of such a digit is 0.
     """
     undecided = 0
     for d in range(x.digit.shape[1]):

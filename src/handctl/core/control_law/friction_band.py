@@ -7,8 +7,8 @@ gravity require. The tension is at the upper edge of the band while the tendon i
 lower edge while it is paid out. At a reversal, the digit sticks while the motor moves. The motor
 stretches or releases the tendon, and the tension changes from one edge to the other in about ten
 milliseconds. This change starts with the reversal of the tendon. The trajectory may reverse earlier
-or later. At rest, the digit creeps until friction carries no load. Source: Prandtl's
-elastic-plastic element, with a viscous slider below ``CAPSTAN_FRICTION_SPEED_M_S``.
+or later than the tendon. At rest, the digit creeps until friction carries no load. Source:
+Prandtl's elastic-plastic element, with a viscous slider below ``CAPSTAN_FRICTION_SPEED_M_S``.
 """
 
 import math
@@ -36,7 +36,9 @@ MAX_EFFICIENCY = 1.0 - 1e-9
 def predict_moving_tension(
     x: StateTables, c: ConstantTables, n: int, rate: float, efficiency: float
 ) -> None:
-    """Predict the tension of a moving tendon at the next tick, its rate of change, and how far friction has developed.
+    """Predict the tension of a moving tendon, its rate of change, and the development of its friction.
+
+    The prediction is for the next tick.
 
     Args:
         x: state tables, with ``PLANNED_TENSION`` of the last tick and ``FILTER_FORCE`` of this
@@ -95,7 +97,7 @@ def tension_after_period(
             tendon is wound.
         wound_length: length that the spool winds in the period [m].
         stiffness: stiffness of the tendon [N/m].
-        crept_length: largest distance by which the tendon can creep in the period [m].
+        crept_length: largest length by which the tendon can creep in the period [m].
     """
     creep = stiffness * crept_length / (load * (1.0 - efficiency) + MIN_FRICTION_N)
     # The viscous slider is computed by an implicit Euler step, which is stable for any period.
@@ -114,7 +116,8 @@ def _predict_pair_tension(
 ) -> None:
     """Write the results of ``predict_moving_tension`` for a spool pair.
 
-    At both edges of the friction band, one tendon of the pair is wound, and the other is paid out.
+    At both edges of the friction band, one tendon of the pair is wound up, and the other is paid
+    out.
 
     Args:
         x: state tables.

@@ -38,10 +38,10 @@ def raise_tensions_to_floor(
 ) -> None:
     """Raise the tension goals of surplus tendons in moving digits above the floor, and write the null-space forces.
 
-    The motion feedback may reduce the force on a tendon to less than the floor. Then a multiple of
-    the balance tensions is added to the goals of all tendons of the digit. Balance tensions make no
-    joint torque. If the feedback would need more than the allowed multiple, the feedback is
-    reduced.
+    The feedback of the motion may reduce the force on a tendon to less than the tension floor. In
+    this case, a multiple of the balance tensions is added to the goals of all tendons of the digit.
+    Balance tensions make no joint torque. If the feedback would need more than the allowed
+    multiple, it is reduced.
 
     Args:
         x: state tables.
@@ -61,8 +61,8 @@ def raise_tensions_to_floor(
         if not c.tendon_int[h.HAS_SURPLUS, first] or x.tendon_int[s.GOAL_KIND, first] != MOTION:
             continue
         for n in range(first, end):
-            # Only the part of the feedback that moves the digit may raise goals. The part in the
-            # null space damps the rotors.
+            # Only the part of the feedback that moves the digit may raise tension goals. The other
+            # part, in the null space, damps the rotors.
             feedback[n] = part_explained_by_motion(c, n, terms[1])
         bound = _largest_balance_factor(c, first, end, limit, terms)
         fraction = _fraction_of_feedback(c, first, end, bound, terms, feedback)
@@ -102,7 +102,7 @@ def _largest_balance_factor(
 def _fraction_of_feedback(
     c: ConstantTables, first: int, end: int, bound: float, terms: Matrix, feedback: Vector
 ) -> float:
-    """Return the fraction of the feedback with which all tendons of a digit stay at or above the floor.
+    """Return the fraction of the feedback with which all tendons of a digit stay at or above the tension floor.
 
     Args:
         c: constants of the hand.

@@ -1,6 +1,6 @@
 """Tensions at the joints that the goals require.
 
-Compiled code computes these tensions for most digits. For the others, Python solves a bounded
+Compiled code computes these tensions for most digits. For the other digits, Python solves a bounded
 least-squares problem.
 """
 
@@ -33,12 +33,14 @@ def write_tension_goals(
         layout: layout of the state block.
         constants: constants of the hand.
         block: state block, modified in place.
-        action: reaction that safety demands, a number of ``safety.action.SafetyAction``.
+        action: reaction that the safety monitor demands, as a number of
+            ``safety.action.SafetyAction``.
     """
     constants_in = constants.block, constants.layout.places
     undecided = tick_stages.evaluate_goals(block, layout.places, *constants_in, action)
     required = layout.view(block, "joint_required")
-    if model.inverse is not required_torque:  # an experiment has replaced the inverse dynamics
+    # an experiment has replaced the function of the inverse dynamics
+    if model.inverse is not required_torque:
         way = tick_stages.joint_motion(block, layout.places, *constants_in)
         for digit in model.digits:
             required[digit.joints] = model.inverse(
@@ -65,7 +67,7 @@ def allocate_bounded_tensions(
         layout: layout of the state block.
         constants: constants of the hand, with the moment arms at the present angles.
         block: state block, modified in place.
-        undecided_digits: a number with a bit for each of these digits.
+        undecided_digits: a number with one bit for each digit. The bit is 1 for these digits.
         trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
     """
     required = layout.view(block, "joint_required")
@@ -100,8 +102,8 @@ def _tensions_with_friction(
     """Return the tensions at the joints [N] (n_t,) of a digit whose tendons act against each other.
 
     Each pulley of a tendon has its own friction. In a digit without springs, the torques of all
-    tendons must be in balance at each joint. Therefore the moment arms in the problem are reduced
-    by friction.
+    tendons must be in balance at each joint. Therefore friction is included in the moment arms of
+    the problem.
 
     Args:
         model: model of the hand.
@@ -122,8 +124,8 @@ def _tensions_with_friction(
     high = model.ceiling[tendons]
     reduced = (arms * factors) @ digit.coupling
     tension, _ = allocate_tension(reduced, required @ digit.coupling, low, high)
-    # The control law divides by the mean efficiency over the pulleys, so the tensions are
-    # multiplied by this efficiency here.
+    # The control law later divides by the mean efficiency over the pulleys. The tensions are
+    # therefore multiplied by this efficiency here.
     weights = model.pulley_weights[tendons, digit.joints]
     if digit.has_varying_arm:
         weights = np.abs(arms) / np.abs(arms).sum(axis=1, keepdims=True)

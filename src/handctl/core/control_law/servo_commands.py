@@ -1,33 +1,34 @@
 """Commands to drives that close the position loop of a moving digit by themselves.
 
 A command consists of a position p_d, a velocity v_d, a stiffness kp, a damping kd and a torque t.
-Many times within a tick, the drive computes its torque from its own measured position p and
-velocity v:
+Many times within a tick, the drive computes its torque from the position p and the velocity v that
+it measures:
 
     kp (p_d - p) + kd (v_d - v) + t
 
-The commanded position is the planned excursion s_d, plus the stretch of the tendon under its
-planned tension f_0, plus the estimated stretch offset o, all divided by the spool's radius r. The
-stiffness of the tendon is k, and f_hat is its estimated tension:
+The commanded position is the sum of three lengths, divided by the spool's radius r: the planned
+excursion s_d, the stretch of the tendon under its planned tension f_0, and the estimated stretch
+offset o. The stiffness of the tendon is k, and its estimated tension is f_hat:
 
     r p_d = s_d + f_0 / k + o
     r (p_d - p) = (s_d - s) + (f_0 - f_hat) / k      by f_hat = k (r p - s - o)
 
-The controller does not know the torque that the drive will make. From p and v, which it estimates
-half a period ahead, the controller predicts the mean torque of the coming period. It limits this
-torque as in torque control. The commanded position is then chosen so that the drive would make the
-limited torque. The torque limits therefore also limit the distance of the commanded position from
-the motor.
+The controller does not know the torque that the drive will make. The controller estimates p and v
+half a period ahead. From these estimates, the controller predicts the mean torque of the coming
+period. The controller limits this torque in the same way as in torque control. It then chooses the
+commanded position so that the drive would make the limited torque. The torque limits therefore also
+limit the distance of the commanded position from the motor.
 
-Most drives keep the commanded position until the next command. The position in a command to these
-drives includes the planned motion of half a period. Other drives move the commanded position on at
-the commanded velocity. A command to such a drive contains the position at the start of the period.
-If the host fails, such a drive moves the position until its watchdog fires. Therefore its command
-contains a torque limit slightly above the predicted torque.
+Most drives keep the commanded position until the next command. For such a drive, the position in a
+command includes the planned motion of half a period. Other drives move the commanded position on,
+with the commanded velocity. A command to such a drive contains the position at the start of the
+period. If the host fails, such a drive moves the commanded position on until its watchdog fires.
+Therefore its command contains a torque limit slightly above the predicted torque.
 
-In commands for a digit that moves freely under the program, kp and kd are above 0. In all other
-cases they are 0, and t is the whole torque. In these cases, the digit touches an object, relaxes,
-is held by safety, or takes up slack, or the tick has no measured motor position.
+In commands for a digit that moves freely on its trajectory, kp and kd are above 0. In all other
+commands they are 0, and t is the whole torque. Such commands are sent if the digit touches an
+object, relaxes, takes up slack, or is held by the safety monitor, or if the tick has no measured
+motor position.
 """
 
 import math
@@ -62,8 +63,8 @@ In free motions, the force changes by less than 1 N within a period.
 def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
     """Store the commands of the last tick, and set the commands of this tick to 0.
 
-    Some drives move the commanded position on by themselves. For such a drive, the position that it
-    has reached by now is stored.
+    Some drives move the commanded position on by themselves. For such a drive, the stored position
+    is the one that it has reached by now.
     """
     elapsed = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
     for n in range(x.servo.shape[1]):
@@ -76,7 +77,10 @@ def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def command_torque_only(x: StateTables, n: int) -> None:
-    """Replace the command of a drive by a pure torque command, in a hand where some drive closes a position loop."""
+    """Replace the command of a drive by a pure torque command.
+
+    This applies to a hand in which some drive closes a position loop.
+    """
     x.servo[s.SERVO_KP, n] = x.servo[s.SERVO_KD, n] = 0.0
     x.servo[s.SERVO_TORQUE, n] = x.tendon[s.TORQUE, n]
 
@@ -174,7 +178,7 @@ def write_servo_command(
         n: index of the tendon.
         rate: rate of the digit's excursion on the trajectory [m/s].
         feedforward: motor force without the force of the drive's loop [N].
-        force: limited motor force, with the force of the drive's loop [N].
+        force: limited motor force, including the force of the drive's loop [N].
     """
     spool = c.tendon[h.SPOOL_RADIUS, n]
     kp = servo_stiffness(x, c, n)
@@ -183,8 +187,8 @@ def write_servo_command(
     travel = x.tendon[s.TRAVEL, n]
     speed = rate
     if c.run_int[h.HAS_CARRIER_ARMS]:
-        # Commanded position and speed follow the estimated motion of carrying digits, so that
-        # tracking errors of these digits have no effect.
+        # The commanded position and speed follow the estimated motion of carrying digits, so that
+        # tracking errors of carrying digits have no effect.
         travel += carrier_excursion(c, n, x.joint[s.Q])
         speed += carrier_excursion(c, n, x.joint[s.DQ])
     ahead = 0.0 if c.tendon_int[h.DRIVE_MOVES_TARGET, n] else 0.5 * c.run[h.PERIOD] * speed
@@ -204,9 +208,9 @@ def write_servo_command(
 def predict_reports(x: StateTables, c: ConstantTables) -> None:
     """Write the force [N] that the report of each drive in this tick should show.
 
-    A report contains position, speed and torque at one instant. At this instant, the drive still
-    obeyed the command before the last. The expected torque follows from this command and the
-    reported position and speed.
+    A report contains position, speed and torque at one instant. At the instant of the report, the
+    drive still obeyed the command before the last. The expected torque follows from this command
+    and the reported position and speed.
     """
     for n in range(x.servo.shape[1]):
         torque = x.servo[s.SERVO_BEFORE + 4, n]

@@ -6,10 +6,9 @@ because targets are not extrapolated.
 
 The reference follows the segment exactly if speed and acceleration stay within their limits.
 Otherwise the reference approaches the target as fast as the limits allow, and arrives there with
-the rate of the targets. The range of a joint limits the speed in a similar way, so that a motion
-stops before the end of the range. The reference never leads the digit by more than
-``MAX_LEAD_RAD``. The reference waits for a digit that is held, and follows a digit that is pushed
-away.
+the rate of the stream. The range of a joint limits the speed in a similar way, so that a motion
+stops before the end of the range. The reference is never more than ``MAX_LEAD_RAD`` ahead of the
+digit. The reference waits for a digit that is held, and follows a digit that is pushed away.
 """
 
 import math
@@ -58,12 +57,13 @@ def begin_segments(
         block: state block, modified in place.
         at: ``BlockLayout.places`` of the state block.
         target_coordinates: (C,) requested coordinates [rad].
-        held_coordinates: (C,) the nearest coordinates that taut tendons can hold [rad].
+        held_coordinates: (C,) the coordinates nearest to the present ones that taut tendons can
+            hold [rad].
         since: start of the motion [s].
         duration: duration of the motion [s].
-        target_interval: time between this target and the previous target [s]. With an infinite time, the
-            motion ends at rest.
-        max_rate: largest rate at the target [rad/s].
+        target_interval: time between this target and the previous target [s]. If this time is
+            infinite, the motion ends at rest.
+        max_rate: largest rate that the motion may have at the target [rad/s].
         minimum_jerk: 1 for a motion of minimum jerk, 0 for a linear motion.
     """
     x = state_tables(block, at)
@@ -87,11 +87,11 @@ def begin_segments(
 def _write_segment(
     x: StateTables, k: int, target: float, speed: float, duration: float, minimum_jerk: bool
 ) -> None:
-    """Write the polynomial of a coordinate's motion to a target, lowest power first [rad, s].
+    """Write the polynomial of the motion of a coordinate to a target, lowest power first [rad, s].
 
     The motion of minimum jerk begins with the position, rate and acceleration of the reference, and
     ends at the target with the given speed. The acceleration at the end is free, so the jerk ends
-    at 0: it is b u + c u^2, with the remaining time u. The linear motion has a constant rate.
+    at 0. With the remaining time u, the jerk is b u + c u^2. The linear motion has a constant rate.
 
     Args:
         x: state tables.
@@ -182,7 +182,10 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
 
 @kernel_helper
 def coordinate_scale(c: ConstantTables, d: int, k: int) -> float:
-    """Return the motion of coordinate k of digit d that counts like 1 rad: 1, less for prismatic joints."""
+    """Return the motion of coordinate k of digit d that counts like 1 rad.
+
+    The value is 1 for hinges, and less for prismatic joints.
+    """
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         if c.joint_coordinate[h.COUPLING, j, k] != 0.0:
             return c.joint[h.JOINT_SCALE, j]
@@ -205,7 +208,7 @@ def _allowed_rates(
         k: index of the coordinate.
         period: time since the last tick [s].
         scale: motion of the coordinate that counts like 1 rad, see ``coordinate_scale``.
-        gain: largest change of the rate in the period [rad/s].
+        gain: largest change of the rate within the period [rad/s].
     """
     position = x.coordinate[s.TRAJECTORY, k]
     top = c.run[h.STREAM_SPEED] * scale
@@ -229,7 +232,7 @@ def _allowed_rates(
 
 @kernel_helper
 def _estimated_coordinate(x: StateTables, c: ConstantTables, d: int, k: int) -> tuple[float, float]:
-    """Return the estimated position [rad] and rate [rad/s] of a coordinate, from the joints that it moves."""
+    """Return the estimated position [rad] and rate [rad/s] of a coordinate, computed from the joints that it moves."""
     position = rate = total = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         coupling = c.joint_coordinate[h.COUPLING, j, k]
@@ -256,7 +259,7 @@ def max_stoppable_speed(distance: float, gain: float, period: float) -> float:
     2) T until it stops.
 
     Args:
-        distance: distance to the stop [rad]. 0 or less allows no speed.
+        distance: distance to the stop [rad]. A distance of 0 or less allows no speed.
         gain: largest change g of the speed in a period [rad/s].
         period: control period T [s].
     """

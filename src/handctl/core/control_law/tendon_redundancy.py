@@ -1,9 +1,9 @@
 """Digits without return springs, and digits with more tendons than coordinates.
 
-Antagonistic tendons return such a digit. Its tendons act against each other: a vector of tensions
-in the null space of (R B)^T, all above the floor, makes no torque. Such tensions are the balance
-tensions of the digit. For n coordinates, a digit with n + 1 tendons has a null space of one
-dimension, and a digit with 2 n tendons has one of n dimensions. Source: Lee & Tsai (1991),
+Antagonistic tendons return such a digit. The tendons of such a digit act against each other: some
+tensions in the null space of (R B)^T, all above the floor, make no torque. Such tensions are the
+balance tensions of the digit. For n coordinates, a digit with n + 1 tendons has a null space of one
+dimension, and a digit with 2 n tendons has a null space of n dimensions. Source: Lee & Tsai (1991),
 Salisbury & Craig (1982).
 """
 
@@ -24,15 +24,15 @@ MISSING_FRACTION = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class TendonRedundancy:
-    """Directions and balance tensions of the N tendons of a hand, each (N,).
+    """Directions and balance tensions of the N tendons of a hand, each with shape (N,).
 
     Attributes:
         side: 1 for a tendon that is wound while its digit closes, -1 for a tendon that is paid out,
             0 for a spool pair that moves its digit sideways.
-        sprung: True if springs return the tendon's digit to its lower joint limits.
+        sprung: True if springs return the digit of the tendon to its lower joint limits.
         surplus: True for a tendon of a digit with more tendons than coordinates.
-        balance: smallest tensions that are all above the floor and make no torque [N]. They are 0
-            without surplus tendons.
+        balance: smallest tensions that are all above the floor and make no torque [N]. The values
+            are 0 for a digit without surplus tendons.
         open_excursion: excursion at the lower joint limits [m].
         excursion_range: (2, N) smallest and largest excursion within the joint limits [m].
     """
@@ -101,7 +101,10 @@ def is_sprung(digit: DigitModel) -> bool:
 
 
 def _balance_tensions(digit: DigitModel, floor: Vector, ceiling: Vector) -> Vector:
-    """Return the balance tensions of a digit (n_t,) [N], or the floor if the bounds do not allow a balance."""
+    """Return the balance tensions of a digit (n_t,) [N].
+
+    If the bounds do not allow a balance, return the floor.
+    """
     arms = digit.reduced_moment_arms
     tension, missing = tensions_for_torque(arms, np.zeros(arms.shape[1]), floor, ceiling)
     bearable = MISSING_FRACTION * float(tension.max() * np.abs(arms).mean())

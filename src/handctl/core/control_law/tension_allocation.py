@@ -2,9 +2,9 @@
 
 The problem is: minimise |R^T f - tau|^2 / r^2 + regularisation |f - f_min|^2 subject to f_min <= f
 <= f_max, with the mean moment arm r. If the equations R^T f = tau have a unique solution within the
-bounds, this solution is used. If no tensions within the bounds make the torque, the closest torque
-is used, with equal weights of all coordinates, and the missing torque is returned. Source: Lee &
-Tsai (1991).
+bounds, this solution is used. If no tensions within the bounds make the torque, the closest
+possible torque is used, with equal weights of all coordinates. The missing torque is then returned.
+Source: Lee & Tsai (1991).
 """
 
 from typing import NamedTuple
@@ -33,7 +33,7 @@ def tensions_for_torque(
         ceiling: (n_t,) largest tensions [N].
 
     Returns:
-        Tensions (n_t,) [N], and the missing torque (n_c,) [N m].
+        The tensions (n_t,) [N], and the missing torque (n_c,) [N m].
     """
     tension = _unique_solution(moment_arms, torque)
     if tension is None or (tension < floor).any() or (tension > ceiling).any():
@@ -44,7 +44,10 @@ def tensions_for_torque(
 
 
 def _unique_solution(moment_arms: Vector, torque: Vector) -> Vector | None:
-    """Return the unique solution without bounds, or None if the digit has more tendons than coordinates."""
+    """Return the unique solution of the problem without bounds.
+
+    Return None if the digit has more tendons than coordinates.
+    """
     if moment_arms.shape[0] != moment_arms.shape[1]:
         return None
     if len(torque) == 1:
@@ -76,7 +79,8 @@ MAX_CACHED_PROBLEMS = 64
 def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
     """Return the quadratic program for moment arms.
 
-    The program for a read-only array of arms is cached under the identity of this array.
+    The quadratic program is cached under the identity of the array, if the array of arms is
+    read-only.
     """
     result = _cached_problems.get(id(moment_arms))
     if result is not None and result[0] is moment_arms:
@@ -104,8 +108,8 @@ def solve_bounded(
         floor: see ``tensions_for_torque``.
         ceiling: see ``tensions_for_torque``.
         preferred_tension: (n_t,) start tensions [N], for example the solution without bounds. The
-            solver starts with the bounds that these tensions violate as its active set. This start
-            halves the number of its steps.
+            bounds that these tensions violate are the first active set of the solver. This halves
+            the number of steps of the solver.
     """
     arms, mean, weight, unconstrained = _cached_problem(moment_arms)
     linear = -(arms.dot(torque / mean) + REGULARISATION_WEIGHT * floor)

@@ -1,4 +1,4 @@
-"""Trajectories of a digit in its coordinates: minimum jerk to a pose, or a curve through given points."""
+"""Trajectories of a digit in its coordinates: a minimum-jerk move to a pose, or a curve through given points."""
 
 import math
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from handctl.core.tick_types import Vector
 
 
 class Trajectory(Protocol):
-    """A trajectory of a digit, from rest to rest."""
+    """Motion of a digit from rest to rest."""
 
     @property
     def duration(self) -> float:
@@ -27,16 +27,16 @@ class Trajectory(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BlendTrajectory:
-    """Part of a move that continues an earlier motion and fades.
+    """Part of a move that continues an earlier motion and fades out.
 
     The part is the sum of two quintics. The first quintic has a rate of 1 at the start, and the
-    second an acceleration of 1. All other values, rates and accelerations at the start and at the
-    end are 0.
+    second quintic has an acceleration of 1. All other values, rates and accelerations at the start
+    and at the end are 0.
 
     Attributes:
         speed: (n,) rate at t = 0 [rad/s].
         acceleration: (n,) acceleration at t = 0 [rad/s^2].
-        duration: time in which the part fades [s], > 0.
+        duration: time in which the part fades out [s], > 0.
     """
 
     speed: Vector
@@ -70,7 +70,8 @@ class MinimumJerk:
         start: (n,) coordinates at t = 0 [rad].
         end: (n,) coordinates at t = duration [rad].
         duration: duration of the move [s], > 0.
-        blend: part that continues an earlier motion, None if the move starts at rest.
+        blend: part of the move that continues an earlier motion. None if the move starts at
+            rest.
     """
 
     start: Vector
@@ -91,10 +92,10 @@ class MinimumJerk:
 
 @dataclass(frozen=True, slots=True)
 class StreamedTrajectory:
-    """A motion along streamed targets of a client. The targets are in the state block.
+    """Motion of a digit along the streamed targets of a client. The targets are in the state block.
 
     Attributes:
-        duration: 0 [s], because the end is unknown.
+        duration: 0 [s], because the end of a stream is unknown.
     """
 
     duration: float = 0.0
@@ -104,12 +105,12 @@ class StreamedTrajectory:
 class CurveTrajectory:
     """A cubic spline through points, at rest at both ends.
 
-    All coordinates of a digit share a spline, or each has its own.
+    The coordinates of a digit either share one spline, or have a spline each.
 
     Attributes:
         times: (k,) times of the points [s], in rising order from 0.
-        coefficients: (4, k - 1) coefficients of the cubic in each piece, highest power first
-            [rad/s^3 .. rad], or (4, k - 1, n) with a cubic for each coordinate.
+        coefficients: (4, k - 1) coefficients of the cubic in each piece of the curve, highest power
+            first [rad/s^3 .. rad]. With one cubic for each coordinate, the shape is (4, k - 1, n).
         coordinates: number of the digit's coordinates.
     """
 
@@ -154,7 +155,7 @@ class CurveTrajectory:
     def peak_speed(self) -> float:
         """Return the peak speed [rad/s].
 
-        The peak is at an end of a piece, or where the acceleration is 0.
+        The peak occurs at an end of a piece, or where the acceleration is 0.
         """
         a, b, c, _ = self.coefficients
         length = np.diff(self.times).reshape(-1, *(1,) * (a.ndim - 1))
@@ -181,13 +182,18 @@ class SampledTrajectory:
     duration: float = 0.0
 
     def motion_at(self, t: float) -> Vector:
-        """Return the sample (3, n), which is the same for every time. See ``Trajectory.motion_at``."""
+        """Return the instant of motion (3, n), which is the same for every time.
+
+        See ``Trajectory.motion_at``.
+        """
         return np.array((self.position, self.velocity, self.acceleration))
 
 
 @dataclass(frozen=True, slots=True)
 class ChirpTrajectory:
-    """An oscillation about an angle with linearly rising frequency, and smooth growth and decay of the amplitude.
+    """Oscillation about an angle.
+
+    The frequency of the motion rises linearly, and the amplitude grows and decays smoothly.
 
     Attributes:
         centre: mean angle [rad].
@@ -195,7 +201,7 @@ class ChirpTrajectory:
         low: frequency at the start [Hz].
         high: frequency at the end [Hz].
         duration: duration of the oscillation [s].
-        coordinates: number of the digit's coordinates, all with the same motion.
+        coordinates: number of the digit's coordinates. All of them have the same motion.
     """
 
     centre: float

@@ -64,7 +64,7 @@ def detect_bus_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: 
 def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
     """Find motors with overdue feedback.
 
-    A tick that the host missed does not make feedback overdue, because the host requested none.
+    If the host missed a tick, feedback is not overdue, because the host requested none.
     """
     youngest = motor_ticks_overdue(x, c, 0, x.run_int[s.T_NS])
     for n in range(x.tendon.shape[1]):
@@ -81,7 +81,7 @@ def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Eviden
 
 @kernel_helper
 def _detect_lost_replies(x: StateTables, evidence: Evidence) -> None:
-    """Find nodes that failed to send many of their replies."""
+    """Find nodes that have not sent many of their replies."""
     for node in range(x.node_int.shape[1]):
         number = count_lost_replies(x, node)
         if number > HOLD_LOST_FRAMES:

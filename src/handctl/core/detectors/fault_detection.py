@@ -1,7 +1,7 @@
 """Fault detection of a tick: update the memory of the detectors, find faults, and debounce them.
 
-Afterwards ``safety.tick_verdict`` latches these faults, adds those that buses and host report, and chooses
-the reaction.
+Afterwards ``safety.tick_verdict`` latches these faults, adds the faults that buses and host report,
+and chooses the reaction.
 """
 
 import math
@@ -46,11 +46,11 @@ def find_and_debounce_faults(
         initial: state tables before the first tick.
 
     Returns:
-        Most severe action of all active faults, and the evidence of each fault (faults, instances),
-        NaN where the fault is absent.
+        The most severe action of all active faults, and the evidence of each fault (faults,
+        instances). The evidence is NaN where a fault is absent.
     """
     mode = x.run_int[s.MODE]
-    # Motor torque may act from ARMING to RELAX, and must not act in DISARM and CUT.
+    # Motor torque is permitted from ARMING to RELAX, and not in DISARM and CUT.
     armed = ARMING_MODE <= mode <= RELAX_MODE
     cut = mode == CUT_MODE or mode == DISARM_MODE
     evidence = np.full((FAULT_ROWS, x.instance_int.shape[1]), math.nan)
@@ -94,7 +94,7 @@ def update_fault_memory(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def debounce_faults(x: StateTables, evidence: Evidence) -> int:
-    """Count the ticks in a row in which each fault is present.
+    """Count, for each fault, the consecutive ticks in which it is present.
 
     Return the most severe action of the active faults.
     """

@@ -1,6 +1,6 @@
 """Counts of lost, malformed and unknown frames.
 
-A word stores one bit for each tick in which a frame of a node was lost, the newest tick in bit 0.
+A word stores one bit for each tick in which a frame of a node was lost. Bit 0 is the newest tick.
 Another word stores the ticks with malformed frames.
 """
 
@@ -24,13 +24,15 @@ SHORT_MASK = (1 << MALFORMED_WINDOW_TICKS) - 1
 
 @kernel_helper
 def ticks_overdue(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) -> int:
-    """Return by how many whole ticks a reading of a node is overdue. A reading from the last period is in time.
+    """Return by how many whole ticks a reading of a node is overdue.
+
+    A reading from the last period counts as in time.
 
     Args:
         now_ns: time of the tick [ns].
         heard_ns: time of the latest reading [ns], -1 before the first reading.
-        cyclic_ns: period in which the node sends readings without a request [ns], 0 if every tick
-            requests a reading.
+        cyclic_ns: period in which the node sends readings without a request [ns]. The value is 0 if
+            every tick requests a reading.
         period_ns: control period [ns].
     """
     if heard_ns < 0:
@@ -74,8 +76,8 @@ def update_loss_counts(
         c: constants of the hand.
         now_ns: time of the tick [ns].
         unknown: number of frames with unknown identifiers in the tick.
-        counts_losses: True if missing replies are counted, because torque may act and the host missed no
-            tick.
+        counts_losses: True to count missing replies. This is the case if torque may act and the
+            host missed no tick.
     """
     tendons = x.tendon.shape[1]
     for node in range(tendons + 1):
@@ -95,8 +97,8 @@ def update_loss_counts(
         x.node_int[s.LOST_REPLIES, node] = (recent << 1 | (late and counts_losses)) & WORD_MASK
         misread = x.node_int[s.MALFORMED_NOW, node] != 0
         x.node_int[s.MALFORMED, node] = (x.node_int[s.MALFORMED, node] << 1 | misread) & SHORT_MASK
-    # The rate of unknown frames is a leaky counter with a time constant of 1 s. A small remainder
-    # is set to 0, so that the counter becomes constant.
+    # The rate of unknown frames is a leaky counter with a time constant of 1 s. A small value is
+    # set to 0, so that the counter becomes constant.
     leaked = x.run[s.UNKNOWN_RATE] * (1.0 - c.run[h.PERIOD]) + unknown
     x.run[s.UNKNOWN_RATE] = leaked if leaked > 1e-3 else 0.0
 
@@ -106,7 +108,7 @@ def count_set_bits(bits: int) -> int:
     """Return the number of bits that are set in a word."""
     number = 0
     while bits:
-        # The AND clears the lowest set bit.
+        # The AND operation clears the lowest set bit.
         bits &= bits - 1
         number += 1
     return number
@@ -124,8 +126,9 @@ def count_lost_replies(x: StateTables, node: int) -> int:
 def misses_every_second(x: StateTables, node: int) -> bool:
     """Return True if about every second reply of a node is missing in the last ``MALFORMED_WINDOW_TICKS`` ticks.
 
-    Two replies in a row may be missing at most once.
+    Two consecutive replies may be missing at most once.
     """
     recent = x.node_int[s.LOST_REPLIES, node] & SHORT_MASK
-    # The word ANDed with itself, shifted by one, has a bit for each pair of misses in a row.
+    # The word is ANDed with itself, shifted by one. The result has a bit for each pair of
+    # consecutive misses.
     return count_set_bits(recent) >= HALF_RATE_MISSES and count_set_bits(recent & recent >> 1) <= 1

@@ -89,7 +89,7 @@ def detect_node_faults(x: StateTables, c: ConstantTables, armed: bool, evidence:
 def _detect_drive_errors(x: StateTables, evidence: Evidence) -> None:
     """Find the errors that drives report.
 
-    Each cause of an error has its row in the evidence table.
+    Each cause of an error has its own row in the evidence table.
     """
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.PHASE, n] == FAULT_PHASE:
@@ -118,9 +118,9 @@ def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: Evidence
 
 @kernel_helper
 def _detect_rejected_positions(x: StateTables, evidence: Evidence) -> None:
-    """Find rejected positions of motors and joints.
+    """Find positions of motors and joints that were rejected.
 
-    The evidence row of joints follows the evidence row of motors.
+    The evidence row for joints follows the evidence row for motors.
     """
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.REJECTED_STEP, n] > 0.0:
@@ -129,7 +129,7 @@ def _detect_rejected_positions(x: StateTables, evidence: Evidence) -> None:
                 evidence[N05B, n] = x.tendon[s.REJECTED_STEP, n]
     for j in range(x.joint.shape[1]):
         if x.joint[s.REJECTED_JOINT_STEP, j] > 0.0:
-            # A fault that motors and joints can have takes two rows of the evidence table. The
+            # A fault that both motors and joints can have takes two rows of the evidence table. The
             # second row is for joints.
             evidence[N05A + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
             if x.joint[s.REJECTED_JOINT_ANGLES, j] > 1.0:
@@ -160,9 +160,9 @@ def detect_node_faults_under_torque(x: StateTables, c: ConstantTables, evidence:
 
 @kernel_helper
 def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
-    """Find encoders whose readings are constant despite motion.
+    """Find encoders whose readings are constant although something moves that they measure.
 
-    The evidence row of joints follows that of motors.
+    The evidence row for joints follows the evidence row for motors.
     """
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_S:
@@ -189,7 +189,10 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
 
 @kernel_helper
 def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
-    """Find tendons that are still under tension after the torque was cut, by load cell or by reported torque."""
+    """Find tendons that are still under tension after the torque was cut.
+
+    The load cell or the reported torque shows this.
+    """
     if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < STILL_PULLING_S:
         return
     for n in range(x.tendon.shape[1]):
@@ -205,13 +208,15 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
 
 @kernel_helper
 def _still_reports_torque(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if a drive reports torque as before the torque was cut."""
-    # After a cut, a drive that sends its torque separately sends none. Its last torque is old.
+    """Return True if a drive still reports the torque that it had before the torque was cut."""
+    # A drive that sends its torque in a separate frame sends no torque after a cut. The last torque
+    # report is then old.
     if not c.tendon_int[h.ANSWERS_ONCE, n]:
         return False
-    # The last report before the cut is in REPORT_FORCES, which is updated under torque only.
+    # The last report before the cut is in REPORT_FORCES, which is updated only while torque is
+    # permitted.
     before = abs(x.tendon[s.REPORT_FORCES + 3, n])
     reported = abs(x.tendon[s.MEASURED_FORCE, n])
-    # A drive with a coarse torque code may report one step while it makes no torque.
+    # A drive with a coarse torque code may report one step although it makes no torque.
     threshold = STILL_REPORTED_N + c.tendon[h.TORQUE_STEP, n]
     return reported > threshold and reported > STILL_PULLING_FRACTION * before

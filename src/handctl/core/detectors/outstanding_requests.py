@@ -1,11 +1,11 @@
 """Requests that motors have not yet answered. A late reply answers an old request, so it is not counted as a duplicate.
 
 The host sends a request to each motor in every tick. A missing reply may be lost. The missing reply
-may also come later, together with other replies. Or all replies come a tick late because a computer
-is busy. At first the host cannot distinguish these cases, so a request stays outstanding until its
-reply comes, or for ``LOSS_WINDOW_TICKS`` ticks. The last request to a motor stays outstanding
-without a time limit. If more replies come than requests are outstanding, a reply is a duplicate, or
-it comes from another node.
+may also come later, together with other replies. In another case, all replies come a tick late
+because a computer is busy. At first the host cannot distinguish these cases, so a request stays
+outstanding until its reply comes, or for ``LOSS_WINDOW_TICKS`` ticks. The last request to a motor
+stays outstanding without a time limit. If more replies arrive than requests are outstanding, a
+reply is a duplicate, or it comes from another node.
 """
 
 from handctl.compiled import kernel_helper

@@ -1,11 +1,11 @@
-"""Detection of old load-cell readings in frames with a fresh SYNC counter.
+"""Detection of old load-cell readings in frames with a new SYNC counter.
 
 The reading of a load cell has noise of several counts. If each reading of a channel equals its
 reading a fixed number of ticks ago, the channel sends old readings. If a delay of n ticks starts
 without a gap, n readings are sent twice. A channel with a constant reading repeats its readings
-too. So does a channel whose control loop is in a limit cycle of a few counts. Repetitions of
-constant readings are no fault for this detector. The detector ``stuck_sensors`` judges constant
-readings.
+too. So does a channel of a tendon whose control loop oscillates with an amplitude of a few counts.
+This detector does not regard repetitions of constant readings as a fault. The detector
+``stuck_sensors`` judges constant readings instead.
 """
 
 import math
@@ -52,10 +52,13 @@ def update_repetitions(x: StateTables, tared: bool) -> None:
 
 @kernel_helper
 def age_of_repeated_readings(x: StateTables, n: int) -> int:
-    """Return the age of the readings that a load-cell channel repeats [ticks], 0 if it repeats none."""
+    """Return the age [ticks] of the readings that a load-cell channel repeats.
+
+    Return 0 if it repeats none.
+    """
     longest = x.tendon_int[s.LONGEST_REPETITION, n]
-    # The probability of a run of this length is compared as a logarithm, because the power itself
-    # is too small a number.
+    # The probability of such a run of equal readings is compared as a logarithm, because the power
+    # itself is too small a number.
     if (
         longest < MIN_REPEATS
         or -longest * math.log(_chance_of_equal_readings(x, n)) < MIN_LOG_IMPROBABILITY

@@ -2,11 +2,11 @@
 
 The main residual is the motor force minus tension, inertia and friction.
 
-The rotor obeys m a = F - T - b v - c sign(v), with its mass m, acceleration a and speed v at the
-spool, the motor force F, the tension T, the viscous friction b and the Coulomb friction c. If the
-measurements disagree with this equation over 0.2 s, the load cell, the motor or the friction
-differs from the model. The thresholds are far above the noise: they cause less than one false alarm
-in ten thousand hours.
+The rotor obeys m a = F - T - b v - c sign(v). Here m is the mass, a the acceleration and v the
+speed of the rotor at the spool, F the motor force, T the tension, b the viscous friction and c the
+Coulomb friction. If the measurements disagree with this equation over 0.2 s, the load cell, the
+motor or the friction differs from the model. The thresholds are far above the noise: they cause
+less than one false alarm in ten thousand hours.
 """
 
 import math
@@ -39,9 +39,9 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
     Args:
         x: state tables.
         c: constants of the hand.
-        missed: ticks missed before the present tick. If ticks were missed, positions and speeds are
-            not used.
-        tared: True if the load cells' zero is known.
+        missed: ticks missed before the present tick. In a tick after missed ticks, positions and
+            speeds are not used.
+        tared: True if the zeros of the load cells are known.
     """
     now = np.empty(8)
     initialized = x.run_int[s.RESIDUALS_STARTED] == 1
@@ -55,12 +55,12 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
         made = commanded if math.isnan(force) else force
         monitored = monitored_tension(x, c, n, tared)
         if not initialized:
-            # The two fast filters start at the present tension and motor force.
+            # The two fast filters start at the present tension and the present motor force.
             x.tendon[s.RESIDUAL + TENSION, n] = 0.0 if math.isnan(monitored) else monitored
             x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(made) else made
         turned = position - x.tendon[s.LAST_POSITION, n]
         # Friction is proportional to tanh(1000 v). Above some millimetres per second, friction is
-        # fully developed. At rest, its sign does not chatter.
+        # fully developed. At rest, the sign of the friction therefore does not chatter.
         drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[h.MOTOR_COULOMB, n] * math.tanh(
             speed * 1e3
         )
@@ -75,8 +75,8 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
         now[QUICK_FORCE] = made
         now[SLIP] = x.tendon[s.SLIP, n]
         now[JERK] = square(turned - x.tendon[s.LAST_POSITION_STEP, n])
-        # Friction has the sign of the speed, so excess friction is the balance residual times this
-        # sign.
+        # Friction has the sign of the speed. Excess friction is therefore the residual of the force
+        # balance, times this sign.
         now[EXCESS_FRICTION] = (
             math.copysign(1.0, speed) * balance
             if abs(speed) > FULL_FRICTION_SPEED_M_S
@@ -95,7 +95,9 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
 
 @kernel_helper
 def unexplained_tension(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the difference of tension that friction and torque-constant tolerance do not explain [N], 0 or more."""
+    """Return the tension difference [N] that friction and torque-constant tolerance leave unexplained.
+
+    The result is 0 or more."""
     explained = c.tendon[h.MOTOR_COULOMB, n] + GAIN_FRACTION * abs(
         x.tendon[s.RESIDUAL + MOTOR_FORCE, n]
     )

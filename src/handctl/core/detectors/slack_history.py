@@ -39,7 +39,7 @@ def update_slack_history(x: StateTables, c: ConstantTables) -> None:
         elif x.tendon_int[s.TICKS_SINCE_TAUT, n] >= 0:
             x.tendon_int[s.TICKS_SINCE_TAUT, n] += 1
             # Both tendons of a spool pair are taut at any net tension below twice the pretension.
-            # So no tendon of the pair counts as slack while less is commanded.
+            # So no tendon of the pair counts as slack while a smaller net tension is commanded.
             loose = tension < SLACK_N and commanded > max(TAUT_N, 2.0 * c.tendon[h.PRETENSION, n])
             x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if loose else 0
         is_taut = tension > TAUT_N or (x.tendon_int[s.IS_TAUT, n] == 1 and tension > SLACK_N)
@@ -51,13 +51,13 @@ def update_history_after_cut(x: StateTables, c: ConstantTables, tared: bool) -> 
     """Update the tension history of a hand whose torque was cut.
 
     The tension at the cut is the reading of the tick in which the torque is cut. If this reading is
-    missing, the last reading before the cut is used, or else the first later reading. Readings are
-    often missing in a tick in which a cut is necessary.
+    missing, the last reading before the cut is used. If there is none, the first reading after the
+    cut is used. Readings are often missing in a tick in which a cut is necessary.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        tared: True if the load cells' zero is known.
+        tared: True if the zeros of the load cells are known.
     """
     ticks = x.run_int[s.CUT_TICKS] + 1
     for n in range(x.tendon.shape[1]):

@@ -31,18 +31,18 @@ PRESSING_TENSION_N = 8.0
 
 @kernel_helper
 def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
-    """Update the number of constant readings of each sensor.
+    """Update the count of constant readings of each sensor.
 
-    A missing reading leaves the number unchanged.
+    A missing reading leaves the count unchanged.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        tared: True if the load cells' zero is known.
+        tared: True if the zeros of the load cells are known.
     """
     for n in range(x.tendon.shape[1]):
-        # The test uses the position of the encoder, because the travel also changes with the angle
-        # of a carrying joint.
+        # The test uses the position of the encoder instead of the travel, because the travel also
+        # changes with the angle of a carrying joint.
         value = x.tendon[s.MEASURED_POSITION, n] * c.tendon[h.SPOOL_RADIUS, n]
         last = x.tendon[s.STUCK_TEST_POSITION, n]
         moved = not math.isnan(value) and value != last
@@ -79,7 +79,9 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
 
 @kernel_helper
 def reference_tension(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the tension [N] with which a motor's encoder is compared, NaN if other motors change this tension too.
+    """Return the tension [N] with which a motor's encoder is compared.
+
+    Return NaN if other motors also change this tension.
 
     In a digit with surplus tendons an antagonist can stretch a tendon whose own motor is at rest.
     """
@@ -115,7 +117,10 @@ def joint_angle_by_spools(x: StateTables, c: ConstantTables, j: int) -> float:
 
 @kernel_helper
 def motion_since_reading(reference: float, anchor: float) -> float:
-    """Return how far the reference of a sensor has moved since the sensor's reading became constant, 0 if unknown."""
+    """Return how far the reference of a sensor has moved since the sensor's reading became constant.
+
+    Return 0 if this is unknown.
+    """
     apart = abs(reference - anchor)
     return 0.0 if math.isnan(apart) else apart
 
@@ -153,7 +158,7 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
             x.tendon[s.FILTERED_GOAL, n] = present
             if abs(present - before) > GOAL_JUMP_M:
                 # The filtered goal jumps to the estimated excursion. No motor had to follow this
-                # jump, so the anchor, from which motion is counted, jumps too.
+                # jump. The anchor from which the motion is counted therefore also jumps.
                 x.tendon[s.MOTOR_ANCHOR, n] += present - before
         elif _is_digit_pressing(x, c, n):
             x.tendon[s.MOTOR_ANCHOR, n] += x.tendon[s.FILTERED_GOAL, n] - before
@@ -161,7 +166,7 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def _is_digit_pressing(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if a streamed digit presses: the tension of its tendon is much larger than the tension goal."""
+    """Return True if a streamed digit presses on an object: its tension is much larger than the goal."""
     return (
         is_tendon_streamed(x, c, n)
         and x.tendon[s.TENSION, n] - x.tendon[s.TENSION_GOAL, n] > PRESSING_TENSION_N

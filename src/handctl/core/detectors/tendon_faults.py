@@ -63,13 +63,13 @@ def detect_tendon_faults(
         if c.tendon[h.TENSION_TRIP, n] < tension < rail:
             evidence[T03, n] = tension
         # A measured tension above the drive's torque limit proves that the drive does not obey this
-        # limit. An estimated tension proves nothing.
+        # limit. A tension that is only estimated proves nothing.
         if c.tendon[h.DRIVE_LIMIT, n] < tension < rail and c.tendon_int[h.CELL_GROUP, n] >= 0:
             evidence[T03B, n] = tension
         if relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
             evidence[T03C, n] = tension
         # The raw reading may be at an end of its range, or the tared reading may be beyond any
-        # possible tension. The tare may hide either case, so both are tested.
+        # possible tension. The tare may hide either of these cases, so the function tests both values.
         if armed and (tension >= rail or tension <= low or x.tendon_int[s.SATURATED, n]):
             evidence[T06, n] = tension
 
@@ -108,7 +108,7 @@ def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the speed of a tendon on the streamed trajectory of its joints [m/s].
 
     For a digit without a stream, the speed is 0. The moves of tasks are slow, and the spool of a
-    torn tendon still follows them. If the speed of these moves were subtracted too, a torn tendon
+    torn tendon still follows them. If the speed of these moves were also subtracted, a torn tendon
     would be found half a second later, as a slack tendon (fault T02b).
     """
     speed = 0.0
@@ -123,7 +123,7 @@ def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: Evidence) -> None:
-    """Find a tendon without its commanded tension: slack (T02) after a time, snapped (T01) if its spool runs."""
+    """Find a tendon without its commanded tension: slack after some time (T02), or snapped if its spool runs (T01)."""
     period = c.run[h.PERIOD]
     commanded = x.tendon[s.COMMANDED_TENSION, n]
     speed = x.tendon[s.SPEED, n]

@@ -27,7 +27,7 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
     Args:
         x: state tables.
         c: constants of the hand.
-        tared: True if the load cells' zero is known.
+        tared: True if the zeros of the load cells are known.
     """
     read = x.run_int[s.JOINTS_READ] == 1
     for n in range(x.tendon.shape[1]):

@@ -1,9 +1,9 @@
 """Detection of a tension that oscillates about the commanded tension, by torque ripple or by an unstable control loop.
 
 A torque ripple of 0.1 N m near the resonance of rotor and tendon (about 20 Hz) makes the tension
-oscillate by tens of newtons. The thresholds of the other detectors do not find this oscillation.
-Cogging torque does not appear in the motor current, so the comparison of reported with commanded
-torque (fault N14) cannot detect it.
+oscillate by tens of newtons. The other detectors do not find this oscillation. Cogging torque does
+not appear in the motor current, so the comparison of reported with commanded torque (fault N14)
+cannot detect it.
 """
 
 import math

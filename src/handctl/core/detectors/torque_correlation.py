@@ -3,27 +3,27 @@
 A drive that obeys reports the commanded torque, including the small changes that noise adds to
 every command. The changes in the reports differ from those in the commands in three cases: the
 reports come from another drive, the torque acts on another joint, or the drive obeys late. The
-difference is visible even if all motors pull equally and no joint moves. Let a be the increment of
-the command from one tick to the next, and b that of the report, as forces at the spool [N]. The
-test uses low-passed products S of these increments:
+difference is visible even if all motors pull with equal force and no joint moves. Let a be the
+increment of the command from one tick to the next, and b the increment of the report, both as
+forces at the spool [N]. The test uses low-passed products S of these increments:
 
     S_ab + 4 sqrt(S_aa S_bb / n) < 0.4 S_aa      n = 2 tau / T samples
 
 Here tau is the time constant of the low-pass filter, and T is the control period. The fault is
-present if the drive reports less than 0.4 of the command's changes, with a margin of four standard
-deviations of this estimate. The sample covariance of uncorrelated increments has the variance S_aa
-S_bb / n. Source: Bartlett's formula for white noise.
+present if the drive reports less than 0.4 of the changes in the command, with a margin of four
+standard deviations of this estimate. The sample covariance of uncorrelated increments has the
+variance S_aa S_bb / n. Source: Bartlett's formula for white noise.
 
-At a contact, increments are a hundred times as large as during a hold. Without a limit, they would
-dominate the products for seconds after the contact. All increments are therefore limited to two
-counts of the torque. If a drive obeys, the limited increments of command and report have equal
-signs.
+At a contact, increments are a hundred times as large as during a hold. Without a limit, these
+increments would dominate the products for seconds after the contact. All increments are therefore
+limited to two counts of the torque. If a drive obeys, the limited increments of its commands and
+reports have equal signs.
 
-A pair of increments counts only after ``SETTLED_TICKS`` ticks in a row, each with a reply in time.
-After a pause, a drive replies to every queued command before it obeys the last one, so its next
-report belongs to an older command. On a slow bus, a report may come a tick late, and then belongs
-to a command one tick older. The test computes the correlation with and without this delay, and uses
-the larger one.
+A pair of increments counts only after ``SETTLED_TICKS`` consecutive ticks, each with a reply in
+time. After a pause, a drive replies to all queued commands before it obeys the last one. The next
+report of the drive therefore belongs to an older command. On a slow bus, a report may come a tick
+late, and then belongs to a command one tick older. The test computes the correlation with and
+without this delay, and uses the larger correlation.
 """
 
 import math
@@ -96,7 +96,7 @@ that comes a tick late), report squared, and the response of the filter to a con
 
 @kernel_helper
 def update_correlation(x: StateTables, c: ConstantTables, missed: int) -> None:
-    """Update the low-passed products of the increments of command and report.
+    """Update the low-passed products of the increments of commands and reports.
 
     A drive replies to a command before it obeys the command, so its report in this tick belongs to
     the command before the last.
@@ -135,8 +135,9 @@ def update_correlation(x: StateTables, c: ConstantTables, missed: int) -> None:
             _low_pass_moment(x, n, FILTER_RESPONSE_ROW, fraction, 1.0)
         x.tendon[s.REPORT_ON_TIME, n] = settled
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
-            # For a drive that closes its position loop, the force predicted for this report
-            # replaces the command, so the stored history is shifted by a tick.
+            # For a drive that closes its position loop, the force that was predicted for this
+            # report takes the place of the command. The stored history is therefore shifted by a
+            # tick.
             x.tendon[s.REPORT_FORCES, n] = first
             x.tendon[s.REPORT_FORCES + 1, n] = second
         else:
@@ -148,7 +149,7 @@ def update_correlation(x: StateTables, c: ConstantTables, missed: int) -> None:
 
 @kernel_helper
 def _smallest_increment(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the smallest increment of a motor's torque, as force at the spool, that counts as a change [N]."""
+    """Return the smallest increment of a motor's torque that counts as a change, as a force at the spool [N]."""
     rounding = max(MOVED_FRACTION * c.tendon[h.DRIVE_LIMIT, n], 0.5 * c.tendon[h.TORQUE_STEP, n])
     if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] and x.servo[s.SERVO_SHARE, n] > MIN_SERVO_SHARE:
         rounding = max(rounding, SERVO_COUNTS * c.tendon[h.SERVO_ROUNDING, n])
@@ -179,8 +180,8 @@ def is_command_ignored(x: StateTables, c: ConstantTables, n: int) -> bool:
         x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n],
         x.tendon[s.REPORT_MOMENTS + LATE_COMMAND_REPORT_ROW, n],
     )
-    # Command and report must both change by more than rounding errors. A constant report is a sign
-    # of another fault.
+    # The command and the report must both change by more than rounding errors. A constant report is
+    # a sign of another fault.
     moves = min(aa, bb) > square(_smallest_increment(x, c, n))
     if x.tendon[s.REPORT_MOMENTS + FILTER_RESPONSE_ROW, n] <= MIN_FILLING or not moves:
         return False
@@ -192,7 +193,10 @@ def is_command_ignored(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 @kernel_helper
 def fraction_of_command_reported(x: StateTables, n: int) -> float:
-    """Return the fraction of the changes of a motor's command that its reports show, 1 for a drive that obeys."""
+    """Return the fraction of the changes of a motor's command that its reports show.
+
+    The value is 1 for a drive that obeys.
+    """
     ab = max(
         x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n],
         x.tendon[s.REPORT_MOMENTS + LATE_COMMAND_REPORT_ROW, n],
@@ -205,18 +209,19 @@ def fraction_of_command_reported(x: StateTables, n: int) -> float:
 def is_command_contradicted(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if a motor reports a force that none of its last three commands explains.
 
-    The low-passed difference of command and report must have the same sign, so a single report does
-    not count. A drive that obeys reports a command of the last three ticks, even after a lost
-    frame. The difference is then 0, however fast the command changes. So this test is quicker than
-    the low-passed difference alone, for example if two drives are exchanged and their loops drive
-    each other.
+    The low-passed difference between command and report must have the same sign, so a single report
+    is not sufficient. A drive that obeys reports a command of the last three ticks, even after a
+    lost frame. The difference is then 0, however fast the command changes. This test therefore
+    finds some faults earlier than the low-passed difference alone, for example if two drives are
+    exchanged and their loops drive each other.
 
-    Only motors of tendons without load cell are tested. A load cell shows a wrong force in another
-    way, and replies on a busy computer may be older than three ticks. For the same reason, three
-    ticks must take at least ``MIN_COMMAND_WINDOW_S``.
+    Only motors of tendons without a load cell are tested. With a load cell, another detector finds
+    a wrong force, and replies on a busy computer may be older than three ticks. Because replies may
+    be late, three ticks must take at least ``MIN_COMMAND_WINDOW_S``.
 
-    A drive that closes its position loop is not tested, because it has no torque command. Nor is a
-    drive that sends its torque separately, because the torque may be older than the reply.
+    A drive that closes its position loop is not tested, because it has no torque command. A drive
+    that sends its torque in a separate frame is not tested either, because the torque may be older
+    than the reply.
     """
     window = COMPARED_COMMANDS * c.run[h.PERIOD]
     if c.tendon_int[h.CELL_GROUP, n] >= 0 or window < MIN_COMMAND_WINDOW_S:

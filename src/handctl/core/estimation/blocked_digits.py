@@ -1,9 +1,9 @@
 """Detection of blocked digits: digits in an unplanned contact with a stop or an object.
 
-A digit is blocked if its unexplained tension exceeds any error of the model.
-``programs.task_program`` has a finer test for closing digits. The tension filter must know which
-digits are blocked, because it assumes that a free digit follows its tendon. If the filter assumed
-this of a blocked digit, the control loop would oscillate.
+A digit is blocked if its unexplained tension exceeds any error of the model. For closing digits,
+``programs.task_program`` has a finer test. The tension filter must know which digits are blocked,
+because it assumes that a free digit follows its tendon. If the filter assumed this of a blocked
+digit too, the control loop would oscillate.
 """
 
 from handctl.compiled import kernel_helper
@@ -35,7 +35,7 @@ limits.
 
 @kernel_helper
 def update_blocked(x: StateTables, c: ConstantTables) -> None:
-    """Update for each digit whether it is blocked."""
+    """Update whether each digit is blocked."""
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.TENDONS_FIRST, d]
         end = c.digit_int[h.TENDONS_END, d]
@@ -55,7 +55,7 @@ def update_blocked(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def reset_blocked(x: StateTables) -> None:
-    """Set all digits to not blocked, because no contact is observable without torque."""
+    """Mark all digits as not blocked, because contact cannot be observed without torque."""
     for d in range(x.digit.shape[1]):
         x.digit[s.TOUCH, d] = 0.0
         if x.digit_int[s.BLOCKED, d]:

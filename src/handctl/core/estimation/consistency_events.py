@@ -1,4 +1,4 @@
-"""Log events for tendons whose model has become inconsistent or consistent again, and for blocked digits."""
+"""Log events for tendons whose model becomes inconsistent or consistent again, and for blocked digits."""
 
 from typing import Any, Protocol
 

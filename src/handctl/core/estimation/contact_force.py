@@ -1,19 +1,18 @@
-"""Force at the tip of a closing digit, as a sign of contact, and opening of a digit that holds an object.
+"""Force at the tip of a closing digit, as a sign of contact, and the opening of a digit that holds an object.
 
 While a digit closes, the unexplained tensions of its tendons are converted into a force at its tip.
-Each tendon is weighted by its load under a unit force at the tip. A proximal tendon has the largest
-load and the least friction, so it has the largest weight. The force is low-passed over a few
-milliseconds. The force of a contact then remains, and the alternating force of a chattering tendon
-cancels.
+Each tendon has a weight: the load that a unit force at the tip puts on this tendon. A proximal
+tendon has the largest load and the least friction, so it has the largest weight. The force is
+low-passed over a few milliseconds. The force of a contact remains after the low pass, and the
+alternating force of a chattering tendon cancels.
 
-Two errors of this force are corrected. If the model expects too much tension, the force is negative
-and hides a contact. This error lasts longer than a contact force takes to grow, so a negative mean
-is subtracted. If a load cell drifts, the force is positive from the start to the end of closing, so
-a positive mean over a long time is subtracted too.
+Two errors of the tip force are corrected. If the model expects too much tension, the force is
+negative and hides a contact. This error lasts longer than a contact force needs to grow, so a
+negative mean is subtracted. If a load cell drifts, the force is positive during the whole closing
+motion. A positive mean over a long time is therefore also subtracted.
 
-While a digit holds an object, the length wound on the spool minus the stretch of the tendon is
-known to a few micrometres. If the digit is pushed open, a fast and a slow average of this length
-differ.
+While a digit holds an object, the wound length of a tendon minus its stretch is known to a few
+micrometres. If an object pushes the digit open, a fast and a slow average of this length differ.
 """
 
 import math
@@ -54,7 +53,7 @@ The tendons of such a digit cannot feel a force at its tip.
 def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
     """Update the tip forces of closing digits.
 
-    Reset the tip forces of all other digits, but keep their drift.
+    Reset the tip forces of all other digits, but keep the estimated drift.
     """
     closing = False
     for d in range(x.digit.shape[1]):
@@ -84,7 +83,7 @@ def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
-    """Write the lever (J,) [m] of a force at a digit's tip about each joint, at the joint angles of a free digit.
+    """Write the lever (J,) [m] of a force at a digit's tip about each joint, at the joint angles of the free digit.
 
     A digit that closes counts as free until its contact is found.
     """
@@ -99,7 +98,7 @@ def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
 def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> float:
     """Return the tip force that fits the unexplained tensions of a digit best, by least squares [N].
 
-    The force is 0 if the tendons cannot feel it.
+    The force is 0 if no tendon is loaded by a force at the tip.
     """
     work = 0.0
     size = 0.0
@@ -116,7 +115,7 @@ def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> 
 def average_grip_travel(x: StateTables, c: ConstantTables) -> None:
     """Update the fast and the slow average of wound length minus stretch.
 
-    Both averages are equal until slip is judged.
+    Both averages are equal until the detection of slip begins.
     """
     judged = x.run[s.GOAL_TIME] + c.run[h.PERIOD] >= x.run[s.SLIP_JUDGED_FROM]
     for n in range(x.tendon.shape[1]):

@@ -1,8 +1,8 @@
-"""Propagation of the tension filter's covariance, from a missing measurement until the covariance is steady again.
+"""Propagation of the covariance of the tension filter, from a missing measurement until the covariance is steady again.
 
-The steady-state gains of the filter assume a measurement in every tick. If a measurement comes in
-every second tick only, these gains overestimate the error of the speed, and correct the speed for
-too long. The estimate then oscillates or diverges. Therefore the covariances of all tendons are
+The steady-state gains of the filter assume a measurement in every tick. If measurements come only
+in every second tick, these gains overestimate the error of the speed, and correct the speed for too
+long. The estimate then oscillates or diverges. Therefore the covariances of all tendons are
 propagated from the first missing measurement on. The propagation ends when all covariances are
 close to their steady values.
 """
@@ -48,14 +48,16 @@ def correct_covariance(
     predicted: Matrix,
     information: Vector,
 ) -> float:
-    """Correct the covariance of a tendon by its encoder and load cell. The gain for joint encoders does not change.
+    """Correct the covariance of a tendon by the measurements of its encoder and its load cell.
+
+    The gain for joint encoders does not change.
 
     Args:
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
         z: (3,) measurements, NaN if missing.
-        gain: (7, 3) steady gains. The first two columns, encoder and load cell, are replaced.
+        gain: (7, 3) steady gains. Replace the first two columns of the gain: encoder and load cell.
         predicted: (7, 7) result: covariance after the update.
         information: (3,) result: inverse covariance of the innovations, see
             ``constants.INFORMATION_AT``.
@@ -78,7 +80,7 @@ def correct_covariance(
         R[m] = c.design[n, kind, h.R_AT + m] * (
             MISSING_VARIANCE_FACTOR if math.isnan(z[m]) else 1.0
         )
-    # Innovation covariance [[a, b], [b, d]], inverted in closed form.
+    # Inverse of the innovation covariance [[a, b], [b, d]] in closed form.
     a = size[0, 0] + R[0]
     b = size[0, 1]
     d = size[1, 1] + R[1]
@@ -87,8 +89,8 @@ def correct_covariance(
     information[1] = -2.0 * b / determinant
     information[2] = a / determinant
     for i in range(STATE_COUNT):
-        # A load-cell error that cannot be distinguished from tension is not corrected. Instead, the
-        # variance of this error grows.
+        # A load-cell error is not corrected if no measurement distinguishes it from tension.
+        # Instead, the variance of this error grows.
         observed = observable if i == CELL_ERROR else 1.0
         gain[i, 0] = observed * (crossed[i, 0] * d - crossed[i, 1] * b) / determinant
         gain[i, 1] = observed * (crossed[i, 1] * a - crossed[i, 0] * b) / determinant
@@ -97,7 +99,8 @@ def correct_covariance(
         for j in range(STATE_COUNT):
             rest[i, j] = (1.0 if i == j else 0.0) - (gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j])
     # Joseph form (I - K H) P (I - K H)^T + K R K^T. The Joseph form is symmetric and positive for
-    # any gain, even for a gain that does not correct the cell error (Schmidt's consider filter).
+    # any gain, even for a gain that does not correct the load-cell error (Schmidt's consider
+    # filter).
     joseph = _multiply_by_transposed(_multiply_matrices(rest, P), rest)
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
@@ -109,7 +112,9 @@ def correct_covariance(
 
 @kernel_helper
 def predict_covariances(x: StateTables, c: ConstantTables, predicted: Matrix, missed: int) -> None:
-    """Predict the covariances (N, 7, 7) of all tendons to the next tick. End the propagation if all are steady.
+    """Predict the covariances (N, 7, 7) of all tendons to the next tick.
+
+    End the propagation if all covariances are steady.
 
     If the filter design of a tendon has changed, its covariance becomes the steady covariance of
     the new design.
@@ -138,13 +143,13 @@ def predict_covariances(x: StateTables, c: ConstantTables, predicted: Matrix, mi
 
 @kernel_helper
 def ticks_to_predict(c: ConstantTables, missed: int) -> int:
-    """Return for how many of the missed ticks the covariance is predicted."""
+    """Return the number of missed ticks for which the covariance is predicted."""
     return min(missed, round(HELD_TORQUE_S / c.run[h.PERIOD]))
 
 
 @kernel_helper
 def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the standard deviation of a tendon's predicted tension [N], from the propagated covariance."""
+    """Return the standard deviation of a tendon's predicted tension [N], computed from the propagated covariance."""
     kind = x.tendon_int[s.FILTER_KIND, n]
     P = np.empty((STATE_COUNT, STATE_COUNT))
     for i in range(STATE_COUNT):
@@ -155,7 +160,9 @@ def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def _present_covariance(x: StateTables, c: ConstantTables, n: int, kind: int) -> Matrix:
-    """Return the covariance (7, 7) of a tendon's predicted states, propagated or else steady."""
+    """Return the covariance (7, 7) of a tendon's predicted states.
+
+    It is the propagated covariance if there is one, and otherwise the steady covariance."""
     P = _copy_design_matrix(c, n, kind, h.P_AT)
     if x.run_int[s.COVARIANCE_PROPAGATED]:
         for i in range(STATE_COUNT):

@@ -1,4 +1,4 @@
-"""Prediction of the tension filter's states to the present, by filterpy."""
+"""Prediction of the states of the tension filter to the present, by filterpy."""
 
 import numpy as np
 
@@ -17,8 +17,8 @@ def predict_filter_states(
 ) -> None:
     """Predict the states of all tendons to the next tick.
 
-    Missed ticks are predicted with the motor force of the last tick, and without a planned change
-    of tension.
+    For missed ticks, the prediction uses the motor force of the last tick, and no planned change of
+    tension.
 
     Args:
         model: model of the hand.

@@ -23,7 +23,7 @@ force on the motor [N], load-cell error [N], stretch offset [m].
 
 
 class TendonRegime(enum.IntEnum):
-    """Regime of a tendon: how the filter's model couples motor and digit."""
+    """Regime of a tendon: the way in which the filter's model couples motor and digit."""
 
     FREE = 0
     """The tendon is taut, and the digit follows it freely.
@@ -56,7 +56,7 @@ class FilterBlock:
 
     Attributes:
         F: transition over a period, (7, 7).
-        B: effect of inputs that are constant over a period, (7, 2).
+        B: effect of the inputs over a period in which they are constant, (7, 2).
         H: expected measurements per state, (3, 7).
         K: steady-state gain of the update, (7, 3).
         Q: process noise covariance of a period, (7, 7).
@@ -115,9 +115,9 @@ class FilterDesign:
     Attributes:
         blocks: filter of each tendon and kind, ``blocks[tendon][kind]``. The kind is the regime,
             plus 3 for a filter with added process noise.
-        transition: function that returns the transition of all tendons. Its argument is the kinds
-            of the N tendons, as bytes of int64 numbers. Its results are cached, because kinds
-            rarely change.
+        transition: function that returns the transition of all tendons. The argument of this
+            function contains the kinds of the N tendons, as the bytes of int64 numbers. The results
+            of this function are cached, because the kinds rarely change.
     """
 
     blocks: tuple[tuple[FilterBlock, ...], ...]

@@ -1,10 +1,10 @@
 """Tension filter: estimates of tension, excursion and contact force from load cells, motor and joint encoders.
 
-One linear filter has the states of all tendons. ``correct_filter`` corrects the states by the
-measurements. ``filterpy`` predicts the states to the present (in ``controller.tick``).
+One linear filter contains the states of all tendons. ``correct_filter`` corrects the states by the
+measurements. ``filterpy`` predicts the states to the present (called in ``controller.tick``).
 ``derive_estimate`` derives the estimate from the states. A missing or saturated measurement has no
 innovation. After such a measurement, the covariance is propagated until it is steady again. A
-single outlier of a load cell is rejected. The measurements that a tick receives were taken one
+single outlier of a load cell is rejected. The measurements that arrive in a tick were taken one
 period earlier, just before the command of the previous tick took effect.
 """
 
@@ -102,7 +102,7 @@ MAX_NIS_SAMPLE = 100.0
 
 @kernel_helper
 def filter_kind(x: StateTables, n: int) -> int:
-    """Return the index of a tendon's filter design: the regime, plus 3 while process noise is added."""
+    """Return the index of a tendon's filter design: the regime of the tendon, plus 3 while process noise is added."""
     regime = x.tendon_int[s.REGIME, n]
     return regime + 3 if x.tendon[s.ADDED_NOISE_S, n] > 0.0 else regime
 
@@ -120,8 +120,8 @@ def correct_filter(x: StateTables, c: ConstantTables, missed: int) -> None:
     """
     count = x.tendon.shape[1]
     for n in range(count):
-        # The kind of design may change below. The measurements are still judged by the kind of
-        # design that predicted them.
+        # The kind of filter design may change below. The measurements are still judged by the kind
+        # of design that predicted them.
         x.tendon_int[s.FILTER_KIND, n] = x.tendon_int[s.FILTER_KIND_BEFORE, n] = filter_kind(x, n)
     z = _usable_measurements(x)
     innovation = _innovations(x, c, z)
@@ -150,10 +150,12 @@ def correct_filter(x: StateTables, c: ConstantTables, missed: int) -> None:
 
 @kernel_helper
 def _usable_measurements(x: StateTables) -> Matrix:
-    """Return measurements (N, 3) of encoder, load cell and joint encoders, NaN if missing.
+    """Return the measurements (N, 3) of encoder, load cell and joint encoders.
 
-    A lost or saturated measurement counts as missing. If a tendon is neither taut nor certainly
-    slack, its load-cell reading counts as missing too.
+    Missing measurements are NaN.
+
+    A lost or saturated measurement counts as missing. If it is uncertain whether a tendon is taut
+    or slack, its load-cell reading also counts as missing.
     """
     z = np.empty((x.tendon.shape[1], 3))
     for n in range(len(z)):
@@ -173,7 +175,10 @@ def _usable_measurements(x: StateTables) -> Matrix:
 
 @kernel_helper
 def _innovations(x: StateTables, c: ConstantTables, z: Matrix) -> Matrix:
-    """Return the measurements minus their expected values, (N, 3), NaN where a measurement is missing."""
+    """Return the measurements minus their expected values, (N, 3).
+
+    The result is NaN where a measurement is missing.
+    """
     innovation = np.empty_like(z)
     for n in range(len(z)):
         for m in range(3):
@@ -189,7 +194,7 @@ def _innovations(x: StateTables, c: ConstantTables, z: Matrix) -> Matrix:
 
 @kernel_helper
 def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> bool:
-    """Return True if a measurement that the steady gains assume is missing.
+    """Return True if a measurement is missing that the steady gains assume.
 
     For a slack tendon, these gains assume no load-cell reading.
     """
@@ -204,7 +209,7 @@ def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> boo
 def _write_steady_gain(
     c: ConstantTables, n: int, kind: int, gain: Matrix, information: Vector
 ) -> None:
-    """Write the steady gain (7, 3) of a tendon's filter, and the inverse covariance (3,) of its innovations."""
+    """Write the steady gain (7, 3) of a tendon's filter, and the inverse covariance (3,) of the innovations."""
     for i in range(STATE_COUNT):
         for m in range(3):
             gain[i, m] = c.design[n, kind, h.K_AT + 3 * i + m]
@@ -221,7 +226,8 @@ def _gate_and_correct(
     Args:
         x: state tables.
         c: constants of the hand.
-        innovation: (N, 3) innovations, NaN if missing. Rejected innovations become NaN.
+        innovation: (N, 3) innovations. The values are NaN if the measurement is missing. Rejected
+            innovations become NaN.
         gain: (N, 7, 3) gains.
         cell_sigma: (N,) standard deviation of the load-cell innovation [N].
     """
@@ -243,7 +249,7 @@ def _gate_and_correct(
                     c.design[n, kind, h.TENSION_ROW_AT + i] * c.design[n, kind, h.K_AT + 3 * i + 1]
                 )
             # The correction by the gain is added below, so only the rest of STEP_FRACTION is
-            # computed here.
+            # applied here.
             jump = max(STEP_FRACTION - steady, 0.0) * cell
         if abs(sigmas) > OUTLIER_GATE_SIGMAS and not again:
             innovation[n, 1] = math.nan
@@ -258,10 +264,11 @@ def _gate_and_correct(
 
 @kernel_helper
 def _move_slack_with_taut(x: StateTables, c: ConstantTables) -> None:
-    """Move the excursion of each slack tendon with the other tendons of its digit, in digits with surplus tendons.
+    """Move the excursion of each slack tendon with the other tendons of a digit with surplus tendons.
 
     The excursions of a digit are R q. If one tendon is slack, its excursion follows from those of
-    the other tendons. If several are slack, each tick is an iteration of a Gauss-Seidel solution.
+    the other tendons. If several tendons are slack, each tick is one iteration of a Gauss-Seidel
+    solution.
     """
     for n in range(x.tendon.shape[1]):
         if c.tendon_int[h.HAS_SURPLUS, n] and x.tendon_int[s.REGIME, n] == SLACK_REGIME:
@@ -278,10 +285,12 @@ def _move_slack_with_taut(x: StateTables, c: ConstantTables) -> None:
 def _normalised_innovation_squared(
     innovation: Vector, information: Vector, without_cell: bool
 ) -> float:
-    """Return the normalised innovation squared of encoder and load cell, NaN if either is missing.
+    """Return the normalised innovation squared of encoder and load cell.
 
-    For a tendon without load cell (``without_cell``), the result is twice the value of the encoder
-    alone. The ideal mean of this value is 2, as with a load cell.
+    Return NaN if either measurement is missing.
+
+    For a tendon without a load cell (``without_cell``), the result is twice the value of the
+    encoder alone. The ideal mean of the result is 2, as with a load cell.
     """
     if without_cell:
         return 2.0 * information[0] * innovation[0] * innovation[0]
@@ -317,7 +326,7 @@ def _judge_consistency(
             continue
         nis = min(nis, MAX_NIS_SAMPLE)
         period = c.run[h.PERIOD]
-        # First-order low-pass. The period is short against the averaging time.
+        # First-order low-pass. The period of a tick is short compared with the averaging time.
         x.tendon[s.NIS_MEAN, n] += period / NIS_AVERAGING_TIME_S * (nis - x.tendon[s.NIS_MEAN, n])
         if period <= ADDED_NOISE_MAX_PERIOD_S:
             x.tendon[s.NIS_FAST, n] += period / NOISE_NIS_S * (nis - x.tendon[s.NIS_FAST, n])
@@ -334,8 +343,8 @@ def _judge_consistency(
 def _judge_noise(x: StateTables, c: ConstantTables) -> None:
     """Decide by the fast average of NIS which tendons get added process noise.
 
-    The noise is kept for ``MAX_ADDED_NOISE_S``. A wrong friction in the model is visible only while
-    the tendon moves, and has the largest effect at the next reversal of its motion.
+    The added noise is kept for ``MAX_ADDED_NOISE_S``. A wrong friction in the model is visible only
+    while the tendon moves, and has the largest effect at the next reversal of its motion.
     """
     if c.run[h.PERIOD] > ADDED_NOISE_MAX_PERIOD_S:
         return
@@ -353,7 +362,7 @@ def _judge_noise(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def filtered_tension(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the tension of a tendon at its load cell, computed from the filter's states [N].
+    """Return the tension of a tendon at its load cell, computed from the states of the filter [N].
 
     The computed tension may be negative.
     """
@@ -366,15 +375,17 @@ def filtered_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vector) -> None:
-    """Write the angles or rates (J,) that all joints have if their digits are free, q = B R_r^+ s.
+    """Write the angles or rates (J,) that all joints would have if their digits were free, q = B R_r^+ s.
 
-    B is the coupling of the joints. R_r are the reduced moment arms, and s the excursions or their
-    rates. With varying moment arms, the angles also have an offset, see ``varying_moment_arms``.
+    B is the coupling of the joints. R_r are the reduced moment arms, and s are the excursions or
+    their rates. With varying moment arms, the angles also have an offset, see
+    ``varying_moment_arms``.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        row: row of the tendon table with s: ``EXCURSION`` for angles, ``EXCURSION_RATE`` for rates.
+        row: row of the tendon table that contains s: ``EXCURSION`` for angles, ``EXCURSION_RATE``
+            for rates.
         result: (J,) angles [rad] or rates [rad/s].
     """
     for j in range(len(result)):
@@ -385,14 +396,15 @@ def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vecto
 
 @kernel_helper
 def _load_forces(x: StateTables, c: ConstantTables) -> Matrix:
-    """Return three forces of each tendon, (3, N) [N]: resistance, speed-signed pull and pull.
+    """Return three forces of each tendon, (3, N) [N]: the resistance, the speed-signed pull and the pull.
 
-    Resistance is the tension at the joints that balances springs and gravity. Pull is the estimated
-    tension at the joints, after the loss by friction. For a moving tendon, the control law knows
-    how far the friction of the tendon has developed. For other tendons, friction is computed from
-    the speed at the spool. The estimated speed of a digit is not used, because the sign of this
-    rough estimate would chatter. For the speed-signed pull, friction is always computed from the
-    speed at the spool. This pull is the first sign that a digit leaves a stop.
+    The resistance is the tension at the joints that balances springs and gravity. The pull is the
+    estimated tension at the joints, after the loss by friction. For a moving tendon, the control
+    law knows how far the friction of the tendon has developed. For other tendons, friction is
+    computed from the speed at the spool. The friction does not follow the estimated speed of the
+    digit, because the sign of this rough estimate would chatter. For the speed-signed pull,
+    friction is always computed from the speed of the tendon at the spool. The speed-signed pull is
+    the first sign that a digit leaves a stop.
     """
     count = x.tendon.shape[1]
     joints = x.joint.shape[1]
@@ -423,14 +435,15 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
     """Update the regime of each tendon, and set the stretch offset of a newly taut tendon.
 
     The regime depends on slack, on the open stop and on contact. Return the result of
-    ``_load_forces`` after this update.
+    ``_load_forces``, computed after this update.
     """
     force = _load_forces(x, c)
     changed = False
     for n in range(x.tendon.shape[1]):
         regime = x.tendon_int[s.REGIME, n]
         cell = x.tendon[s.MEASURED_TENSION, n]
-        # While a tendon is slack, the encoder alone determines the length that must still be wound.
+        # While a tendon is slack, the encoder alone determines the length that must still be wound
+        # up.
         near = (
             regime == SLACK_REGIME and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and is_nearly_taut(x, n)
         )
@@ -439,7 +452,7 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         tension = filtered_tension(x, c, n)
         if blind:
             # The model of a slack tendon has no tension. Once the tendon is taut, the estimated
-            # disturbance is minus its tension.
+            # disturbance therefore equals minus its tension.
             cell = -x.tendon[s.DISTURBANCE, n]
             points = regime_evidence_without_cell(regime, points, tension, cell)
         else:
@@ -459,7 +472,7 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         was = x.tendon_int[s.ON_OPEN_STOP, n] == 1
         stopped = c.tendon_int[h.HAS_RETURN_SPRINGS, n] == 1
         if stopped:
-            # A tendon that opens its digit has a negative pull and a negative excursion here.
+            # For a tendon that opens its digit, the pull and the excursion are negative here.
             side = c.tendon[h.CLOSING_SIGN, n]
             opened = c.tendon[h.OPEN_EXCURSION, n]
             stopped = _is_at_stop(
@@ -494,7 +507,7 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
 
 @kernel_helper
 def is_in_contact(x: StateTables, d: int) -> bool:
-    """Return True if a digit is blocked, or if, by the program, it touches an object while torque may act."""
+    """Return True if a digit is blocked, or if it touches an object according to the program while torque may act."""
     acting = ARMING_MODE <= x.run_int[s.MODE] <= RELAX_MODE
     return (acting and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[s.BLOCKED, d] == 1
 
@@ -516,22 +529,24 @@ def _choose_filter_kinds(x: StateTables) -> None:
 
 @kernel_helper
 def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) -> None:
-    """Write the unexplained load force of each tendon, positive if it acts against closing.
+    """Write the unexplained load force of each tendon.
 
-    The force is 0 for a slack tendon, and while the digit is on its open stop.
+    The value is positive if it acts against closing.
+
+    The force is 0 for a slack tendon, and while the digit is at its open stop.
     """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0
         if x.tendon_int[s.REGIME, n] != SLACK_REGIME and not x.tendon_int[s.ON_OPEN_STOP, n]:
             damping = c.tendon[h.LOAD_DAMPING, n] * x.tendon[s.EXCURSION_RATE, n]
-            # The force is pull minus resistance. An object that resists closing makes this
-            # difference positive.
+            # The force is pull minus resistance. An object that resists the closing digit makes
+            # this difference positive.
             x.tendon[s.EXTERNAL_TENSION, n] = force[2, n] - force[0, n] - damping
 
 
 @kernel_helper
 def write_unknown_estimate(x: StateTables) -> None:
-    """Write the estimate for a tick before all sensors have been read: no contact and no innovation."""
+    """Write the estimate of a tick in which not all sensors have been read yet: no contact and no innovation."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0
         x.tendon[s.INNOVATION, n] = x.tendon[s.NIS, n] = math.nan
@@ -543,7 +558,7 @@ def derive_estimate(x: StateTables, c: ConstantTables) -> None:
     """Derive the estimate from the predicted states: tensions, standard deviations, angles of free digits."""
     for n in range(x.tendon.shape[1]):
         tension = filtered_tension(x, c, n)
-        # A single tendon cannot push.
+        # A tendon that is no spool pair cannot push.
         x.tendon[s.TENSION, n] = tension if c.tendon_int[h.IS_SPOOL_PAIR, n] else max(tension, 0.0)
         x.tendon[s.TENSION_SIGMA, n] = math.sqrt(
             c.design[n, x.tendon_int[s.FILTER_KIND, n], h.TENSION_VARIANCE_AT]

@@ -16,7 +16,7 @@ from handctl.core.state_block import StateTables
 
 @kernel_helper
 def write_measurements(x: StateTables, c: ConstantTables) -> None:
-    """Write the readings received in this tick as measurements, and NaN for missing readings."""
+    """Write the readings that arrived in this tick as measurements. Missing readings become NaN."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.MEASURED_POSITION, n] = math.nan
         if x.tendon_int[s.FEEDBACKS_NOW, n] > 0:
@@ -44,12 +44,12 @@ def write_measurements(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def reject_outliers(x: StateTables, c: ConstantTables, missed: int) -> None:
-    """Reject positions that rotor or joint cannot have reached since the last accepted position.
+    """Reject positions that a rotor or a joint cannot have reached since the last accepted position.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        missed: ticks missed before the present tick. The hand moved on in these ticks, and a
+        missed: ticks missed before the present tick. The hand moved on in the missed ticks, and a
             reading may be the reply to an older request.
     """
     for n in range(x.tendon.shape[1]):
@@ -83,11 +83,11 @@ def _reject_outlier(
         i: column of the position in the table.
         measured: row of the measured position.
         accepted: row of the last accepted position.
-        gap_row: row of a number of ticks. The accepted position may have been measured this long
-            before the last tick.
+        gap_row: row of a number of ticks. The accepted position may have been measured this number
+            of ticks before the last tick.
         jump: row of the rejected step.
-        dropped: row of the number of rejections in a row.
-        limit: largest step in a period [rad].
+        dropped: row of the number of consecutive rejections.
+        limit: largest possible step in a period [rad].
         missed: see ``reject_outliers``.
     """
     value = table[measured, i]
@@ -123,8 +123,8 @@ def convert_positions(x: StateTables, c: ConstantTables) -> None:
         spool = c.tendon[h.SPOOL_RADIUS, n]
         x.tendon[s.MEASURED_TRAVEL, n] = x.tendon[s.MEASURED_POSITION, n] * spool
         if c.run_int[h.HAS_CARRIER_ARMS]:
-            # The estimated joint angles are from the last tick, which predicted them to the time of
-            # this measurement.
+            # The estimated joint angles come from the last tick, which predicted them to the time
+            # of this measurement.
             x.tendon[s.MEASURED_TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
         valid = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
         # A drive reports the torque that an ideal motor would make. The real motor makes this
@@ -141,13 +141,13 @@ def convert_positions(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def monitored_tension(x: StateTables, c: ConstantTables, n: int, tared: bool) -> float:
-    """Return the tension that detectors judge [N]: the load-cell reading, or the estimate if there is no load cell.
+    """Return the tension that detectors judge [N]: the load-cell reading, or the estimate without a load cell.
 
     Args:
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        tared: True if the load cells' zero is known.
+        tared: True if the zeros of the load cells are known.
     """
     if c.tendon_int[h.CELL_GROUP, n] < 0:
         return x.tendon[s.TENSION, n]
@@ -156,7 +156,7 @@ def monitored_tension(x: StateTables, c: ConstantTables, n: int, tared: bool) ->
 
 @kernel_helper
 def start_filter(x: StateTables, c: ConstantTables) -> None:
-    """Start the tension filter once all encoders and load cells were read.
+    """Start the tension filter as soon as all encoders and load cells have been read.
 
     The first state assumes that the hand is open and its tendons are slack.
     """
@@ -175,10 +175,10 @@ def start_filter(x: StateTables, c: ConstantTables) -> None:
             h.SPOOL_RADIUS, n
         ]
         if c.run_int[h.HAS_CARRIER_ARMS]:
-            # The tendons of a carrying digit come before the tendons of the digits that it carries,
-            # so its angles are known here.
+            # The tendons of a carrying digit come before the tendons of the digits that it carries.
+            # The angles of the carrying digit are therefore known here.
             write_free_angles(x, c, s.EXCURSION, x.joint[s.Q])
             x.tendon[s.TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            x.tendon[s.EXCURSION, n] = x.tendon[s.TRAVEL, n]  # zero net tension: no stretch
+            x.tendon[s.EXCURSION, n] = x.tendon[s.TRAVEL, n]  # zero net tension means no stretch
     x.run_int[s.FILTER_STARTED] = 1

@@ -2,11 +2,12 @@
 
 Excursions determine the joint angles of a digit up to the null space of the moment arms. The joints
 of a free digit have the angles of its coupling, q = B theta. If the digit touches an object, the
-object turns the joints against each other. The turn is the torque of the contact times the
-compliance of the springs in the null space, N (N^T K N)^-1 N^T. The torque follows from the
-unexplained tension. The place of the contact is unknown, so the estimate is the mean over several
+object turns its joints against each other. The turn of the joints is the torque of the contact
+times the compliance of the springs in the null space, N (N^T K N)^-1 N^T. The torque of the contact
+follows from the unexplained tension. The place of the contact is unknown, so the estimate is the
+mean over several
 places: the middle of each link, the tip, and a torque on all joints alike. The standard deviation
-consists of the differences between these places, and of
+of an angle has several parts: the differences between these places,
 
 - the error of the tension's model, at each of these places,
 - capstan friction, whose sign depends on the direction of motion,
@@ -95,8 +96,8 @@ def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) 
             x.joint[s.Q_SIGMA, j] = math.sqrt(variance[j])
         return
     for d in range(x.digit.shape[1]):
-        # The contact tension rises at once with the touch, and decays with the time constant
-        # CONTACT_FADE_S.
+        # The contact tension rises at once when the digit touches an object, and decays with the
+        # time constant CONTACT_FADE_S.
         x.digit[s.CONTACT_TENSION, d] = max(
             x.digit[s.TOUCH, d], x.digit[s.CONTACT_TENSION, d] * c.run[h.CONTACT_DECAY]
         )
@@ -116,7 +117,7 @@ def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) 
 
 @kernel_helper
 def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Vector]:
-    """Return how far the error of each excursion turns the joints, (J, N) [rad], and the variances (J,)."""
+    """Return how far the error of each excursion turns the joints, (J, N) [rad], and the resulting variances (J,)."""
     joints = x.joint.shape[1]
     tendons = x.tendon.shape[1]
     spread = np.zeros((joints, tendons))
@@ -129,8 +130,8 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
             c.tendon[h.TENDON_STIFFNESS, n]
         )
         if c.run_int[h.HAS_CARRIER_ARMS]:
-            # Add the error from the angles of carrying digits. The tendons of carrying digits come
-            # first, so ``total`` contains this error already.
+            # Add the error that comes from the angles of carrying digits. The tendons of carrying
+            # digits come first, so ``total`` already contains this error.
             for j in range(joints):
                 variance += square(c.tendon_joint[h.CARRIER_ARMS, n, j]) * total[j]
         excursion = math.sqrt(variance)
@@ -142,7 +143,9 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
 
 @kernel_helper
 def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
-    """Return deviations (2 H + 2, J) of the joint angles in the null space [rad], and write the turn by a contact.
+    """Return deviations (2 H + 2, J) of the joint angles in the null space [rad].
+
+    Also write the turn that a contact causes.
 
     The covariance of the angles is the sum of the products of these deviations. H is the number of
     places of contact. The levers are computed at the angles of the last estimate, so each tick is
@@ -163,8 +166,8 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
         x.joint[s.CONTACT_TURN, j] = turn
         for place in range(places):
             root = math.sqrt(c.place_joint[h.PLACE_WEIGHT, place, j])
-            # With the square root of the probability, the squares add up to the variance over
-            # places.
+            # The deviations are multiplied by the square root of the probability, so that the sum
+            # of their squares is the variance over the places.
             columns[place, j] = root * (turns[place, j] - turn)
             columns[places + place, j] = root * deviation[place, j]
     for row in range(places, 2 * places + 2):
@@ -185,7 +188,7 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
 
 @kernel_helper
 def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
-    """Return how far a contact at each place turns each joint, and the standard deviations, both (H, J) [rad]."""
+    """Return the turn of each joint by a contact at each place, and its standard deviation, (H, J) [rad]."""
     places = c.place_joint.shape[1]
     joints = x.joint.shape[1]
     turns = np.zeros((places, joints))
@@ -214,7 +217,7 @@ def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
 def _write_place_levers(
     c: ConstantTables, d: int, contact_place: int, pose: Matrix, lever: Vector
 ) -> None:
-    """Write the levers (J,) of a force at a place of contact about the joints of a digit [m].
+    """Write the levers (J,) [m] of a force at a place of contact about the joints of a digit.
 
     Place i is the middle of link i. The place after the last link is the tip. Further places have
     no levers.
@@ -268,17 +271,18 @@ def _write_digit_turn(
         compliance = 0.0
         for other in range(first, end):
             compliance += lever[other] * c.joint_joint[h.COMPLIANCE, other, j]
-        # Unexplained tension is positive where the object pushes the digit open.
+        # Unexplained tension is positive if the object pushes the digit open.
         turns[j] = -work / size * compliance
         deviation[j] = work_error / size * compliance
     fraction = _range_fraction(x, c, d, turns, 1.0)
     for j in range(first, end):
-        turns[j] *= fraction  # all joints by one fraction, so that the excursion does not change
+        # all joints are reduced by the same fraction, so that the excursion does not change
+        turns[j] *= fraction
 
 
 @kernel_helper
 def _range_fraction(x: StateTables, c: ConstantTables, d: int, turn: Vector, sign: float) -> float:
-    """Return the largest fraction, 0 to 1, of a turn (J,) [rad] that leaves a digit's joints within their ranges.
+    """Return the largest fraction, 0 to 1, of a turn (J,) [rad] that keeps the joints of a digit within their ranges.
 
     The turn starts at the angles of the free digit.
     """
@@ -293,7 +297,7 @@ def _range_fraction(x: StateTables, c: ConstantTables, d: int, turn: Vector, sig
 
 @kernel_helper
 def _write_free_errors(x: StateTables, c: ConstantTables, turn: Matrix) -> None:
-    """Write how far friction, and springs with gravity, turn free digits out of their coupling, (2, J) [rad]."""
+    """Write the turn of free digits out of their coupling by friction, and by springs with gravity, (2, J) [rad]."""
     joints = x.joint.shape[1]
     torque = np.zeros((2, joints))
     write_static_torque(c, x.joint[s.Q], torque[1])
@@ -319,15 +323,14 @@ def _fuse_encoders(
 ) -> None:
     """Correct the joint angles by the joint encoders, one after the other.
 
-    One correction after the other gives the exact result, because the noises of the encoders are
-    independent.
+    This gives the exact result, because the noises of the encoders are independent.
 
     Args:
         x: state tables.
         c: constants of the hand.
         columns: (2 H + 2, J) deviations of the angles in the null space [rad], see
             ``_covariance_columns``.
-        spread: (J, N) deviations of the angles by the excursions [rad], see
+        spread: (J, N) deviations of the angles that the excursions cause [rad], see
             ``_excursion_deviations``.
         t_ns: present time [ns].
 
@@ -376,7 +379,7 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
 
     The tip-equivalent force acts at the tip, along the y axis of the last link, and makes the
     torque of the contact. The tension of a finger with one tendon does not depend on the place of
-    contact, so the tip is a convention for such a finger.
+    contact. For such a finger, the tip is a convention.
     """
     joints = x.joint.shape[1]
     coordinates = x.coordinate.shape[1]
@@ -404,7 +407,8 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
         x.digit[s.TIP_FORCE, d] = force
         x.digit[s.TIP_FORCE_SIGMA, d] = 0.0
         for j in range(first, last + 1):
-            # The derivative is numerical, with a step of one standard deviation of the joint angle.
+            # The derivative is computed numerically, with a step of one standard deviation of the
+            # joint angle.
             for i in range(first, last + 1):
                 about_turned[i] = about[i]
             write_turned_levers(pose, first, last, length, j, x.joint[s.Q_SIGMA, j], about_turned)
@@ -435,7 +439,7 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def _reduce_levers(c: ConstantTables, d: int, lever: Vector, result: Vector) -> None:
-    """Write the levers about the coordinates of a digit (C,) [m], from the levers about its joints (J,) [m]."""
+    """Write the levers (C,) [m] about a digit's coordinates, from the levers (J,) [m] about its joints."""
     for k in range(c.digit_int[h.COORDINATES_FIRST, d], c.digit_int[h.COORDINATES_END, d]):
         result[k] = 0.0
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):

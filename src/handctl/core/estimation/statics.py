@@ -1,4 +1,4 @@
-"""Known forces of a hand at rest: joint torques of springs and gravity, and tensions after pulley friction."""
+"""Known forces of a hand at rest: torques of springs and gravity, and tensions after pulley friction."""
 
 import math
 
@@ -17,7 +17,7 @@ Matrix = NDArray[np.float64]
 
 @kernel_helper
 def link_poses_of_hand(c: ConstantTables, q: Vector) -> Matrix:
-    """Return the poses of all links at joint angles q (J,) [rad], (J, rigid_body.POSE), without carried masses."""
+    """Return the poses (J, rigid_body.POSE) of all links at joint angles q (J,) [rad], without carried masses."""
     pose = np.empty((len(q), rigid_body.POSE_COLUMN_COUNT))
     rigid_body.write_link_poses(c.joint, h.LINK_TABLE, c.joint_int[h.PARENT_JOINT], q, pose)
     return pose
@@ -31,7 +31,7 @@ MAX_OWN_FRACTION = 0.999
 def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
     """Write the joint torques (J,) [N m] that balance gravity and springs at joint angles q (J,) [rad].
 
-    A link's weight acts on the link's joint and on all joints towards the palm.
+    The weight of a link acts on the joint of the link and on all joints towards the palm.
     """
     gravity = c.run[h.GRAVITY : h.GRAVITY + 3]
     rigid_body.write_weight_torques(
@@ -48,7 +48,10 @@ def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
 
 @kernel_helper
 def wrap_of_joint(c: ConstantTables, j: int, q: float) -> float:
-    """Return the wrap angle that joint j adds to a tendon at position q [rad], 0 for a prismatic joint."""
+    """Return the wrap angle that joint j adds to a tendon at position q [rad].
+
+    The value is 0 for a prismatic joint.
+    """
     return 0.0 if c.joint[h.LINK_TABLE + rigid_body.PRISMATIC_ROW, j] != 0.0 else q
 
 
@@ -62,7 +65,7 @@ def pulley_torque(
         c: constants of the hand.
         n: index of the tendon.
         arm: moment arm about the joint [m].
-        tension: tension at the load cell, the net tension for a spool pair [N].
+        tension: tension at the load cell [N]. For a spool pair, it is the net tension.
         friction_state: development of friction, from 1 for a winding tendon to -1 for a tendon that is
             paid out.
         wrap_angle: wrap angle of the tendon up to the pulley [rad].
@@ -149,8 +152,8 @@ def write_tensions_at_joints(
 ) -> None:
     """Write the tensions at the joints, with the effect of friction.
 
-    Without friction, the result would make the same joint torques as the tensions at the load cells
-    make with friction.
+    Without friction, these tensions would make the same joint torques as the tensions at the load
+    cells make with friction.
 
     Args:
         c: constants of the hand.
@@ -176,13 +179,13 @@ def write_tensions_at_joints(
 
 @kernel_helper
 def part_explained_by_motion(c: ConstantTables, n: int, values: Vector) -> float:
-    """Return the part of tendon n's value that a motion of the digit explains: element n of R R^+ v.
+    """Return the part of the value of tendon n that a motion of the digit explains: element n of R R^+ v.
 
     Args:
         c: constants of the hand.
         n: index of the tendon.
-        values: (N,) values v along all tendons. For excursions add ``EXPLAINED_OFFSET`` to the
-            result.
+        values: (N,) values v along all tendons. If the values are excursions, ``EXPLAINED_OFFSET``
+            must be added to the result.
     """
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     total = 0.0
@@ -196,10 +199,12 @@ def part_explained_by_motion(c: ConstantTables, n: int, values: Vector) -> float
 
 @kernel_helper
 def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: float) -> float:
-    """Return the value of tendon n that follows from the other tendons of its digit, NaN if no value follows.
+    """Return the value of tendon n that follows from the other tendons of its digit.
+
+    Return NaN if it does not follow from them.
 
     The values of a digit's tendons are R q. In a digit with more tendons than coordinates, the
-    values of the other tendons determine q, and so the value of tendon n.
+    values of the other tendons determine q, and therefore also the value of tendon n.
 
     Args:
         c: constants of the hand.
@@ -218,10 +223,10 @@ def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: 
 
 @kernel_helper
 def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
-    """Return the fraction of a winding tendon's tension at the load cell that reaches the joints.
+    """Return the fraction of the tension at the load cell that reaches the joints while the tendon is wound up.
 
-    The fraction is the mean over the pulleys, weighted by moment arms. While the tendon is paid
-    out, the fraction is about the reciprocal of the result.
+    The fraction is the mean over the pulleys, weighted by the moment arms. While the tendon is paid
+    out, this fraction is about the reciprocal of the result.
 
     Args:
         c: constants of the hand.

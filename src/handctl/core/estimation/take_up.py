@@ -1,4 +1,4 @@
-"""Decision whether a tendon has become slack or taut, by its load-cell readings of several ticks."""
+"""Decision whether a tendon has become slack or taut, from its load-cell readings of several ticks."""
 
 import math
 
@@ -48,9 +48,9 @@ RANGE_MARGIN_M = 1e-3
 def regime_evidence(
     regime: int, points: int, tension: float, cell: float, cell_error: float, is_nearly_taut: bool
 ) -> int:
-    """Return the evidence that a regime ends: points for a slack tendon, or ticks in a row for a taut tendon.
+    """Return the evidence that a tendon's regime ends: points if it is slack, consecutive ticks if it is taut.
 
-    A missing load-cell sample sets the number of ticks to 0, and does not change the points.
+    A missing load-cell reading sets the number of ticks to 0, and does not change the points.
 
     Args:
         regime: regime of the tendon.
@@ -87,16 +87,16 @@ SLACK_TICKS_WITHOUT_CELL = 12
 
 @kernel_helper
 def regime_evidence_without_cell(regime: int, points: int, tension: float, missing: float) -> int:
-    """Return the evidence that the regime of a tendon without load cell ends, see ``regime_evidence``.
+    """Return the evidence that the regime of a tendon without a load cell ends, see ``regime_evidence``.
 
-    The motor of a slack tendon turns without load. Once the tendon is taut, the force of its
-    tension is missing at the motor.
+    The motor of a slack tendon turns without load. Once the tendon is taut, its tension takes a
+    part of the motor force away. This part is the missing force.
 
     Args:
         regime: regime of the tendon.
         points: evidence before this tick.
         tension: estimated tension [N].
-        missing: force that is missing at the motor, by the model of a slack tendon [N].
+        missing: force that is missing at the motor according to the model of a slack tendon [N].
     """
     if regime != SLACK_REGIME:
         return points + 1 if tension < SLACK_BELOW_N else 0
@@ -126,8 +126,8 @@ def is_regime_over(regime: int, points: int, without_cell: bool) -> bool:
 def set_offset_of_newly_taut(x: StateTables, c: ConstantTables, n: int, cell: float) -> None:
     """Set stretch offset or excursion of a newly taut tendon, so that its stretch agrees with the load cell.
 
-    If the excursion is known, from the open stop or from joint encoders, the stretch offset is set.
-    Otherwise the length of the tendon is known from commissioning, and the excursion is set.
+    If the excursion is known from the open stop or from joint encoders, the stretch offset is set.
+    Otherwise the length of the tendon is known from commissioning. The excursion is then set.
 
     Args:
         x: state tables.

@@ -1,7 +1,7 @@
 """Tip-equivalent force: a force normal to the last link, at the tip, that makes the torque of the actual contact.
 
-The tension of a finger with one tendon does not depend on the place of contact, so the tip is a
-convention.
+The tension of a finger with one tendon does not depend on the place of contact. The tip is
+therefore a convention.
 """
 
 import numpy as np
@@ -40,7 +40,7 @@ def tip_force(digit: DigitModel, q: Vector, external: Vector) -> float:
     Args:
         digit: model of the digit.
         q: (n,) joint angles [rad].
-        external: (n_t,) tensions in balance with the contact [N].
+        external: (n_t,) tensions that balance the contact [N].
     """
     lever = reduced_tip_lever(digit, q)
     torque = digit.reduced_moment_arms.T @ external

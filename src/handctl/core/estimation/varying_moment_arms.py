@@ -1,4 +1,4 @@
-"""Moment arms that depend on the joint angles, and the structure tables at the present angles.
+"""Moment arms that depend on the joint angles, and the structure tables for the present angles.
 
 Filter, control law and allocation use the linear relation q = B (R B)^+ s of joint angles q and
 excursions s. For a digit with varying arms, the tables of ``constants`` that depend on R are
@@ -9,12 +9,12 @@ tables are evaluated before each use in a tick. So a tick that is computed again
 gives the same result.
 
 The tendons of a finger pass the wrist that carries the finger. If a tendon does not pass through
-the axis of the wrist, the motion of the wrist winds this tendon, and its tension turns the wrist.
-The motion of the tendon and the torque on the wrist are known from the estimated angle of the wrist
-and from the tension. The part of the travel that carriers such as the wrist wind is subtracted
-(``carrier_excursion``). So filter, goals and detectors treat the finger like a digit on a base at
-rest. The tendons of the wrist bear the torque of the tendons that pass the wrist
-(``statics.subtract_passing_torque``).
+the axis of the wrist, the motion of the wrist winds this tendon, and the tension of the tendon
+turns the wrist. The motion of the tendon and the torque on the wrist are known from the estimated
+angle of the wrist and from the tension. The part of the travel that carrying digits such as the
+wrist cause is subtracted (``carrier_excursion``). So filter, goals and detectors treat the finger
+like a digit on a base at rest. The tendons of the wrist bear the torque of the tendons that pass
+the wrist (``statics.subtract_passing_torque``).
 
 Source: Tsai, Robot Analysis (1999), structure matrix; Gauss-Newton method.
 """
@@ -70,7 +70,7 @@ def moment_arm(c: ConstantTables, n: int, j: int, q: float) -> float:
 
 @kernel_helper
 def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
-    """Return the part of tendon n's excursion that the angle of joint j causes: the integral of the moment arm [m]."""
+    """Return the part of tendon n's excursion [m] that joint j causes: the integral of the moment arm."""
     if not c.tendon_int[h.HAS_VARYING_ARM, n]:
         return c.tendon_joint[h.MOMENT_ARMS, n, j] * q
     held = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
@@ -100,7 +100,7 @@ def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
 
 @kernel_helper
 def motor_speed(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the speed of a tendon at its spool [m/s], with the part that the digits carrying its digit cause."""
+    """Return the speed of a tendon at its spool [m/s], including the part that carrying digits cause."""
     speed = x.tendon[s.SPEED, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
         speed += carrier_excursion(c, n, x.joint[s.DQ])
@@ -151,7 +151,7 @@ def update_structure(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def keep_excursion(x: StateTables, c: ConstantTables) -> None:
-    """Correct the joint angles of digits with varying moment arms, so that they agree with the estimated excursions."""
+    """Correct joint angles of digits with varying moment arms, to agree with the estimated excursions."""
     for d in range(x.digit.shape[1]):
         if not c.digit_int[h.DIGIT_VARYING, d]:
             continue
@@ -234,7 +234,7 @@ def _write_weights(c: ConstantTables, d: int) -> None:
         mean = c.tendon[h.MEAN_BALANCE, n]
         if c.tendon_int[h.HAS_SURPLUS, n] and mean > 0.0:
             # The balance tensions for the mean moment arms are known. The part of them that makes
-            # no torque with the present arms becomes the new balance.
+            # no torque with the present moment arms becomes the new balance.
             balance = mean - part_explained_by_motion(c, n, c.tendon[h.MEAN_BALANCE])
             c.tendon[h.BALANCE_TENSION, n] = c.tendon[h.RELAXED_TENSION, n] = max(
                 balance, MIN_BALANCE_FRACTION * mean
@@ -243,7 +243,7 @@ def _write_weights(c: ConstantTables, d: int) -> None:
 
 @kernel_helper
 def _write_compliance(c: ConstantTables, d: int) -> None:
-    """Write how far torques turn the joints at constant excursion: K^-1 - K^-1 R^T (R K^-1 R^T)^-1 R K^-1."""
+    """Write the turn of the joints per torque at constant excursions: K^-1 - K^-1 R^T (R K^-1 R^T)^-1 R K^-1."""
     joints = (c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d])
     tendons = (c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d])
     count = tendons[1] - tendons[0]

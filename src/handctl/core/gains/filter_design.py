@@ -7,12 +7,13 @@ change of a moving digit's tension [N/s]. The measurements are the encoder trave
 [N], and the excursion from joint encoders [m].
 
 The model does not contain the equation of motion of the digit. The digit is twenty times lighter
-than the rotor, and a stiff tendon holds it. Friction at its pulleys is up to a third of the
-tension. The direction of friction depends on the sign of a speed of micrometres per second. A
-filter with the digit's equation of motion chatters between both signs, with tension errors of 9 N
-instead of 0.5 N. Two assumptions replace the equation: a free digit follows the tendon with slowly
-changing tension, and a held digit is at rest. Source: linearised tendon plant, van Loan (1978) for
-the discretisation. The Riccati solution comes from ``control``.
+than the rotor, and a stiff tendon holds it. The friction at the pulleys of the digit is up to a
+third of the tension. The direction of this friction depends on the sign of a speed of micrometres
+per second. A filter with the digit's equation of motion chatters between both signs, with tension
+errors of 9 N instead of 0.5 N. Two assumptions take the place of this equation: a free digit
+follows its tendon with slowly changing tension, and a held digit is at rest. Source: linearised
+tendon plant, van Loan (1978) for the discretisation. The function that solves the Riccati equation
+comes from the package ``control``.
 """
 
 import math
@@ -89,17 +90,19 @@ The regimes are in the order of the design indices 3 and 4.
 def design_filter(
     space: TendonSpace, gains: FilterGains, period: float, joint_period: Matrix
 ) -> FilterDesign:
-    """Design the filter of each tendon in each regime. Equal tendons share a design.
+    """Design the filter of each tendon in each regime.
+
+    Tendons with equal parameters share a design.
 
     Args:
         space: constants of the hand along the tendons.
         gains: noise that the filter assumes.
         period: control period [s].
-        joint_period: (N,) time between two excursions measured by joint encoders [s], inf without
-            encoders.
+        joint_period: (N,) time between two excursions that joint encoders have measured [s], inf
+            without joint encoders.
 
     Raises:
-        ConfigError: if no filter follows from the gains.
+        ConfigError: no filter follows from the gains.
     """
     made: dict[tuple[float, ...], tuple[FilterBlock, ...]] = {}
     found = []
@@ -127,7 +130,7 @@ def design_filter(
 def _continuous_model(
     space: TendonSpace, i: int, regime: TendonRegime, gains: FilterGains
 ) -> tuple[Matrix, Matrix, Matrix]:
-    """Return the continuous model of a tendon: A (7, 7), B (7, 2) and the tension row (7,)."""
+    """Return the continuous model of a tendon: A (7, 7), B (7, 2) and the row (7,) that computes the tension."""
     taut = regime != TendonRegime.SLACK
     k, c = (space.stiffness[i], space.damping[i]) if taut else (0.0, 0.0)
     tension = np.array([k, c, -k, -c, 0.0, 0.0, -k])
@@ -156,7 +159,7 @@ def _continuous_model(
 
 
 def _motor_noise(regime: TendonRegime, gains: FilterGains) -> tuple[float, float, float]:
-    """Return the disturbance force on the motor [N], its correlation time [s], and the white noise of the force [N]."""
+    """Return size [N], correlation time [s] and white noise [N] of the disturbance force on the motor."""
     if regime == TendonRegime.HELD:
         return (
             gains.held_disturbance_N,
@@ -179,8 +182,8 @@ def _process_noise(space: TendonSpace, i: int, regime: TendonRegime, gains: Filt
     Q = np.zeros((STATE_COUNT, STATE_COUNT))
     disturbance, time, jerk = _motor_noise(regime, gains)
     if not space.has_cell[i]:
-        # Without load cell, the tension is estimated as motor force minus friction, so the error of
-        # the friction is the error of the tension.
+        # Without a load cell, the tension is estimated as motor force minus friction. The error of
+        # the friction is then the error of the tension.
         disturbance = math.hypot(disturbance, FRICTION_SIGMA_WITHOUT_CELL * space.coulomb[i])
         time = max(time, FRICTION_TIME_WITHOUT_CELL_S)
     Q[V, V] = jerk**2 / space.motor_mass[i] ** 2
@@ -197,7 +200,7 @@ def _process_noise(space: TendonSpace, i: int, regime: TendonRegime, gains: Filt
 
 
 def _add_noise(Q: Matrix, stiffness: float, regime: TendonRegime) -> None:
-    """Increase the continuous process noise Q (7, 7) of a taut tendon, because its model does not fit.
+    """Increase the continuous process noise Q (7, 7) of a taut tendon whose model does not fit.
 
     Args:
         Q: (7, 7) continuous process noise, modified in place.
@@ -233,19 +236,21 @@ def _design_filter_block(
     period: float,
     joint_period: float,
 ) -> FilterBlock:
-    """Return the filter of a tendon for one kind of design: a regime, and True if noise is added.
+    """Return the filter of a tendon for one kind of design.
 
-    A tendon without load cell has only its motor encoder. The tension of such a tendon follows from
-    the motor force, with the large uncertainty of friction.
+    A kind is a regime, and True if noise is added.
 
-    The load-cell error is estimated only for a slack tendon, whose tension is known. In other
+    A tendon without a load cell has only its motor encoder. The tension of such a tendon follows
+    from the motor force, with the large uncertainty of friction.
+
+    The load-cell error is estimated only for a slack tendon, because its tension is known. In other
     regimes, the error is not observable, so its estimate stays constant. The growing variance of
-    the error is then added to the variance of the tension. The gains are those of a filter without
-    this state. Source: Schmidt (1966), consider states.
+    the error is then added to the variance of the tension. The gains are then those of a filter
+    without this state. Source: Schmidt (1966), consider states.
 
-    Encoder and load cell observe only the sum of excursion and offset. Joint encoders separate the
-    two in ``joint_time_s``, and correct no other state. So the other gains do not depend on joint
-    encoders.
+    Encoder and load cell observe only the sum of excursion and offset. Joint encoders separate
+    excursion and offset within ``joint_time_s``, and correct no other state. The other gains
+    therefore do not depend on joint encoders.
     """
     regime, adds_noise = kind
     A, B, tension = _continuous_model(space, i, regime, gains)
@@ -261,21 +266,21 @@ def _design_filter_block(
     known = regime == TendonRegime.SLACK
     H[1, E] = float(known)
     noise = np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
-    # The first two measurements are encoder and load cell. Without load cell only the encoder is
+    # The first two measurements are encoder and load cell. Without a load cell, only the encoder is
     # used.
     read = 2 if space.has_cell[i] else 1
     P = _solve_riccati(F, H[:read], Q, np.diag(noise[:read] ** 2))
     innovation = H[:2] @ P @ H[:2].T + np.diag(noise**2)
     K = np.zeros((STATE_COUNT, MEASUREMENT_COUNT))
     K[:, :read] = np.linalg.solve(innovation[:read, :read], H[:read] @ P).T
-    # The load-cell error is a consider state: it is corrected only if it is observable.
+    # The load-cell error is a consider state: the filter corrects it only if it is observable.
     K[E] *= known
     H[1, E] = 1.0
     K[S, 2] = (
         1.0 - math.exp(-joint_period / gains.joint_time_s) if math.isfinite(joint_period) else 0.0
     )
-    # Travel and tension determine the sum of excursion and offset, so the offset changes by the
-    # opposite amount.
+    # Travel and tension determine the sum of excursion and offset. If the excursion changes, the
+    # offset therefore changes by the opposite amount.
     K[O, 2] = -K[S, 2]
     drift = (
         0.0
@@ -295,7 +300,7 @@ def _design_filter_block(
 def _solve_riccati(F: Matrix, H: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     """Return the steady-state covariance of the prediction.
 
-    The equation is solved in units in which all states are about 1.
+    The equation is solved in units in which all states have a size of about 1.
     """
     scale = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
     rows = 1.0 / np.sqrt(np.diag(R))

@@ -1,4 +1,4 @@
-"""Bounds of the gains as data: range, default and meaning of each key, and whether it may change in a run."""
+"""Bounds of the gains as data: range, default and meaning of each key, and whether it may change during a run."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,13 +30,13 @@ class GainBounds:
 
     Attributes:
         key: section and name, for example ``motion.force_N``.
-        low: smallest value, excluded if ``open_low``.
+        low: smallest value of the key. The value itself is excluded if ``open_low`` is True.
         high: largest value.
         open_low: True if the value must be greater than ``low``.
         default: default value.
         whole: True for integers.
         live: True if a running controller accepts changes.
-        why: meaning of the key, empty if the name is clear.
+        why: meaning of the key. The value is empty if the name is clear.
     """
 
     key: str
@@ -59,7 +59,7 @@ class TendonKey(NamedTuple):
 
     Attributes:
         tendon: name of the tendon.
-        field: field of ``TendonForces`` with the force.
+        field: field of ``TendonForces`` that contains the force.
         shared: key of the force for all tendons.
     """
 
@@ -83,7 +83,7 @@ def tendon_key(key: str) -> TendonKey | None:
 
 @cache
 def gain_bounds() -> Mapping[str, GainBounds]:
-    """Return the bounds of all keys that apply to the whole hand, as ``Gains`` declares them and in its order."""
+    """Return the bounds of all keys that apply to the whole hand, in the order in which ``Gains`` declares them."""
     result = {}
     for section in GAIN_SECTIONS:
         model = cast(type[Document], Gains.model_fields[section].annotation)
@@ -124,7 +124,7 @@ def bounds_of_key(key: str) -> GainBounds | None:
 
 
 def values_by_key(gains: Gains) -> dict[str, float]:
-    """Return the value of every key, including the keys for forces of single tendons."""
+    """Return the value of every key, including the keys for the forces of single tendons."""
     values = {
         key: getattr(getattr(gains, key.partition(".")[0]), key.partition(".")[2])
         for key in gain_bounds()
@@ -142,7 +142,7 @@ def values_by_key(gains: Gains) -> dict[str, float]:
 def different_values(old_gains: Gains, new_gains: Gains) -> dict[str, tuple[float, float]]:
     """Return the old and the new value of every key whose value differs.
 
-    A tendon without a separate force has the force for all tendons.
+    A tendon without a separate force has the force that holds for all tendons.
     """
     old = values_by_key(old_gains)
     new = values_by_key(new_gains)
@@ -171,8 +171,8 @@ def with_values(
         live: True to accept only keys that may change during a run.
 
     Raises:
-        ConfigError: for an unknown key, a value out of bounds, or a key that must not change during
-            a run.
+        ConfigError: a key is unknown, a value is out of bounds, or a key must not change during a
+            run.
     """
     content = gains.model_dump(by_alias=True)
     for key, value in values.items():
@@ -210,7 +210,7 @@ def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
         tendons: names of the hand's tendons.
 
     Raises:
-        ConfigError: for a tendon that the hand does not have.
+        ConfigError: the gains name a tendon that the hand does not have.
     """
     for one in gains.tendon:
         if one.name not in tendons:
@@ -220,10 +220,10 @@ def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
 
 
 def bounds_after_check(key: str, value: float, source_name: str) -> GainBounds:
-    """Return the bounds of a key after checking a value.
+    """Check a value, and return the bounds of its key.
 
     Raises:
-        ConfigError: for an unknown key, or a value out of bounds.
+        ConfigError: the key is unknown, or the value is out of bounds.
     """
     known = bounds_of_key(key)
     if known is None:

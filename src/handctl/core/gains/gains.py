@@ -1,9 +1,9 @@
 """Gains as data: tunable values with units, bounds and defaults.
 
-With the defaults, both loops of the Jamia hands keep a gain margin of 6 dB and a phase margin of 45
-degrees. This holds for the plant of the hand file and for random plants around it, at 500 Hz
-(jamia) and at 200 Hz (jamia11 on a single bus). A packaged hand with which the defaults do not keep
-these margins has a gains file in the folder ``packaged``.
+With the default gains, both loops of the Jamia hands keep a gain margin of 6 dB and a phase margin
+of 45 degrees. This holds for the plant that the hand file describes and for random plants around
+it, at 500 Hz (jamia) and at 200 Hz (jamia11 on a single bus). If the default gains do not keep
+these margins with a packaged hand, the folder ``packaged`` contains a gains file for this hand.
 """
 
 from pathlib import Path
@@ -20,8 +20,8 @@ PACKAGED_GAINS_FOLDER = Path(__file__).parent / "packaged"
 class FilterGains(Document):
     """Noise that the tension filter assumes.
 
-    The disturbances represent effects that the model does not contain: friction, springs, contact.
-    Their correlation times are those of the motions that cause them.
+    The disturbances represent effects that the model does not contain: friction, springs and
+    contact. The correlation times of the disturbances are those of the motions that cause them.
     """
 
     motor_disturbance_N: float = Field(0.12, gt=0, le=50)
@@ -71,7 +71,7 @@ class FilterGains(Document):
 
 
 class MotionGains(Document):
-    """Weights of the motion loop by Bryson's rule: an error, a speed error and a force of equal cost."""
+    """Weights of the motion loop by Bryson's rule: an error, a speed error and a force that have the same cost."""
 
     position_error_m: float = Field(6e-4, gt=0, le=0.1)
     """Error of the excursion with the cost of ``speed_error_m_s`` or ``force_N`` [m]."""
@@ -93,7 +93,7 @@ class MotionGains(Document):
 
 
 class TensionGains(Document):
-    """Weights of the tension loop by Bryson's rule, and the rate of the setpoint."""
+    """Weights of the tension loop by Bryson's rule, and the rate at which the setpoint changes."""
 
     tension_error_N: float = Field(4.0, gt=0, le=100)
     """Error of the tension with the cost of ``speed_error_m_s`` or ``force_N`` [N]."""
@@ -108,7 +108,7 @@ class TensionGains(Document):
 
 
 class ContactGains(Document):
-    """Threshold above which a closing digit counts as in contact."""
+    """Threshold above which a closing digit counts as touching an object."""
 
     threshold_N: float = Field(0.3, gt=0, le=100)
     """Contact force at the tip of a digit of two joints, smoothed over 5 ms [N].
@@ -121,7 +121,7 @@ class ContactGains(Document):
 
 
 class TendonForces(Document):
-    """Forces for a single tendon, in place of the forces for all tendons.
+    """Forces for a single tendon, which take the place of the forces for all tendons.
 
     Digits of different mass need different forces: the force for a wrist that carries five fingers
     is a thirtieth of the force for a fingertip.
@@ -163,7 +163,7 @@ class Gains(Document):
 
 
 class GainsProvenance(Document):
-    """Origin of gains, as evidence for their quality."""
+    """Origin of gains, as evidence for the quality of the gains."""
 
     made: str = ""
     """Date and time at which the gains were made, ISO 8601, UTC."""
@@ -211,7 +211,7 @@ def load_gains(path: Path | None) -> Gains:
     """Return gains from a TOML file, or the defaults.
 
     Raises:
-        ConfigError: if the file cannot be read or a value is out of range.
+        ConfigError: the file cannot be read, or a value is out of range.
     """
     return Gains() if path is None else load_gains_file(path).gains
 

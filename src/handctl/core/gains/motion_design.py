@@ -1,9 +1,10 @@
 """Feedback gains of motion loop and tension loop, designed once before arming, by LQR on the discrete model.
 
-Both loops use the tension filter's prediction, which includes the bus delay, so the loops have no
-state for the delay. Errors of the prediction reduce the phase margin, and grow with the prediction
-horizon. Therefore the force weights are reduced at control rates below 500 Hz. Source: Bryson's
-rule for the weights. The Riccati solution comes from ``control``.
+Both loops use the prediction of the tension filter, which includes the delay of the bus. The loops
+therefore have no state for the delay. Errors of the prediction grow with the prediction horizon,
+and reduce the phase margin. At control rates below 500 Hz, the force weights are therefore reduced.
+Source: Bryson's rule for the weights. The function that solves the Riccati equation comes from the
+package ``control``.
 """
 
 import math
@@ -29,10 +30,10 @@ class MotionDesign:
     """Feedback gains of motion loop and tension loop, each (N,).
 
     Attributes:
-        stiffness: motion loop, acceleration per excursion error [1/s^2].
-        damping: motion loop, acceleration per speed error [1/s].
-        tension: tension loop, motor force per newton of tension error [1].
-        tension_speed: tension loop, motor force per m/s of tendon speed [N s/m].
+        stiffness: for the motion loop, acceleration per excursion error [1/s^2].
+        damping: for the motion loop, acceleration per speed error [1/s].
+        tension: for the tension loop, motor force per newton of tension error [1].
+        tension_speed: for the tension loop, motor force per m/s of tendon speed [N s/m].
     """
 
     stiffness: Vector
@@ -63,8 +64,8 @@ def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesi
         period: control period [s].
 
     Raises:
-        ConfigError: if no gains follow from the weights, or if they name a tendon that the hand
-            does not have.
+        ConfigError: no gains follow from the weights, or they name a tendon that the hand does not
+            have.
     """
     check_tendon_names(gains, space.names)
     return design_from_pieces(
@@ -76,16 +77,18 @@ def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesi
 def design_piece_count(space: TendonSpace) -> int:
     """Return the number of pieces of the design.
 
-    A tick of a running controller has time for one piece.
+    A tick of a running controller has time for only one piece.
     """
     return 2 * len(space.spool)
 
 
 def design_piece(space: TendonSpace, gains: Gains, period: float, piece_index: int) -> Vector:
-    """Return the gain (2,) of one loop. Pieces 0 to N - 1 are motion loops, pieces N to 2 N - 1 are tension loops.
+    """Return the gain (2,) of one control loop.
+
+    Pieces 0 to N - 1 are motion loops, pieces N to 2 N - 1 are tension loops.
 
     Raises:
-        ConfigError: if no gains follow from the weights.
+        ConfigError: no gains follow from the weights.
     """
     n = len(space.spool)
     if piece_index < n:
@@ -125,7 +128,7 @@ def _sampled_lqr_gain(
 
 
 def _design_motion_loop(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
-    """Design the motion loop for motor and digit as one mass on a rigid tendon.
+    """Design the motion loop, for motor and digit as one mass on a rigid tendon.
 
     The states are excursion error [m] and speed error [m/s].
     """
@@ -140,7 +143,7 @@ def _design_motion_loop(space: TendonSpace, i: int, gains: Gains, period: float)
 
 
 def _design_tension_loop(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
-    """Design the tension loop for a rotor on the tendon of a blocked digit.
+    """Design the tension loop, for a rotor on the tendon of a blocked digit.
 
     The states are tension error [N] and tendon speed [m/s].
     """

@@ -7,8 +7,8 @@ import numpy as np
 from handctl.core.deferred_imports import deferred_imports, import_without_package
 from handctl.core.tick_types import Vector
 
-# control.dlqr and control.dlqe call this solver. The package control also imports matplotlib and
-# scipy.signal, which takes longer than the design of the gains.
+# control.dlqr and control.dlqe also call this solver. An import of the whole package control would
+# also import matplotlib and scipy.signal, which takes longer than the design of the gains.
 with deferred_imports():
     _mateqn: Any = import_without_package("control.mateqn")
 

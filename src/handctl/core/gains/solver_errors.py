@@ -1,6 +1,6 @@
 """Conversion of solver failures into errors of one line.
 
-Even if each weight is within its bounds, the weights may be too far apart for a solution.
+Although each weight is within its bounds, the weights may be too far apart for a solution.
 """
 
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ def solver_failures_as_errors(section: str) -> Iterator[None]:
         ValueError,
         ArithmeticError,
         TypeError,
-    ) as error:  # the errors of scipy, numpy and control
+    ) as error:  # these are the errors of scipy, numpy and control
         right = "weights nearer to the packaged ones (handctl gains show)"
         raise ConfigError(
             "no controller follows from these values", f"gains: {section}", right
@@ -40,7 +40,7 @@ def finite_or_error(*solutions: NDArray[np.float64]) -> None:
     """Refuse a solution with infinite or undefined numbers.
 
     Raises:
-        ValueError: if a number is not finite.
+        ValueError: a number is not finite.
     """
     if not all(np.isfinite(one).all() for one in solutions):
         raise ValueError("not finite")

@@ -1,1 +1,1 @@
-"""Cyclic frames: their tables, and their conversion to and from values of the state block."""
+"""Cyclic frames: their tables, and the conversion between frames and values of the state block."""

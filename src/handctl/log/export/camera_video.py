@@ -1,10 +1,10 @@
 """Camera videos of a LeRobot dataset, and their statistics.
 
 A video has one image for each frame of an episode. The program ``ffmpeg`` decodes and encodes the
-videos. For each frame of the dataset, the latest camera frame up to that time is used. The layout
-is that of LeRobot 0.4, ``datasets/lerobot_dataset.py`` and ``video_utils.py``. Each episode has its
-own video file. The statistics are computed for each colour channel. A channel has values from 0 to
-1.
+videos. Each frame of the dataset gets the latest camera frame up to the time of this frame. The
+layout of the dataset is that of LeRobot 0.4, ``datasets/lerobot_dataset.py`` and
+``video_utils.py``. Each episode has its own video file. The statistics are computed for each colour
+channel. The values of a channel are from 0 to 1.
 """
 
 import shutil
@@ -41,7 +41,7 @@ class DatasetCamera(NamedTuple):
 
     Attributes:
         name: name of the camera, such as ``wrist``.
-        videos: video file that the camera recorded, for each episode.
+        videos: for each episode, the video file that the camera recorded.
         starts_s: for each episode, time from the start of the run to the first frame of the video
             [s].
     """
@@ -63,7 +63,7 @@ class EpisodeVideo(NamedTuple):
         height: height of an image of the video [pixels].
         width: width of an image of the video [pixels].
         frames: number of frames of the video.
-        histogram: (3, 256) number of pixels that have each value, for red, green and blue.
+        histogram: (3, 256) number of pixels with each value, for red, green and blue.
     """
 
     height: int
@@ -125,10 +125,10 @@ def write_episode_video(
     """Write the dataset's video of an episode.
 
     Args:
-        source: video that the camera recorded.
+        source: video file that the camera recorded.
         target: video file to write.
-        first_s: time at which the episode begins in the source [s]. A negative time means that the
-            source begins after the episode.
+        first_s: time within the source at which the episode begins [s]. If the time is negative,
+            the source begins after the start of the episode.
         frames: number of frames of the episode.
         fps: frame rate of the dataset [Hz].
 
@@ -229,10 +229,10 @@ def histogram_statistics(
 ) -> dict[str, list[Any]]:
     """Return the statistics of images.
 
-    Each statistic has shape (3, 1, 1): a value from 0 to 1 for each colour channel.
+    Each statistic has the shape (3, 1, 1): one value from 0 to 1 for each colour channel.
 
     Args:
-        histogram: (3, 256) number of pixels that have each value, for each colour channel.
+        histogram: (3, 256) number of pixels with each value, for each colour channel.
         frames: number of images.
         percents: percentiles to compute.
     """

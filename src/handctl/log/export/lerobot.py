@@ -1,17 +1,21 @@
 """Export of logs as a LeRobot dataset.
 
-Each log becomes an episode: the part of the run in which the hand was active, on an exact time
-grid. The layout is that of LeRobot's codebase version 3.0. One file contains the frames of all
-episodes. For each camera, an episode has a video. `observation.state` contains joint angles [rad],
+Each log becomes an episode. An episode is the part of the run in which the hand was active, sampled
+at exactly equal intervals. The layout is that of the codebase version 3.0 of LeRobot. One file
+contains the frames of all episodes. For each camera, an episode has one video. `observation.state`
+contains joint angles [rad],
 positions of prismatic joints [m] and estimated tensions [N]. `action` contains commanded joint
-angles and tensions. The joints of a digit that holds a tension have no commanded angle. For such a
-joint, `action` contains the estimated angle instead.
+angles and
+tensions. The joints of a digit that holds a tension have no commanded angle. For such a
+joint,
+`action` contains the estimated angle instead.
 
 The name of each vector element ends in a unit, for example `index_j1.pos_rad` or
 `index_tendon.tension_N`.
 
 The file `meta/stats.json` contains the statistics of the whole dataset. Columns of `meta/episodes`
-contain the statistics of each episode. LeRobot needs them to split a dataset or to delete episodes.
+contain the statistics of each episode. LeRobot needs these statistics to split a dataset or to
+delete episodes.
 
 Source of the paths and fields: LeRobot 0.4 and 0.6, `datasets/utils.py` and `dataset_metadata.py`.
 """
@@ -228,9 +232,9 @@ def _check_same_dataset(first: RunLog, log: RunLog, same_names: bool, where: str
 
 
 def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
-    """Return the index of the tick whose values each frame of the time grid takes.
+    """Return, for each frame of the time grid, the index of the tick whose values the frame takes.
 
-    This is the latest tick up to the time of the frame, even where ticks are missing in the log.
+    This is the latest tick up to the time of the frame, even if ticks are missing in the log.
 
     Raises:
         LogError: the hand was never active, or the ticks are out of order.
@@ -242,7 +246,8 @@ def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
     start = int(log.t_ns[active[0]])
     end = int(log.t_ns[active[-1]])
     frames = (end - start) * fps // 10**9 + 1
-    # Integers, rounded to the nearest nanosecond, keep the time grid exact over hours.
+    # The times are integers, rounded to the nearest nanosecond. Integer times keep the time grid
+    # exact over hours.
     grid = start + (np.arange(frames) * 10**9 + fps // 2) // fps
     return np.asarray(np.searchsorted(log.t_ns, grid, "right") - 1, np.intp)
 
@@ -277,16 +282,16 @@ def _vector_features(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[lis
 
 
 def _standard_deviation_name(name: str) -> str:
-    """Return the name for the standard deviation of an element: `index_j1.pos_sigma_rad` for `index_j1.pos_rad`."""
+    """Return the name of the standard deviation of an element: `index_j1.pos_sigma_rad` for `index_j1.pos_rad`."""
     quantity, unit = name.rsplit("_", 1)
     return f"{quantity}_sigma_{unit}"
 
 
 def _without_nan(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
-    """Return a telemetry field (frames, n) in which every NaN is replaced.
+    """Return a telemetry field (frames, n) in which each NaN is replaced by a number.
 
-    The last number above the NaN in its column replaces it. If there is none above, the first
-    number below the NaN replaces it. A column without any number becomes zero.
+    A NaN is replaced by the last number above it in the same column. If there is no number above,
+    the first number below takes its place. A column without any number becomes zero.
     """
     values = log.field(name)[rows]
     for column in values.T:
@@ -328,7 +333,7 @@ def _task_description(log: RunLog) -> str:
 
 
 def _frame_table(names: dict[str, list[str]], values: dict[str, NDArray[Any]]) -> pa.Table:
-    """Return the table of all frames. The features listed in `names` are vectors."""
+    """Return the table of all frames. The features in `names` are vectors."""
     columns = {}
     for name, table in values.items():
         flat = pa.array(np.ascontiguousarray(table, np.float32 if name in names else None).ravel())
@@ -342,8 +347,8 @@ def _episode_table(
 ) -> pa.Table:  # fmt: skip
     """Return the table of the episodes.
 
-    The table gives the places of their frames, and has a column `stats/FEATURE/NAME` for each
-    statistic.
+    The table contains the places of the frames of each episode, and has a column
+    `stats/FEATURE/NAME` for each statistic.
     """
     count = len(episodes)
     ends = np.cumsum([episode.frames for episode in episodes]).tolist()
@@ -376,7 +381,8 @@ def _episode_table(
 def _task_table(tasks: list[str]) -> pa.Table:
     """Return the table of the task descriptions.
 
-    The descriptions are the index of the table. The metadata of the schema tell this to pandas.
+    The descriptions form the index of the table. The metadata of the schema tell pandas that this
+    column is the index.
     """
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
     columns = [

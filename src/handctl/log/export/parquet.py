@@ -1,7 +1,9 @@
-"""Export of a log as a Parquet table. The table has a row for each tick and a column for each number of a tick.
+"""Export of a log as a Parquet table.
 
-Columns of text are dictionary-encoded. The metadata of each numeric column contain its unit, under
-the key `unit`.
+The table has one row for each tick, and one column for each number of a tick.
+
+Columns that contain text are dictionary-encoded. The metadata of each numeric column contain its
+unit, under the key `unit`.
 """
 
 from pathlib import Path

@@ -54,7 +54,7 @@ class TableBlock(NamedTuple):
 
     Attributes:
         k, t_ns, late_ns: (rows,) number, time and lateness of each tick, as in TickIn [ns].
-        mode, phase, action: name of the mode, grasp phase and safety action in each row.
+        mode, phase, action: names of the mode, the grasp phase and the safety action in each row.
         numbers: (rows, columns) telemetry of each tick.
     """
 
@@ -80,7 +80,7 @@ def column_names(log: RunLog) -> tuple[str, ...]:
 
 
 def column_unit(column: str, prismatic: Collection[str] = ()) -> str:
-    """Return the unit of a numeric column: `rad` for `q/index_j1`, `ns` for `t_ns`, 1 for a plain number.
+    """Return the unit of a numeric column: `rad` for `q/index_j1`, `ns` for `t_ns`, 1 for a number without a unit.
 
     Args:
         column: name of the column.
@@ -95,7 +95,9 @@ def column_unit(column: str, prismatic: Collection[str] = ()) -> str:
 
 
 def column_title(column: str, prismatic: Collection[str] = ()) -> str:
-    """Return the title of a column: `tension/index_tendon [N]`, or the name alone if the name contains the unit.
+    """Return the title of a column: `tension/index_tendon [N]`.
+
+    If the name already contains the unit, the title is the name.
 
     The arguments are those of `column_unit`.
     """
@@ -124,7 +126,7 @@ def export_csv(log: RunLog, path: Path) -> int:
     """Write a log as CSV with one row for each tick, and return the number of rows.
 
     The numbers are written with enough digits to restore the same bits. NaN becomes an empty field.
-    The first row has the titles of the columns with their units: `tension/index_tendon [N]`.
+    The first row contains the titles of the columns with their units: `tension/index_tendon [N]`.
 
     Raises:
         OSError: the file exists already or cannot be written.
@@ -146,7 +148,7 @@ def export_csv(log: RunLog, path: Path) -> int:
 def export_candump(log: RunLog, path: Path) -> int:
     """Write all CAN frames of a log in the log format of can-utils, and return the number of frames.
 
-    The letter R marks a received frame, and T marks a sent frame.
+    The letter R marks a frame that the host received, and T marks a frame that it sent.
 
     Raises:
         OSError: the file exists already or cannot be written.
@@ -164,9 +166,10 @@ def export_candump(log: RunLog, path: Path) -> int:
 def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
     """Yield the time [ns], direction (R or T) and content of all CAN frames, in the order of their times.
 
-    The time of a received frame is its arrival. The time of a sent frame is the start of the tick,
-    or the latest arrival in that tick if this is later. On a local bus, a frame counts as arrived
-    when the tick reads it, after the start of the tick.
+    The time of a received frame is its arrival. The time of a sent frame is the start of its tick.
+    If a frame arrived in that tick later than this, the time of the latest arrival is used. On a
+    local bus, the arrival of a frame is the moment at which the tick reads it, after the start of
+    the tick.
     """
     pending: list[tuple[int, str, Frame]] = []
     complete_ns = 0
@@ -178,8 +181,8 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
         pending += [(max(start_ns, sent_ns), "T", frame) for frame in tick.frames]
         pending.sort(key=itemgetter(0))
         # Frames that the next tick reads arrive after the start of this tick. However, the kernel
-        # may deliver a frame a little after the time in its stamp. Therefore each frame is yielded
-        # one tick later.
+        # may deliver a frame slightly later than the time in its stamp. Therefore each frame is
+        # yielded one tick later.
         ready = bisect_left(pending, complete_ns, key=itemgetter(0))
         yield from pending[:ready]
         pending = pending[ready:]
@@ -192,8 +195,8 @@ def _candump_line(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: st
 
     Source: can-utils `lib.c`, `snprintf_canframe`.
     """
-    # An extended identifier and an error frame are written with eight hexadecimal digits, a
-    # standard identifier with three.
+    # Extended identifiers and error frames are written with eight hexadecimal digits, standard
+    # identifiers with three.
     long_id = frame.can_id & (EXTENDED_FLAG | ERROR_FLAG)
     can_id = f"{frame.can_id & 0x3FFF_FFFF:08X}" if long_id else f"{frame.can_id & 0x7FF:03X}"
     data = frame.data.hex().upper()
@@ -202,5 +205,6 @@ def _candump_line(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: st
     else:
         body = f"#R{len(frame.data) or ''}" if frame.can_id & REMOTE_FLAG else f"#{data}"
     bus = buses[frame.bus] if frame.bus < len(buses) else "unknown"
-    # The log format of can-utils has microseconds. A negative time of a frame is written as 0.
+    # The log format of can-utils has times in microseconds. A negative time of a frame is written
+    # as 0.
     return f"({max(t_ns, 0) // 10**9}.{max(t_ns, 0) % 10**9 // 1000:06d}) {bus} {can_id}{body} {direction}\n"

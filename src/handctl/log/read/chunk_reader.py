@@ -1,6 +1,6 @@
 """Reader for the messages of an uncompressed chunk.
 
-The reader returns blocks of consecutive messages that have equal lengths.
+The reader returns blocks. A block contains consecutive messages of equal length.
 
 Layout of a Message record: opcode u8 = 5, length u64, channel u16, sequence u32, log time u64 [ns],
 publish time u64 [ns], data.
@@ -37,7 +37,7 @@ _MESSAGE_DATA_OFFSET = 31
 
 
 class MessageRows(NamedTuple):
-    """Consecutive messages that have the same channel and the same length.
+    """Consecutive messages of a chunk that have the same channel and the same length.
 
     Attributes:
         channel: id of the channel.
@@ -89,8 +89,8 @@ def iter_messages(
 
     Args:
         content: the uncompressed chunk.
-        packed: compressed size of the chunk [bytes]. This size limits the number of blocks, and
-            therefore the work that a small file can cause.
+        packed: compressed size of the chunk [bytes]. This size limits the number of blocks, so that
+            a small file cannot cause much work.
         channels: ids of the channels to read. If it is None, all channels are read.
 
     Raises:
@@ -144,8 +144,8 @@ def _count_equal(content: bytes, at: int, size: int) -> int:
             return count
         count += 1
         after += size
-    # Each step compares four times as many records as the last step, so that a long block needs few
-    # comparisons. `ndarray` with a stride reads only the headers of the records.
+    # Each step compares four times as many records as the step before, so that a long block needs
+    # few comparisons. An `ndarray` with a stride reads only the headers of the records.
     while count < max_count:
         number = min(step, max_count - count)
         heads = np.ndarray(number, _RECORD_HEADERS, content, at + count * size, (size,)).tobytes()
@@ -195,13 +195,13 @@ def schemas_and_channels(content: bytes) -> ChunkDefinitions:
 
 
 def _read_text(body: bytes, at: int) -> tuple[str, int]:
-    """Read a string of a record, and return the string and the offset after it."""
+    """Read a string of a record. Return the string and the offset after it."""
     raw, at = _read_bytes(body, at)
     return raw.decode(), at
 
 
 def _read_bytes(body: bytes, at: int) -> tuple[bytes, int]:
-    """Read a byte array of a record, and return the array and the offset after it."""
+    """Read a byte array of a record. Return the array and the offset after it."""
     (size,) = struct.unpack_from("<I", body, at)
     if at + 4 + size > len(body):
         raise ValueError("a text extends beyond the end of its record")

@@ -9,15 +9,16 @@ from handctl.log.header import RunHeader
 
 
 def described_hand(header: RunHeader, where: str) -> Hand:
-    """Return the hand that a log describes, if its description has the same names as the header.
+    """Return the hand that a log describes, if the names in its description are those of the header.
 
     Args:
         header: header of the log.
-        where: name of the description in error messages.
+        where: name of the description, for error messages.
 
     Raises:
         ConfigError: the description does not describe a valid hand.
-        LogError: the description and the header name different joints, tendons, motors or digits.
+        LogError: the description and the header have different names of joints, tendons, motors or
+            digits.
     """
     hand = hand_from_content(parse_toml(header.hand_toml, where), where)
     described = (hand.joints, hand.tendon_names, hand.motor_names, hand.digit_names)

@@ -32,15 +32,15 @@ DAMAGE_ERRORS = (
 class LogErrorContext:
     """Context `with LogErrorContext(where)`.
 
-    If a bad file causes an error, the context raises a LogError with the position. A log is read in
-    thousands of pieces, and each piece has its own context. Therefore the context is a class,
-    because a generator would be slower.
+    If a bad file causes an exception in the context, the context raises a LogError with the
+    position instead. A log is read in thousands of pieces, and each piece has its own context. The
+    context is a class, because a generator would be slower.
     """
 
     __slots__ = ("where",)
 
     def __init__(self, where: str) -> None:
-        """Store the position in the file that the error shall name."""
+        """Store the position in the file, for the message of an error."""
         self.where = where
 
     def __enter__(self) -> None:
@@ -68,7 +68,7 @@ class ChunkLocation(NamedTuple):
     """Location and checksum of a chunk in the file.
 
     Attributes:
-        offset, end: start and end of the chunk's record [bytes].
+        offset, end: start and end of the record of the chunk [bytes].
         data_offset: offset of the compressed bytes in the file.
         first_ns, last_ns: times of the first and last message of the chunk [ns].
         size: uncompressed size of the chunk [bytes].
@@ -90,7 +90,7 @@ class LogFile:
     """MCAP file that is open for reading.
 
     Attributes:
-        name: path of the file for error messages.
+        name: path of the file, for error messages.
         size: size of the file [bytes].
     """
 
@@ -103,8 +103,7 @@ class LogFile:
         self.name = printable_text(str(path))
         self._latest: tuple[ChunkLocation, bytes] | None = None
         try:
-            # Without O_NONBLOCK, the opening of a named pipe without a writer would wait without
-            # end.
+            # Without O_NONBLOCK, the opening of a named pipe that has no writer would never end.
             self._fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0))
         except OSError as error:
             raise LogError(f"cannot open: {error.strerror}", self.name, "a log") from error
@@ -126,7 +125,7 @@ class LogFile:
         """Read exactly `size` bytes of the file.
 
         Raises:
-            LogError: the file has become shorter since opening.
+            LogError: the file has become shorter since it was opened.
         """
         data = os.pread(self._fd, size, offset)
         if len(data) != size:
@@ -143,7 +142,7 @@ class LogFile:
         Args:
             start: start of the part [bytes].
             end: end of the part [bytes].
-            value: CRC-32 of the bytes that precede the part.
+            value: CRC-32 of the bytes before the part.
         """
         while start < end:
             data = self.read_range(start, min(1 << 20, end - start))
@@ -152,14 +151,14 @@ class LogFile:
         return value
 
     def chunk_content(self, chunk: ChunkLocation, checked: bool = True) -> bytes:
-        """Return the uncompressed bytes of a chunk. The result never exceeds the declared size.
+        """Return the uncompressed bytes of a chunk. The result never has more bytes than declared.
 
         Args:
             chunk: location of the chunk.
             checked: True to check the checksum of the chunk.
 
         Raises:
-            LogError: the size or the checksum of the chunk is not the declared one.
+            LogError: the size or the checksum of the chunk differs from the declared one.
         """
         if self._latest and self._latest[0] == chunk:
             return self._latest[1]
@@ -179,8 +178,8 @@ class LogFile:
 
 def _decompress_chunk(packed: bytes, chunk: ChunkLocation) -> bytes:
     """Return the decompressed bytes of a chunk, at most one byte more than the declared size."""
-    # If a chunk is longer than declared, the one extra byte shows it. Then the rest need not be
-    # decompressed.
+    # If a chunk is longer than declared, this extra byte shows it. The rest of the chunk need not
+    # be decompressed then.
     if chunk.compression == "lz4":
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=chunk.size + 1))
     if chunk.compression == "zstd":

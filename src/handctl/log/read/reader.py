@@ -56,7 +56,7 @@ _CACHE_BYTES = 64 << 20
 
 
 def _read_header(scan: RecordScan) -> RunHeader:
-    """Return the header of the run in a scanned file."""
+    """Return the header of the run in a file that was scanned."""
     record = scan.metadata["handctl.run"]
     if (schema := json.loads(record["schema"])) != LOG_SCHEMA_VERSION:
         raise ValueError(f"log of version {schema}; this reader reads version {LOG_SCHEMA_VERSION}")
@@ -75,8 +75,8 @@ class _ChunkIndex(NamedTuple):
         fixed_parts: (ticks,) first part of each Tick message. This part has a constant length.
         first_of_chunk: (chunks + 1,) index of the first tick in each chunk. The last element is the
             number of ticks.
-        snapshots: index of the chunk that contains each snapshot, by sequence number of the
-            snapshot.
+        snapshots: for each snapshot, the index of the chunk that contains it. The keys are the
+            sequence numbers of the snapshots.
     """
 
     fixed_parts: NDArray[np.void]
@@ -85,14 +85,14 @@ class _ChunkIndex(NamedTuple):
 
 
 class _SnapshotMapping(Mapping[int, bytes]):
-    """Mapping from tick number to the snapshot of the controller's state after this tick.
+    """Mapping from the number of a tick to the snapshot of the controller's state after this tick.
 
-    Each snapshot is read from the file when it is used, because the snapshots of one day do not fit
-    into memory.
+    Each snapshot is read from the file only when it is used, because the snapshots of one day do
+    not fit into memory.
     """
 
     def __init__(self, chunks: dict[int, int], read: Callable[[int, int], bytes]) -> None:
-        """Store the index of each snapshot's chunk by tick number, and the function that reads a snapshot."""
+        """Store the function that reads a snapshot, and the index of the chunk of each snapshot by tick number."""
         self._chunks = chunks
         self._read = read
 
@@ -116,9 +116,9 @@ class RunLog:
         header: header of the run: names, period, offset, gains, attachments and others.
         metadata: all metadata records of the file.
         end: data that were recorded at the end of the run (reason, ticks, messages, missed, dropped
-            and others). If the log was not finished, there are none.
-        warning: description of a defect of the file, or empty if there is none. The data before the
-            defect are complete.
+            and others). If the log was not finished, there are no such data.
+        warning: description of a defect of the file. The value is empty if there is no defect. The
+            data before the defect are complete.
         scan: positions of all records in the file.
     """
 
@@ -127,8 +127,8 @@ class RunLog:
 
         Args:
             path: path of the log file.
-            checked: True to read the whole file and check its checksum. With False, only the
-                checksum of each chunk is checked, when that chunk is read.
+            checked: True to read the whole file and check the checksum of the file. If it is False,
+                the checksum of each chunk is checked when this chunk is read.
 
         Raises:
             LogError: the file is not a log of handctl, is damaged, or exceeds a limit. A file that
@@ -173,7 +173,7 @@ class RunLog:
         self._file.close()
 
     def _channels(self) -> tuple[int, int, dict[str, int]]:
-        """Return the channel id of the ticks, that of the telemetry, and those of all topics by name."""
+        """Return the channel ids of the ticks and of the telemetry, and those of all topics by name."""
         with LogErrorContext(self._file.position_text(self._chunks[0].offset)):
             definitions_of_log: ChunkDefinitions = schemas_and_channels(
                 self._file.chunk_content(self._chunks[0])
@@ -191,7 +191,7 @@ class RunLog:
     def _rows_of(self, chunk: ChunkLocation, channel: int) -> list[MessageRows]:
         """Return the message blocks of one channel in one chunk.
 
-        The latest chunk stays in memory, for callers that read several channels of a chunk in turn.
+        The latest chunk stays in memory, for callers that read several channels of the same chunk.
         """
         if self._latest is None or self._latest[0] is not chunk:
             content = self._file.chunk_content(chunk)
@@ -215,8 +215,8 @@ class RunLog:
                 with LogErrorContext(self._file.position_text(chunk.offset)):
                     if data.shape[1] < 4 + FIXED_DTYPE.itemsize:
                         raise ValueError("a tick that is too short")
-                    # Four bytes of CDR encapsulation precede the part of constant length in each
-                    # message.
+                    # In each message, four bytes of CDR encapsulation come before the part with a
+                    # constant length.
                     parts.append(
                         np.ascontiguousarray(data[:, 4 : 4 + FIXED_DTYPE.itemsize]).view(
                             FIXED_DTYPE
@@ -280,8 +280,8 @@ class RunLog:
     def field(self, name: str) -> Array:
         """Return a telemetry field (ticks, n).
 
-        Unknown values are NaN. If a log of an earlier version lacks the field, all its values are
-        NaN.
+        Unknown values are NaN. If a log of an earlier version does not have the field, all its
+        values are NaN.
 
         Args:
             name: one of `core.tick_types.TELEMETRY_FIELDS`.
@@ -296,7 +296,7 @@ class RunLog:
                 "one of " + ", ".join(TELEMETRY_FIELDS),
             )
         slices = columns_of_fields(self.header, self.fields)
-        if name not in slices:  # a log of an earlier version lacks this field
+        if name not in slices:  # a log of an earlier version does not have this field
             return np.full((len(self), len(self.names(name))), np.nan)
         if 8 * self._width * len(self) <= _CACHE_BYTES:
             return self._numbers[:, slices[name]]
@@ -306,7 +306,7 @@ class RunLog:
     def fields(self) -> tuple[str, ...]:
         """Return the names of the telemetry fields that the file contains.
 
-        Logs of earlier versions of handctl lack the last fields of TELEMETRY_FIELDS.
+        Logs of earlier versions of handctl do not have the last fields of TELEMETRY_FIELDS.
         """
         for chunk, rows in self._rows(self._values):
             with LogErrorContext(self._file.position_text(chunk.offset)):
@@ -330,7 +330,7 @@ class RunLog:
         """Read the given columns of the telemetry (ticks, columns).
 
         Raises:
-            LogError: the sequence numbers of the telemetry differ from those of the ticks.
+            LogError: the telemetry has other sequence numbers than the ticks.
         """
         parts = [np.empty((0, columns.stop - columns.start))]
         sequence = [np.empty(0, np.uint32)]
@@ -350,7 +350,8 @@ class RunLog:
     ) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
         """Yield the telemetry in blocks.
 
-        A block has the bytes of its rows (rows, bytes) and their sequence numbers.
+        A block consists of the bytes of its rows (rows, bytes) and of the sequence numbers of these
+        rows.
         """
         size = VALUES_START_OFFSET + 8 * self._width + 4
         for chunk, rows in self._rows(self._values, chunks):
@@ -363,10 +364,10 @@ class RunLog:
     def packed_telemetry(self, chunks: slice = slice(None)) -> Iterator[bytes]:
         """Yield the telemetry of each tick in the layout of `Telemetry.packed`.
 
-        At any time, only a part of the file is in memory.
+        Only a part of the file is in memory at any time.
 
         Args:
-            chunks: chunks of the file to read, all by default.
+            chunks: chunks of the file to read. By default, all chunks are read.
         """
         for data, _ in self._values_parts(chunks):
             yield from (row.tobytes() for row in data)
@@ -383,7 +384,9 @@ class RunLog:
 
     @functools.cached_property
     def clock_pairs(self) -> list[ClockPair]:
-        """Return the readings of wall clock and monotonic clock, taken at the same moment every ten seconds.
+        """Return the pairs of readings of wall clock and monotonic clock.
+
+        Both clocks are read at the same moment, every ten seconds.
 
         The log of a lockstep run has no readings of clocks.
         """
@@ -441,7 +444,10 @@ class RunLog:
         return self._index.first_of_chunk
 
     def ticks(self, chunks: slice = slice(None)) -> Iterator[TickRecord]:
-        """Yield the ticks of the given chunks in order, by default those of all chunks."""
+        """Yield the ticks of the given chunks in order.
+
+        By default, yield the ticks of all chunks.
+        """
         for chunk in self._chunks[chunks]:
             with LogErrorContext(self._file.position_text(chunk.offset)):
                 messages = [
@@ -456,15 +462,15 @@ class RunLog:
     def _events_and_phases(self) -> tuple[list[LoggedEvent], list[PhaseChange]]:
         """Return the controller's events, and the starts of the grasp phases.
 
-        An end that several Tick messages share is decoded only once.
+        If several Tick messages have the same end, this end is decoded only once.
         """
         events: list[LoggedEvent] = []
         phases: list[PhaseChange] = []
         phase_of_tail: dict[bytes, str] = {}
         for index, (chunk, message) in enumerate(self._messages()):
             with LogErrorContext(self._file.position_text(chunk.offset)):
-                # Ticks of one phase without events have equal message ends (the phase and empty
-                # lists). The cache avoids decoding such an end again.
+                # Ticks of one phase that have no events also have equal message ends (the phase and
+                # empty lists). With the cache, such an end is not decoded again.
                 tail = message[message_layout(message).tail_offset :]
                 phase = phase_of_tail.get(tail)
                 if phase is None:

@@ -3,10 +3,10 @@
 The scan does not use the index at the end of the file. The scan checks the checksums of the
 attachments, the data section and the summary.
 
-A record consists of opcode u8, length u64, and content. The data section ends with the record
-DataEnd, which has the CRC-32 of all bytes before this record. The summary and the footer follow.
-The footer has 29 bytes: opcode u8, length u64, two offsets u64, CRC-32 u32. The file begins and
-ends with MCAP_MAGIC.
+A record consists of an opcode u8, a length u64, and the content. The data section ends with the
+record DataEnd, which contains the CRC-32 of all bytes before this record. The summary and the
+footer follow after the data section. The footer has 29 bytes: opcode u8, length u64, two offsets
+u64, CRC-32 u32. The file begins and ends with MCAP_MAGIC.
 
 Source: MCAP specification.
 """
@@ -63,7 +63,7 @@ class RecordScan:
         end: offset after the last complete record of the data section.
         size: size of the file [bytes].
         complete: True if the data section has an end record with the correct checksum.
-        problem: description of a defect of the file, or empty if there is none.
+        problem: description of a defect of the file. The value is empty if there is no defect.
         skipped: (start, end) of every damaged record that the scan has skipped.
         unknown: number of records with an unknown opcode.
     """
@@ -111,16 +111,17 @@ class _FieldReader:
 def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bool = False) -> None:
     """Read the outer records of a file, and add their content to a scan.
 
-    A file that ends early raises no error. Then `scan` has all complete records, and `scan.problem`
-    describes where the file ends.
+    A file that ends early raises no error. After such a file, `scan` contains all complete records,
+    and `scan.problem` describes where the file ends.
 
     Args:
         file: the MCAP file.
-        scan: empty scan to be filled, or the scan of the same file when it was shorter. Such a scan
-            continues at ``scan.end``. After an error, the scan has the records before the damage.
+        scan: empty scan to be filled, or a scan of the same file at a time when the file was
+            shorter. A scan of the shorter file continues at ``scan.end``. After an error, the scan
+            contains the records before the damage.
         checked: True to read the whole file and to check the checksum of the data section.
-        skip: True to skip damaged records whose ends are known. False to raise an error at a
-            damaged record.
+        skip: True to skip damaged records whose ends are known. If it is False, a damaged record
+            raises an error.
 
     Raises:
         LogError: the file is not an MCAP file, is damaged before the end, or exceeds a limit.
@@ -133,8 +134,8 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
         and file.read_range(file.size - len(MCAP_MAGIC), len(MCAP_MAGIC)) == MCAP_MAGIC
     )
     scan.end = max(scan.end, len(MCAP_MAGIC))
-    # Without skipped records, the only problem of a scan that continues is the end of the shorter
-    # file.
+    # If no records were skipped, the only possible problem of a continued scan is the end of the
+    # shorter file.
     scan.problem = scan.problem if scan.skipped else ""
     unpacked = sum(chunk.size for chunk in scan.chunks)
     while scan.end + _RECORD_STRUCT.size <= file.size:
@@ -175,7 +176,7 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
 def scan_path(path: Path) -> RecordScan:
     """Return the scan of a file. The checksum of the data section is not checked.
 
-    The errors are those of `scan_records`.
+    This function raises the same errors as `scan_records`.
     """
     file = LogFile(path)
     scan = RecordScan()
@@ -225,16 +226,16 @@ def _add_record(file: LogFile, scan: RecordScan, code: int, at: int, end: int) -
 
 
 def _checked_size(size: int, limit: int) -> int:
-    """Return the size of a record, if it does not exceed a limit."""
+    """Return the size of a record, after a check that it does not exceed a limit."""
     if size > limit:
         raise ValueError(f"a record of {size} bytes; at most {limit} are allowed")
     return size
 
 
 def _decode_chunk_head(file: LogFile, at: int, end: int) -> ChunkLocation:
-    """Decode the head of a Chunk record, without reading the data of the chunk."""
-    # 80 bytes hold the fixed fields (41 bytes), the compression's name (at most 8) and the
-    # compressed size of the records (8).
+    """Decode the first fields of a Chunk record, without reading the data of the chunk."""
+    # 80 bytes are enough for the fixed fields (41 bytes), the name of the compression (at most 8)
+    # and the compressed size of the records (8).
     head = file.read_range(at, min(end - at, 80))
     first, last, size, crc, name = _CHUNK_STRUCT.unpack_from(head, _RECORD_STRUCT.size)
     _checked_size(size, MAX_CHUNK_BYTES)
@@ -258,15 +259,15 @@ def _decode_attachment(scan: RecordScan, data: bytes) -> None:
     media = fields.read_string()
     content = fields.read_bytes(fields.read_number("Q"))
     crc = fields.read_number("I")
-    # The checksum covers all fields before it. The checksum itself is in the last four bytes of the
-    # attachment.
+    # The checksum covers all fields of the attachment before it. The checksum itself is in the last
+    # four bytes of the attachment.
     if crc and crc != zlib.crc32(data[: -4 - fields.unread_bytes()]):
         raise ValueError("checksum of an attachment does not match")
     scan.attachments[name] = (media, time_ns, content)
 
 
 def _text_map(fields: _FieldReader) -> dict[str, str]:
-    """Decode a map of keys and values, both texts, in a record."""
+    """Decode a map in a record. The keys and values of the map are texts."""
     inner = _FieldReader(fields.read_bytes(fields.read_number("I")))
     values = {}
     while inner.unread_bytes():
@@ -276,7 +277,7 @@ def _text_map(fields: _FieldReader) -> dict[str, str]:
 
 
 def _check_end(file: LogFile, scan: RecordScan, at: int, end: int, checked: bool) -> None:
-    """Check the checksums of the data section and of the summary against the content of the file."""
+    """Compare the checksums of the data section and of the summary with the content of the file."""
     (crc,) = struct.unpack("<I", file.read_range(at + _RECORD_STRUCT.size, 4))
     if end != at + _RECORD_STRUCT.size + 4 or (checked and crc and crc != file.range_crc(0, at)):
         raise LogError(

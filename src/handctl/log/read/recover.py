@@ -1,6 +1,6 @@
 """Recovery of a damaged log.
 
-The intact parts of a broken file are copied into a new, complete file.
+The intact parts of a damaged file are copied into a new, complete file.
 """
 
 import enum
@@ -41,7 +41,7 @@ class RecoveryReport:
         status: result of the recovery.
         chunks, messages: number of copied chunks and messages.
         lost_ranges: (start, end) of each range of the old file that was not copied [bytes].
-        problem: description of a defect of the old file, or empty if there is none.
+        problem: description of a defect of the old file. The value is empty if there is no defect.
     """
 
     status: RecoveryStatus
@@ -55,8 +55,8 @@ def recover_log(path: Path, out: Path) -> RecoveryReport:
     """Copy all intact chunks, attachments and metadata of a log into a new file.
 
     Args:
-        path: path of a complete or broken log.
-        out: path of the new file. No file is written if the log has no intact chunk.
+        path: path of a complete or damaged log.
+        out: path of the new file. If the log has no intact chunk, no file is written.
 
     Raises:
         LogError: the file at `path` cannot be opened or is not an MCAP file.
@@ -85,9 +85,11 @@ def recover_log(path: Path, out: Path) -> RecoveryReport:
 
 
 def scan_damaged(file: LogFile, scan: RecordScan) -> str:
-    """Scan a file like `scan_records`, but return a description of the file's defect instead of raising an error.
+    """Scan a file like `scan_records`.
 
-    After the call, `scan` has the intact records before and after a damaged record.
+    If the file has a defect, return its description instead of raising an error.
+
+    After the call, `scan` contains the intact records before and after a damaged record.
     """
     try:
         scan_records(file, scan, skip=True)
@@ -105,7 +107,7 @@ def _copy_intact_parts(
     for name, (media, time_ns, data) in scan.attachments.items():
         new.write_attachment(name, media, data, time_ns)
     for name, values in scan.metadata.items():
-        # The end record is written last, as in a log that was closed.
+        # The end record is written last, as in a log that was closed properly.
         if name != "handctl.end":
             new.write_metadata(name, values)
     lost = scan.skipped.copy()
@@ -167,5 +169,5 @@ def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: McapContainer) -> None
 
 
 def _message_offsets(shape: tuple[int, ...]) -> "np.ndarray[tuple[int], np.dtype[np.uint64]]":
-    """Return the offsets (n,) of n messages of equal length in their block [bytes]."""
+    """Return the offsets (n,) [bytes] of n messages of equal length within their block."""
     return np.arange(shape[0], dtype=np.uint64) * np.uint64(shape[1])

@@ -16,7 +16,7 @@ MAX_PERIODS_PER_TICK = 10
 
 
 class LoggedEvent(NamedTuple):
-    """Event of the controller, with number and time [ns] of the tick."""
+    """Event of the controller, with the number and the time [ns] of the tick."""
 
     k: int
     t_ns: int
@@ -24,7 +24,7 @@ class LoggedEvent(NamedTuple):
 
 
 class TickGap(NamedTuple):
-    """Gap in a log, where ticks are missing: number of the last tick before it, and of the first tick after it."""
+    """Gap in a log where ticks are missing: the last tick before it and the first tick after it."""
 
     last_before: int
     first_after: int
@@ -42,7 +42,7 @@ def phase_of_each(changes: Sequence[PhaseChange], k: NDArray[np.int64]) -> NDArr
     """Return the name of the grasp phase in each tick (ticks,).
 
     Args:
-        changes: phase changes in order. The first change is at the first tick.
+        changes: phase changes in order. The first change of the phase is at the first tick.
         k: (ticks,) tick numbers in rising order.
     """
     starts = np.array([change.k for change in changes])
@@ -53,7 +53,8 @@ def phase_of_each(changes: Sequence[PhaseChange], k: NDArray[np.int64]) -> NDArr
 def check_order(t_ns: NDArray[np.int64], period_ns: int) -> None:
     """Raise an error if the times of ticks do not fit a regular time grid.
 
-    Otherwise a log with wrong times could demand a time grid too large for the memory.
+    Without this check, a log with wrong times could demand a time grid that does not fit into
+    memory.
 
     Args:
         t_ns: (ticks,) times of the ticks [ns].

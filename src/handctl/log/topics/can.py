@@ -93,8 +93,8 @@ class _DirectionTopics:
         if len(used) == 1:
             return self._streams[int(used[0])].block(stamps, _frame_values(frames), measured)
         records: list[bytes] = [b""] * len(frames)
-        # The name of the bus is part of the template. With several buses, the messages are first
-        # made for each bus, and then sorted into the order of the frames.
+        # The template of the messages contains the name of the bus. If there are several buses, the
+        # messages are first made for each bus, and then sorted into the order of the frames.
         for bus_index in used.tolist():
             indexes = np.flatnonzero(bus == bus_index)
             block = self._streams[bus_index].block(
@@ -121,8 +121,8 @@ class _DirectionTopics:
         sequence = stamps.sequence.tolist()
         log = stamps.log_times.tolist()
         times = measured.tolist()
-        # `rest` contains the payload bytes after the eighth of all frames that are not encoded yet.
-        # Classical frames have no such bytes.
+        # `rest` contains the payload bytes after the eighth byte of all frames that are not encoded
+        # yet. Classical frames have no such bytes.
         for index, (can_id, length) in enumerate(zip(*columns, strict=True)):
             more = max(length - 8, 0)
             payload = data[8 * index : 8 * index + min(length, 8)] + bytes(rest[:more])
@@ -158,7 +158,7 @@ def _frame_values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
 
 
 class CanTopics:
-    """Topics /can/rx and /can/tx for classical CAN frames, /can/rx_fd and /can/tx_fd for CAN FD frames.
+    """Topics of the CAN frames: /can/rx and /can/tx for classical frames, /can/rx_fd and /can/tx_fd for CAN FD frames.
 
     The log time of a message is the time of its tick. The header stamp and the publish time are the
     time of the frame.

@@ -1,8 +1,8 @@
 """Topic with readings of wall clock and monotonic clock.
 
-Every ten seconds, both clocks are read at the same moment. The readings show whether the wall clock
-was stepped during the run. These clocks are read by the recorder, not by the controller. The log of
-a lockstep run has no such readings, because its messages depend on the ticks alone.
+Both clocks are read at the same moment, every ten seconds. The readings show whether somebody set
+the wall clock during the run. The recorder reads these clocks, and not the controller. The log of a
+lockstep run has no such readings, because its messages depend only on the ticks.
 """
 
 import struct
@@ -44,7 +44,7 @@ class ClockStep(NamedTuple):
     """Step of the wall clock between two readings of both clocks.
 
     Attributes:
-        t_s: time of the first readings after the step, since the start of the run [s].
+        t_s: time of the first pair of readings after the step, since the start of the run [s].
         step_s: size of the step [s].
     """
 

@@ -1,4 +1,4 @@
-"""Topics with a message for each log line, and for each change of gains, grasp phase, mode or safety action."""
+"""Topics that have one message for each log line, and for each change of gains, grasp phase, mode or safety action."""
 
 import math
 from collections.abc import Iterator
@@ -47,7 +47,7 @@ def encode_rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
 def _append_parameter(out: CdrWriter, name: str, value: str) -> None:
     """Append a gain as rcl_interfaces/Parameter.
 
-    If its text is a number, it is written as a double.
+    If the text of the gain is a number, it is written as a double.
     """
     try:
         number = float(value)
@@ -111,7 +111,7 @@ class EventTopics:
         self._last: dict[int, tuple[int, str]] = {}
 
     def latched(self, stamps: MessageStamps) -> list[MessageBlock]:
-        """Return the messages with the gains at the start of the run."""
+        """Return the messages with the gains that are used at the start of the run."""
         message = encode_parameter_event(int(stamps.log_times[0]), self._gains, {})
         return [variable_length_block(self._parameters, stamps, [message])] if self._gains else []
 
@@ -167,12 +167,13 @@ def _index_array(values: list[int]) -> NDArray[np.intp]:
 
 
 def _log_lines(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
-    """Yield the level, name and text of each log line of a tick."""
+    """Yield the level, the name and the text of each log line of a tick."""
     for io_event in tick.tick_in.io_events:
         number = f" ({io_event.number})" if io_event.number != 1 else ""
         yield "warn", "io", " ".join(filter(None, (io_event.kind, io_event.where))) + number
     for request in tick.tick_in.requests:
-        if not is_routine_request(request):  # Streamed targets have a topic of their own.
+        # Streamed targets are not among them, because they have their own topic.
+        if not is_routine_request(request):
             yield "info", "request", request_text(request)
     for event in tick.events:
         yield event.level, event.name, f"{event.where}: {event.text}" if event.where else event.text

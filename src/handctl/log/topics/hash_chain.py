@@ -1,8 +1,9 @@
 """Hash chain over the ticks of a log. If a byte of a tick is changed, the chain breaks at this tick.
 
 The chain detects damage to the log, and attached files that were exchanged. The chain is not a
-signature, because an attacker can compute all later hashes again. The last hash is in the end
-record of the log. With a copy of this hash in another place, any change of the log can be detected.
+signature, because an attacker can compute all hashes after a change again. The last hash is in the
+end record of the log. If a copy of the last hash is kept in another place, any change of the log
+can be detected.
 """
 
 import hashlib
@@ -27,7 +28,7 @@ def first_hash(
 ) -> bytes:
     """Compute the hash with which the chain begins.
 
-    The hash covers all data of the header, except those about the machine and the date.
+    The hash covers all data of the header except the data about the machine and the date.
     """
     digest = hashlib.blake2b(digest_size=HASH_SIZE)
     texts = {
@@ -35,8 +36,8 @@ def first_hash(
         for group, table in (("m", metadata), ("g", gains))
         for name, text in table.items()
     }
-    # Each text follows its name and length, so that different sets of texts never give the same
-    # bytes.
+    # Each text comes after its name and its length, so that different sets of texts never give the
+    # same bytes.
     for name, data in sorted(
         (texts | {f"a.{name}": data for name, data in attachments.items()}).items()
     ):
@@ -58,7 +59,8 @@ def tick_hash(before: bytes, message: bytes, numbers: bytes) -> bytes:
     """Compute the chain hash of a tick.
 
     Args:
-        before: hash of the previous tick. For the first tick, the hash with which the chain begins.
+        before: hash of the previous tick. For the first tick, it is the hash with which the chain
+            begins.
         message: the Tick message.
         numbers: packed telemetry of the tick.
     """
@@ -69,9 +71,9 @@ def tick_hashes(before: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator
     """Yield the chain hashes of consecutive ticks.
 
     Args:
-        before: hash of the tick before these ticks. For the first tick, the hash with which the
-            chain begins.
-        ticks: Tick message and packed telemetry of each tick.
+        before: hash of the tick before the first of these ticks. For the first tick, the hash with
+            which the chain begins.
+        ticks: the Tick message and the packed telemetry of each tick.
     """
     for message, numbers in ticks:
         before = tick_hash(before, message, numbers)

@@ -69,8 +69,9 @@ def encode_diagnostic_array(t_ns: int, statuses: list[DiagnosticStatus]) -> byte
 def temperature_template() -> MessageTemplate:
     """Return the template of a sensor_msgs/Temperature message with unknown variance.
 
-    The frame_id of the message is that of the palm, because the motors are mounted behind the palm.
-    If its frame were not in /tf, the viewer Rerun would find several root frames and show no hand.
+    The frame_id of the message names the frame of the palm, because the motors are mounted behind
+    the palm. If the frame of the message were not in /tf, the viewer Rerun would find several root
+    frames and show no hand.
     """
     out = TemplateWriter()
     out.put_header(ROOT_FRAME)
@@ -82,8 +83,8 @@ def temperature_template() -> MessageTemplate:
 class HealthTopics:
     """Topics with the status of motors, buses and controller, and with the temperatures of the motors.
 
-    A status message is written every second. A change of the mode, of the safety action or of a
-    drive's state also writes one.
+    A status message is written every second. A status message is also written after a change of the
+    mode, of the safety action or of the state of a drive.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
@@ -129,7 +130,10 @@ class HealthTopics:
         return blocks
 
     def _temperature_runs(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
-        """Return the temperature messages. Each has the values of the first tick in an interval."""
+        """Return the temperature messages.
+
+        Each message has the values of the first tick in an interval.
+        """
         periods = batch.t_ns // TEMPERATURE_PERIOD_NS
         selected = np.flatnonzero(np.diff(periods, prepend=self._last_temperature))
         self._last_temperature = int(periods[-1])

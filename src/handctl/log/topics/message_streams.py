@@ -1,4 +1,4 @@
-"""Channels of a log. Many messages of a channel are encoded at once."""
+"""Channels of a log. Many messages of a channel are encoded in one call."""
 
 from dataclasses import dataclass, field
 
@@ -28,7 +28,7 @@ Durability 1 is transient_local, 2 is volatile.
 class TopicRegistry:
     """Registry of the schemas and channels of a log.
 
-    Both are numbered in the order of registration.
+    Schemas and channels are numbered in the order of registration.
     """
 
     schemas: dict[str, Schema] = field(default_factory=dict)
@@ -43,7 +43,7 @@ class TopicRegistry:
             topic: name of the topic.
             message_type: message type, for example "sensor_msgs/JointState".
             latched: True for a topic whose single message is written at the start of the run.
-            note: note about the topic, for the channel's metadata.
+            note: note about the topic, which is stored in the metadata of the channel.
         """
         if message_type not in self.schemas:
             number = len(self.schemas) + 1
@@ -66,7 +66,7 @@ class MessageStamps:
     """Log times and sequence numbers of n messages.
 
     Attributes:
-        log_times: (n,) uint64, log times as UNIX time [ns].
+        log_times: (n,) uint64, log times as UNIX times [ns].
         sequence: (n,) uint32, low 32 bits of the tick numbers.
     """
 
@@ -74,7 +74,7 @@ class MessageStamps:
     sequence: NDArray[np.uint32]
 
     def selected(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "MessageStamps":
-        """Return the log times and sequence numbers of some of the messages."""
+        """Return the log times and sequence numbers of a selection of the messages."""
         return MessageStamps(self.log_times[index], self.sequence[index])
 
 
@@ -89,7 +89,7 @@ def stamps_at(log_ns: int, k: int) -> MessageStamps:
 
 
 def ros_time(t_ns: TimeArray) -> NDArray[np.uint32]:
-    """Convert times (n,) [ns] to seconds and nanoseconds (n, 2)."""
+    """Convert times (n,) [ns] to pairs of seconds and nanoseconds (n, 2)."""
     return np.stack([t_ns // np.uint64(10**9), t_ns % np.uint64(10**9)], axis=1).astype("<u4")
 
 
@@ -126,12 +126,12 @@ class MessageStream:
         Args:
             stamps: log times and sequence numbers of the messages.
             values: values of the variable fields by name, each (n, size of the field).
-            measured: (n,) times at which the values were measured [ns]. By default, they are the
-                log times.
+            measured: (n,) times at which the values were measured [ns]. By default, they are equal
+                to the log times.
         """
         number = len(stamps.log_times)
-        # All messages begin as copies of the template. With a structured array, one assignment then
-        # writes a field of all messages.
+        # All messages begin as copies of the template. With a structured array, a single assignment
+        # then writes one field of all messages.
         rows = np.frombuffer(bytearray(self._record * number), self._dtype)
         measured = stamps.log_times if measured is None else measured
         rows["sequence"] = stamps.sequence

@@ -1,6 +1,6 @@
 """Topic with a snapshot of the controller's state for every second of a run.
 
-A log can be executed again from any snapshot.
+From each snapshot, the rest of a log can be executed again.
 """
 
 import struct
@@ -59,7 +59,7 @@ def decode_snapshot(message: bytes) -> ControllerSnapshot:
 
     Raises:
         struct.error: the message is too short.
-        ValueError: the snapshot's data end early.
+        ValueError: the data of the snapshot end early.
     """
     _, _, k, length = _SNAPSHOT_HEAD_STRUCT.unpack_from(message)
     data = message[_SNAPSHOT_HEAD_STRUCT.size : _SNAPSHOT_HEAD_STRUCT.size + length]

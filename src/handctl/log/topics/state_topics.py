@@ -60,7 +60,7 @@ _TOPIC_NOTES = {
 
 
 def moment_arms(header: RunHeader) -> FloatArray:
-    """Return the moment arms R (N, J) of a hand's tendons [m].
+    """Return the moment arms R (N, J) of the tendons of a hand [m].
 
     If a moment arm depends on the joint angle, R contains its mean over the range of the joint.
     """
@@ -73,7 +73,7 @@ def _hand_of(header: RunHeader) -> Hand:
 
 
 def spool_pair_pretensions(header: RunHeader) -> dict[str, float]:
-    """Return the pretension of each spool pair of the hand, by name of the pair [N]."""
+    """Return the pretension of each spool pair of the hand [N], by the name of the pair."""
     tendons = tomllib.loads(header.hand_toml)["tendon"]
     return {
         tendon["name"]: tendon["pretension_N"] for tendon in tendons if "pretension_N" in tendon
@@ -225,7 +225,7 @@ class StateTopics:
             )
         for index, stream in enumerate(self._wrenches):
             force = np.zeros((len(batch.k), 3))
-            # The object pushes the tip against the direction +y in which the tip closes. The
+            # The object pushes the tip against the direction +y in which the digit closes. The
             # expression `0.0 -` avoids -0.0.
             force[:, 1] = 0.0 - part["tip_force"][:, index]
             blocks.append(stream.block(stamps, {"force": force}))
@@ -241,8 +241,8 @@ class StateTopics:
     def _tendon_torque(self, tension: FloatArray, q: FloatArray) -> FloatArray:
         """Return the joint torques R^T f (n, J) from the tensions f at joint angles q [N m].
 
-        The sum is computed in a fixed order. In a matrix product, the order of additions may depend
-        on n, and therefore the rounding of the result too.
+        The sum is computed in a fixed order. In a matrix product, the order of the additions may
+        depend on n. The rounding of the result may then depend on n, too.
         """
         torque = np.zeros((len(tension), self._arms.shape[1]))
         arms = (

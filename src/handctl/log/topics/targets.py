@@ -21,7 +21,7 @@ from handctl.programs.requests import (
 class TargetTopic:
     """Topic with a message for each streamed target.
 
-    Malformed targets do not appear here, but in the topic `/tick`.
+    Malformed targets appear only in the topic `/tick`, and not here.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
@@ -47,8 +47,8 @@ class TargetTopic:
     def _targets_among(self, requests: tuple[TickRequest, ...]) -> Iterator[StreamTarget]:
         """Yield the streamed targets among some requests.
 
-        The request that opens a stream gives the names of the values in all later targets of this
-        stream.
+        The request that opens a stream contains the names of the values in all later targets of
+        this stream.
         """
         for request in requests:
             if isinstance(request, StreamTarget) or is_stream_target(request):

@@ -109,7 +109,7 @@ class TopicSet:
         return self._snapshots.block(self._log_ns(t_ns), snapshot)
 
     def _log_ns(self, t_ns: int) -> int:
-        """Return a time since the start of the run as a log time [ns]."""
+        """Convert a time since the start of the run to a log time [ns]."""
         return max(t_ns + self._header.offset_ns, 0)
 
     def blocks(self, batch: TickBatch) -> list[MessageBlock]:

@@ -1,6 +1,6 @@
 """Topics with the transforms between the links of the hand.
 
-With these topics, a viewer needs no knowledge of the hand's kinematics.
+Because of these topics, a viewer needs no knowledge of the kinematics of the hand.
 """
 
 import math
@@ -26,12 +26,12 @@ PRISMATIC_JOINT_AXIS = (0.0, 1.0, 0.0)
 
 
 class LinkFrame(NamedTuple):
-    """Frame of a link, relative to the parent link.
+    """Frame of a link, relative to the frame of the parent link.
 
     Attributes:
-        parent, child: name of the parent link's frame, and name of this link's frame.
-        position: (3,) origin of the child in the parent [m].
-        rotation: (4,) quaternion x, y, z, w of the child at joint angle zero.
+        parent, child: names of the frame of the parent link and of the frame of this link.
+        position: (3,) origin of the child frame in the parent frame [m].
+        rotation: (4,) quaternion x, y, z, w of the child frame at joint angle zero.
         axis: (3,) joint axis as a unit vector in the child frame.
         joint: index of the joint that moves the link, or -1 if the link is fixed to its parent.
         is_prismatic: True if the link slides along the axis.
@@ -47,7 +47,7 @@ class LinkFrame(NamedTuple):
 
 
 def quaternion_of_rpy(roll: float, pitch: float, yaw: float) -> tuple[float, ...]:
-    """Return the quaternion x, y, z, w for extrinsic rotations about x, y, z [rad]."""
+    """Return the quaternion x, y, z, w of extrinsic rotations about x, y, z [rad]."""
     (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a / 2), math.cos(a / 2)) for a in (roll, pitch, yaw))
     return (
         sr * cp * cy - cr * sp * sy,
@@ -117,25 +117,25 @@ def link_quaternions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.floa
 
 
 def link_positions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the origin of a link in its parent at joint positions (n,) [rad or m], (n, 3) [m].
+    """Return the origin of a link in the frame of its parent at joint positions (n,) [rad or m], (n, 3) [m].
 
-    A hinge does not move the origin. Its result has one row.
+    A hinge does not move the origin of its link. For a hinge, the result has one row.
     """
     if not link.is_prismatic:
         return np.array([link.position])
     x, y, z, w = link.rotation
-    # The imaginary part of r a r* is the axis a in the frame of the parent.
+    # The imaginary part of r a r* is the axis a, expressed in the frame of the parent.
     turned = multiply_quaternions(
         multiply_quaternions(link.rotation, (*link.axis, 0.0)), (-x, -y, -z, w)
     )[:3]
     return np.asarray(np.array(link.position) + q[:, None] * np.array(turned))
 
 
-def _transform_stream(channel: int, some: list[LinkFrame]) -> MessageStream:
+def _transform_stream(channel: int, link_frames: list[LinkFrame]) -> MessageStream:
     """Return the stream of a tf2_msgs/TFMessage for some links."""
     out = TemplateWriter()
-    out.put_length(len(some))
-    for index, link in enumerate(some):
+    out.put_length(len(link_frames))
+    for index, link in enumerate(link_frames):
         out.put_header(link.parent)
         out.put_string(link.child)
         out.put_field(f"position{index}", "<f8", 3)
@@ -173,7 +173,7 @@ class TfTopics:
         return self._static.block(stamps, values)
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
-        """Return the /tf messages, one for the first tick in each 50 Hz period."""
+        """Return the /tf messages: one for the first tick in each 50 Hz period."""
         periods = batch.t_ns // TRANSFORM_PERIOD_NS
         selected = np.flatnonzero(np.diff(periods, prepend=self._last))
         self._last = int(periods[-1])

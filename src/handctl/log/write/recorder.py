@@ -1,4 +1,4 @@
-"""The controller's end of the pipe to the recorder process.
+"""Sending end of the pipe from the controller to the recorder process.
 
 In real time, the controller sends a record without waiting.
 """
@@ -47,7 +47,7 @@ LOCKSTEP_TIMEOUT_S = 60.0
 
 
 def _enlarge_pipe(descriptor: int) -> int:
-    """Request a larger size for a pipe, and return the size that the system has granted [bytes]."""
+    """Request a larger size for a pipe. Return the size that the system has granted [bytes]."""
     for size in PIPE_BYTES if hasattr(fcntl, "F_SETPIPE_SZ") else ():
         with suppress(OSError):
             return fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, size)
@@ -90,12 +90,12 @@ class Recorder:
     def start(cls, path: Path, header: RunHeader, floor_bytes: int = MIN_FREE_DISK_BYTES) -> Self:
         """Start recording, and wait until the header is in the log file.
 
-        A recorder process that was started ahead is used if there is one.
+        If a recorder process was started ahead, use this process.
 
         Args:
             path: path of the new log file.
             header: header of the run.
-            floor_bytes: free disk space below which the log is finished early [bytes].
+            floor_bytes: free disk space [bytes]. If less space is free, the log is finished early.
 
         Raises:
             LogError: the log file cannot be created, or the recorder process does not answer.
@@ -139,7 +139,7 @@ class Recorder:
         self._process.end_process()
 
     def _close_notes(self) -> None:
-        """Close the pipe for the recorder's notes."""
+        """Close the pipe for the notes of the recorder."""
         assert self._child.stdout is not None
         self._child.stdout.close()
 
@@ -147,8 +147,8 @@ class Recorder:
         """Write all bytes to the pipe, and wait at most `timeout_s` [s].
 
         Returns:
-            True if all bytes were written. After False, no further record may be sent, because the
-            record in the pipe is incomplete.
+            True if all bytes were written. If the result is False, no further record may be sent,
+            because the last record in the pipe is incomplete.
         """
         end = time.monotonic() + timeout_s
         view = memoryview(data)
@@ -171,7 +171,7 @@ class Recorder:
             data: encoded record, such as `record.pack_tick_record` returns.
 
         Returns:
-            True if the record was sent, False if it was dropped.
+            True if the record was sent, and False if it was dropped.
         """
         if self._ended:
             self.dropped += 1
@@ -181,8 +181,8 @@ class Recorder:
             self.dropped += self._ended
             return not self._ended
         try:
-            # If only a part of the last record was written, its rest must be written first.
-            # Otherwise the recorder could not find the start of the next record.
+            # If only a part of the last record was written, the rest of this record must be written
+            # first. Otherwise the recorder could not find the start of the next record.
             if self._rest:
                 self._rest = self._rest[os.write(self._pipe, self._rest) :]
             if not self._rest:
@@ -234,12 +234,12 @@ class Recorder:
     def _filling_event(self) -> list[IoEvent]:
         """Return an event if the pipe has become more than half full since the last call.
 
-        A deterministic run never gets this event, because the filling of the pipe depends on the
+        A deterministic run never gets this event, because the level in the pipe depends on the
         machine. Such a run waits while the pipe is full.
         """
         if self._lossless:
             return []
-        # FIONREAD gives the number of bytes in the pipe that the recorder has not read.
+        # FIONREAD returns the number of bytes in the pipe that the recorder has not read yet.
         waiting = struct.unpack("i", fcntl.ioctl(self._pipe, termios.FIONREAD, b"\0\0\0\0"))[0]
         was = self._filling
         self._filling = waiting > self._size // 2
@@ -268,12 +268,12 @@ class Recorder:
         """End the recording of the run, and wait until the log file is complete.
 
         Args:
-            reason: reason for the end of the run, for the log.
+            reason: reason why the run ended. The log contains it.
             facts: facts for the log that become known at the end of the run, by name.
 
         Returns:
-            summary with path, bytes, complete and dropped. If the recorder has finished the log, it
-            also has ticks, messages, lost and reason.
+            A summary with path, bytes, complete and dropped. If the recorder has finished the log,
+            the summary also contains ticks, messages, lost and reason.
         """
         body = json.dumps(
             {"reason": reason, "dropped": self.dropped, "facts": dict(facts or {})}

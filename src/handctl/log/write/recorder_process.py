@@ -73,7 +73,7 @@ def report_event(event: str, number: int) -> None:
 class RecordSplitter:
     """Splitter that divides a byte stream into records.
 
-    The splitter keeps an incomplete record until the rest of the record arrives.
+    The splitter keeps an incomplete record until its rest arrives.
     """
 
     def __init__(self) -> None:
@@ -81,7 +81,10 @@ class RecordSplitter:
         self._rest = b""
 
     def split(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Add bytes of the stream. Yield the kind and body of each record that they complete."""
+        """Add bytes of the stream.
+
+        Yield the kind and the body of each record that these bytes complete.
+        """
         data = self._rest + data
         at = 0
         while at + RECORD_FRAMING_STRUCT.size <= len(data):
@@ -102,7 +105,7 @@ class RecorderSession:
     """
 
     def __init__(self) -> None:
-        """Start without a log file. The first records name and open the file."""
+        """Create a session without a log file. The first records name the file and open it."""
         self.path = Path()
         self._floor = 0
         self._splitter = RecordSplitter()
@@ -113,7 +116,7 @@ class RecorderSession:
         self._facts: dict[str, str] = {}
 
     def run(self) -> None:
-        """Process records until stdin ends, then close the log file."""
+        """Process records until stdin ends, and then close the log file."""
         clean = next_sync = time.monotonic()
         while True:
             if select.select([0], [], [], MAX_UNWRITTEN_S)[0]:
@@ -127,8 +130,8 @@ class RecorderSession:
             now = time.monotonic()
             if self._writer and self._wall_flush and now >= clean + MAX_UNWRITTEN_S:
                 self._writer.flush()
-            # `clean` is the last time at which no tick was waiting to be written. Therefore
-            # MAX_UNWRITTEN_S counts from the arrival of the oldest waiting tick.
+            # `clean` is the last time at which no tick was waiting to be written. MAX_UNWRITTEN_S
+            # therefore counts from the arrival of the oldest waiting tick.
             if not (self._writer and self._writer.has_pending_ticks):
                 clean = now
             if self._writer and now >= next_sync:

@@ -1,8 +1,9 @@
-"""Start of the recorder process, possibly before the run to be recorded is known.
+"""Start of the recorder process, possibly before it is known which run will be recorded.
 
-The recorder process needs half a second for its imports. A command that records a run starts it
-before importing other modules (`recorder_process_ahead`). Then both processes import at the same
-time, on two cores. For this reason, this module itself imports only a few modules.
+The recorder process needs half a second for its imports. A command that records a run starts the
+recorder process before it imports other modules (`recorder_process_ahead`). Both processes then
+import at the same time, on two cores. For this reason, this module itself imports only a few
+modules.
 """
 
 import os
@@ -43,7 +44,7 @@ The list has at most this one element.
 def start_recorder_process() -> RecorderProcess:
     """Start a recorder process. The process ends when the pipe for the records is closed."""
     reading, writing = os.pipe()
-    # The option `-P` keeps the working directory out of Python's import path.
+    # Because of the option `-P`, Python does not import modules from the working directory.
     command = [sys.executable, "-P", "-m", "handctl.log.write.recorder_process"]
     try:
         child = subprocess.Popen(
@@ -59,9 +60,9 @@ def start_recorder_process() -> RecorderProcess:
 
 @contextmanager
 def recorder_process_ahead() -> Iterator[None]:
-    """Start a recorder process for the first recorder in this block.
+    """Start a recorder process in advance. The first recorder in this block uses it.
 
-    If no recorder takes it, it is ended at the end of the block.
+    If no recorder uses it, it is ended at the end of the block.
     """
     _started_ahead.append(start_recorder_process())
     try:

@@ -1,8 +1,9 @@
 """Sync of a file to disk.
 
 The caller does not wait for the sync. On a busy machine, a sync may take so long that the pipe to
-the recorder becomes full. Therefore a process forked from the recorder calls fdatasync. The forked
-process keeps only the log file and two pipes open. The forked process ends with the recorder.
+the recorder becomes full. A process that is forked from the recorder therefore calls fdatasync. In
+the forked process, only the log file and two pipes are open. The forked process ends when the
+recorder ends.
 """
 
 import itertools
@@ -27,7 +28,7 @@ def sync_now(descriptor: int) -> None:
 class DiskSyncer:
     """Function object that starts a sync of a file to disk.
 
-    If the sync fails, a later call raises its error.
+    If a sync has failed, a later call raises its error.
     """
 
     def __init__(self) -> None:
@@ -37,7 +38,7 @@ class DiskSyncer:
     def __call__(self, descriptor: int) -> None:
         """Request a sync of the file to disk.
 
-        The next sync serves all requests that arrive during the present one.
+        The next sync serves all requests that arrive during the present sync.
 
         Raises:
             OSError: an earlier sync failed.
@@ -71,7 +72,7 @@ def _close_all_but(*descriptors: int) -> None:
     """Close all file descriptors of the forked process except the given ones.
 
     If this process kept other descriptors open, the controller would not notice the death of the
-    recorder. The disk space that the recorder has reserved could not be freed either.
+    recorder. In addition, the disk space that the recorder has reserved could not be freed.
     """
     edges = [-1, *sorted(descriptors), _MAX_DESCRIPTORS]
     for low, high in itertools.pairwise(edges):

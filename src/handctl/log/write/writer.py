@@ -60,11 +60,14 @@ def _create_file(path: Path) -> int:
 class _ReservedSpace:
     """Disk space that is reserved for the end of a log.
 
-    A file without a name occupies it. This file disappears if the recorder is killed.
+    A file without a name occupies this space. This file disappears if the recorder is killed.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Reserve the disk space. If this fails, the log is written without reserved space."""
+        """Reserve the disk space.
+
+        If the space cannot be reserved, the log is written without it.
+        """
         self._fd = -1
         with suppress(OSError):
             self._fd, name = tempfile.mkstemp(dir=folder)
@@ -85,12 +88,12 @@ class _ReservedSpace:
 class LogWriter:
     """Writer of the log file of a run.
 
-    After the first failed write, the writer closes the file. From then on, the writer counts
-    further ticks without writing them.
+    After the first failed write, the writer closes the file. After this, it counts further ticks
+    without writing them.
 
     Attributes:
         ticks: number of ticks written or waiting for the next chunk.
-        lost: number of ticks that a failed write has lost or that arrived after the file was
+        lost: number of ticks that were lost in a failed write, or that arrived after the file was
             closed.
         closed: True if the file is closed.
     """
@@ -109,16 +112,16 @@ class LogWriter:
         Args:
             path: path of the new file.
             header: header of the run.
-            report: function that is called for each event. The arguments are disk_low, disk_full,
-                error or misshapen, and a number: free bytes, errno, or 1.
-            floor_bytes: free disk space below which the file is finished early [bytes].
+            report: function that is called for each event. The arguments of this function are one
+                of disk_low, disk_full, error and misshapen, and a number: free bytes, errno, or 1.
+            floor_bytes: free disk space [bytes]. If less space is free, the file is finished early.
             clocks: function that reads the wall clock and the monotonic clock [ns]. A deterministic
                 run does not call this function.
             to_disk: function that takes a file descriptor, and syncs its file to disk.
 
         Raises:
-            OSError: the file cannot be created. Later failures raise no error. Instead, such
-                failures are passed to `report`.
+            OSError: the file cannot be created. Later failures raise no error. Instead, `report` is
+                called with such failures.
         """
         self._clocks = clocks
         self._next_pair_ns = 0
@@ -141,7 +144,7 @@ class LogWriter:
         self._write_header_records()
 
     def _write_header_records(self) -> None:
-        """Write the records that precede the ticks: attachments, metadata, schemas and channels."""
+        """Write the records that come before the ticks: attachments, metadata, schemas and channels."""
         header = self._header
         container = self._container
         for name, data in ({"hand.toml": header.hand_toml.encode()} | header.attachments).items():
@@ -202,17 +205,17 @@ class LogWriter:
                 )
             )
 
-    def _ends_chunk(self, t_ns: int, begins: bool) -> bool:
+    def _ends_chunk(self, t_ns: int, begins_chunk: bool) -> bool:
         """Return True if the current chunk must end with this tick.
 
-        In a deterministic run, chunks end on a fixed time grid. In other runs, a chunk ends after
-        CHUNK_SPAN_NS.
+        In a deterministic run, the chunks end on a fixed time grid. In other runs, a chunk ends
+        after CHUNK_SPAN_NS.
         """
         if self._header.deterministic:
             before = self._mark
             self._mark = t_ns // CHUNK_SPAN_NS
             return before != self._mark
-        if begins:
+        if begins_chunk:
             self._mark = t_ns
         return t_ns - self._mark >= CHUNK_SPAN_NS
 
@@ -221,7 +224,7 @@ class LogWriter:
         if self.closed or not self.has_pending_ticks:
             return
         batch = self._batcher.take_batch()
-        # Each missing tick number counts as a missed tick, even if it is between two chunks.
+        # Each missing tick number counts as a missed tick, even between two chunks.
         first = self._last_k + 1 if self._last_k >= 0 else int(batch.k[0])
         self._missed += max(int(batch.k[-1]) - first + 1 - len(batch.k), 0)
         self._last_k = int(batch.k[-1])
@@ -237,7 +240,7 @@ class LogWriter:
             self._close_after_failure(error)
 
     def _clock_pair(self, t_ns: int) -> list[MessageBlock]:
-        """Return a message with the readings of both clocks if PAIR_PERIOD_NS has passed since the last readings."""
+        """If PAIR_PERIOD_NS has passed since the last readings, return a message with the readings of both clocks."""
         if self._header.deterministic or t_ns < self._next_pair_ns:
             return []
         self._next_pair_ns = t_ns + PAIR_PERIOD_NS
@@ -249,7 +252,7 @@ class LogWriter:
             return
         try:
             self._to_disk(self._fd)
-            # The descriptor stays valid if somebody renames or deletes the log during the run.
+            # The descriptor stays valid even if somebody renames or deletes the log during the run.
             disk = os.fstatvfs(self._fd)
         except OSError as error:
             self._close_after_failure(error)
@@ -261,16 +264,16 @@ class LogWriter:
             self._warned = True
             self._report("disk_low", free)
 
-    def _stop_early(self, free: int) -> None:
+    def _stop_early(self, free_bytes: int) -> None:
         """Finish the log early because the disk is nearly full."""
         self.flush()
         if not self.closed:
-            self._report("disk_full", free)
+            self._report("disk_full", free_bytes)
             with suppress(OSError):
                 self._write_end("disk full", 0)
 
     def _close_after_failure(self, error: OSError) -> None:
-        """Close the file after a failed write."""
+        """Close the file after a write has failed."""
         self.closed = True
         self._report("disk_full" if error.errno in _DISK_FULL_ERRNOS else "error", error.errno or 0)
         with suppress(OSError):
@@ -280,7 +283,7 @@ class LogWriter:
     def _write_end(self, reason: str, dropped: int, facts: Mapping[str, str] | None = None) -> None:
         """Write the end of the log file: the end record, the summary and the footer.
 
-        If writing fails, the file is cut after the last complete record.
+        If this fails, the file is cut after the last complete record.
         """
         self.closed = True
         self._reserved.release()
@@ -313,9 +316,9 @@ class LogWriter:
         """Close the log file, and return a summary of the recording.
 
         Args:
-            reason: reason for the end of the run.
+            reason: reason why the run ended.
             dropped: number of records that the controller could not send to the recorder.
-            facts: facts that become known at the end of the run, by name.
+            facts: facts about the run that become known at its end, by name.
         """
         self.flush()
         if not self.closed:

@@ -32,7 +32,7 @@ MAX_UNKNOWN_FRAMES_PER_S = 50.0
 NO_ACKNOWLEDGE_KINDS = ("no acknowledge", "bus error", "protocol")
 """Texts of the error frames that an interface reports if no node on the bus acknowledges."""
 
-# Texts of the fault catalogue for faults that a protocol does not show directly.
+# Texts of the fault catalogue for faults that a drive protocol does not show directly.
 _COUNTER_VISIBILITY = (
     f"{WEAKER_SIGN}: load cells by their counter (CiA 404 amplifiers: only by the time of arrival), drives by N14, "
     "because their replies have no counter"
@@ -181,7 +181,8 @@ B11A = declare_fault(
     cause="A node or another program sends without pause (babbling idiot).",
     remedy="Unplug one node after the other until the traffic stops. Replace or reconfigure the last one.",
 )  # fmt: skip
-# B11b is the second stage of the fault B11a. It has the same condition, but a longer debounce.
+# B11b is the second stage of the fault B11a. B11b has the same condition as B11a, but a longer
+# debounce.
 B11B = declare_fault(
     "B11b", "the bus stays flooded", "In ten ticks, more frames arrive than all nodes can send",
     SafetyAction.CUT, ENDED_BY_OPERATOR, HAND_INSTANCE, debounce=10, name="bus",

@@ -1,13 +1,14 @@
 """Types for faults and for rows of the fault catalogue, and functions to declare them.
 
-A row of the catalogue describes a possible failure. A fault is a row, or a stage of a row, that is
-checked in every tick. Each row and each fault is declared once, in the module of its kind: ``bus``,
-``node``, ``tendon``, ``host``. The tables in the documents, the deadlines in the fault campaign,
-the event texts, and the reactions are derived from the declarations.
+A row of the fault catalogue describes a possible failure. A fault is a row, or a stage of a row,
+that is checked in every tick. Each row and each fault is declared once, in the module of its kind:
+``bus``, ``node``, ``tendon``, ``host``. The tables in the documents, the deadlines in the fault
+campaign, the event texts and the reactions are all derived from the declarations.
 
-Compiled code in ``core.detectors`` detects each fault whose declaration has ``per``, the kinds of
-its instances. The declaration returns the index for the detector's result: ``evidence[N07,
-motor]``. A bus, the host, or the recorder reports each fault whose declaration has ``reports``.
+A fault whose declaration has ``per`` (the kinds of its instances) is detected by compiled code in
+``core.detectors``. The declaration of such a fault returns the index of the detector's result:
+``evidence[N07, motor]``. A fault whose declaration has ``reports`` is reported by a bus, the host
+or the recorder.
 """
 
 from dataclasses import dataclass
@@ -50,21 +51,24 @@ class CatalogueRow(NamedTuple):
     Attributes:
         id: identifier of the row.
         title: name of the failure.
-        where: place where the row is checked.
+        where: part of handctl that checks the row.
         mit: visibility with the MIT protocol: detected, "replaced: SIGN" or "lost: REASON".
         odrive: visibility with ODrive.
         cia402: visibility with CiA 402.
-        ticks: longest reaction time in ticks, in addition to ``ms``.
-        ms: longest reaction time in addition to ``ticks`` [ms].
-        odrive_ms: additional reaction time with an ODrive, whose heartbeat has a period of 100 ms
-            [ms].
-        required: reaction time for an ideal drive in the project's fault catalogue [ticks of 5 ms].
-            0 if the catalogue gives no time, for example before torque.
-        why: reason if ``ticks`` is larger than ``required``, else empty.
+        ticks: the part of the longest reaction time that is counted in ticks. ``ms`` is added to
+            it.
+        ms: the part of the longest reaction time that does not depend on the tick [ms]. ``ticks``
+            is added to it.
+        odrive_ms: additional reaction time with an ODrive [ms], because the heartbeat of an ODrive
+            has a period of 100 ms.
+        required: reaction time that the project's fault catalogue requires with an ideal drive
+            [ticks of 5 ms]. The value is 0 if the catalogue gives no time, for example for a fault
+            before any torque.
+        why: reason if ``ticks`` is larger than ``required``. It is empty otherwise.
         tested: ``campaign``, or the name of the test that covers the fault.
-        moteus: visibility with moteus. It is empty if it equals ``mit``, because both answer each
-            command once.
-        robstride: visibility with RobStride. It is empty if it equals ``mit``.
+        moteus: visibility with moteus. The text is empty if it equals ``mit``, because both
+            protocols answer each command once.
+        robstride: visibility with RobStride. The text is empty if it equals ``mit``.
     """
 
     id: str
@@ -83,42 +87,42 @@ class CatalogueRow(NamedTuple):
     robstride: str = ""
 
     def visibility(self, protocol: str) -> str:
-        """Return the visibility of the failure with a protocol, one of ``GUARDED_PROTOCOLS``."""
+        """Return the visibility of the failure with a drive protocol, which is one of ``GUARDED_PROTOCOLS``."""
         visibility: str = getattr(self, protocol)
         return visibility or self.mit
 
     def latest_ms(self, rate_hz: float) -> float:
         """Return the longest reaction time at a control rate [ms].
 
-        The result does not include ``odrive_ms``.
+        This time does not include ``odrive_ms``.
         """
         return self.ticks * 1e3 / rate_hz + self.ms
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Row of the catalogue, or stage of a row, checked in every tick.
+    """Fault: a row of the catalogue, or a stage of a row, that is checked in every tick.
 
     Attributes:
         id: identifier of the row, followed by a letter if the row has stages.
         title: name for an operator.
         detection: condition of the fault.
         action: reaction.
-        clears: how the fault ends, ``ENDED_BY_OPERATOR`` or ``ENDED_BY_ITSELF``.
+        clears: the way in which the fault ends, ``ENDED_BY_OPERATOR`` or ``ENDED_BY_ITSELF``.
         cause: usual causes, for the operator, in whole sentences.
         remedy: instruction for the operator in one line, in whole sentences.
-        debounce: number of consecutive ticks with the fault after which it becomes active.
+        debounce: number of consecutive ticks with the fault after which the fault becomes active.
         relax_method: method of removing the torque if the action is RELAX.
-        per: kinds of instances, empty for a reported fault.
-        name: name of the single instance of a fault of ``HAND_INSTANCE``.
+        per: kinds of the fault's instances. The value is empty for a reported fault.
+        name: name of the only instance, if the fault has the kind ``HAND_INSTANCE``.
         reports: kinds of bus and host events that report the fault. Kinds of recorder events begin
             with ``recorder:``.
         makes_tension_unreliable: True if the true tension may be larger than the measured tension.
-        caused_by_lateness: True if the fault latches when drives answer late, or when sensor frames
-            or ticks are late.
+        caused_by_lateness: True if late answers of drives, late sensor frames or late ticks can
+            latch the fault.
         shows_torque_after_cut: True if the fault shows that a motor still makes torque after a cut.
-        needs_load_cell: True if the fault is not detected for a tendon without load cell.
-        needs_joint_encoders: True if the fault is not detected for a tendon whose joints have no
+        needs_load_cell: True if the fault cannot be detected for a tendon without a load cell.
+        needs_joint_encoders: True if the fault cannot be detected for a tendon whose joints have no
             encoders.
     """
 
@@ -142,18 +146,18 @@ class Fault:
 
     @property
     def reaction(self) -> str:
-        """Return the name of the reaction for tables, including the method of relaxing."""
+        """Return the name of the reaction for tables. The name includes the method of relaxing."""
         return self.relax_method.value if self.action == SafetyAction.RELAX else self.action.name
 
     @property
     def latched(self) -> bool:
-        """Return True if the action stays until an operator clears the fault."""
+        """Return True if the reaction stays until an operator clears the fault."""
         return self.clears == ENDED_BY_OPERATOR
 
     @property
     def row(self) -> str:
         """Return the identifier of the catalogue row, without the letter of the stage."""
-        # Stages are marked by a letter a to d behind the two digits.
+        # A stage has a letter from a to d behind the two digits of the identifier.
         return self.id.rstrip("abcd")
 
 
@@ -195,8 +199,8 @@ def declare_fault(
     """Declare a fault. For the arguments see ``Fault``.
 
     Returns:
-        First row of the fault in the table of the detectors' results. It is -1 for a reported
-        fault, which has no detector.
+        First row of the fault in the table of the detectors' results. For a reported fault, which
+        has no detector, it is -1.
     """
     declared = Fault(
         id_,
@@ -218,8 +222,8 @@ def declare_fault(
         needs_joint_encoders,
     )
     DECLARED_FAULTS.append(declared)
-    # The detectors' result table has one row for each kind of instance. For the second kind,
-    # detectors add 1 to the index of the first kind.
+    # The table of the detectors' results has one row for each kind of instance. For the second
+    # kind, detectors add 1 to the index of the first kind.
     first = len(DETECTOR_ROWS)
     DETECTOR_ROWS.extend((declared, kind) for kind in per)
     return first if per else -1

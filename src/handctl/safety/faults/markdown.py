@@ -43,7 +43,8 @@ def catalogue_markdown(rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
 
 
 def _catalogue_row(row: CatalogueRow) -> str:
-    # The faults of a row are its stages. A row that is not checked in ticks has no faults.
+    # The faults that belong to a row are its stages. A row that is not checked in ticks has no
+    # faults.
     judged = (
         ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == row.id) or row.where
     )
@@ -67,7 +68,7 @@ def _ticks_text(row: CatalogueRow) -> int:
 
 
 def is_late(row: CatalogueRow) -> bool:
-    """Return True if the reaction to a row takes more ticks than the project's fault catalogue allows.
+    """Return True if the reaction to the failure of a row takes more ticks than the project's fault catalogue allows.
 
     The result is False if the catalogue gives no time.
     """
@@ -75,7 +76,7 @@ def is_late(row: CatalogueRow) -> bool:
 
 
 def late_rows(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
-    """Return the rows whose reaction is later than the project's fault catalogue allows, with reasons, as Markdown."""
+    """Return, as Markdown, the rows whose reaction is later than the project's fault catalogue allows, with reasons."""
     rows = [
         f"| {e.id} | {e.title} | {e.required} | {_ticks_text(e)} | {e.required * REQUIRED_MS:g} ms "
         f"| {e.latest_ms(RATE_HZ):g} ms | {e.why} |"

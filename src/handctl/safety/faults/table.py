@@ -27,6 +27,9 @@ FAULTS_BY_EVENT_KIND: dict[str, tuple[Fault, ...]] = {
 
 
 def remedy_for(text: str) -> str:
-    """Return the remedy for the fault in an event text, empty if the text does not begin with a fault id."""
+    """Return the remedy for the fault in an event text.
+
+    The result is empty if the text does not begin with a fault id.
+    """
     fault = FAULT_BY_ID.get(text.partition(" ")[0])
     return fault.remedy if fault else ""

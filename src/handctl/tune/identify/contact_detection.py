@@ -1,15 +1,16 @@
 """Detection of a contact during the sweeps of a digit, from the residuals of the fit.
 
-If a digit touches an obstacle at some angle, additional tension begins at this angle and grows as
-the digit closes. The fit attributes most of this tension to the springs, but no parameter can
-reproduce the kink. Therefore a ramp of tension that begins at some angle is fitted together with
-all parameters, in the linearised fit. The score is the size of the ramp in standard deviations.
+If a digit touches an obstacle at some angle, an additional tension begins at this angle and grows
+as the digit closes. The fit attributes most of the additional tension to the springs, but no
+parameter can reproduce the kink in the curve. The fit therefore includes a ramp of tension that
+begins at some angle. The ramp is fitted together with all parameters, in the linearised fit. The
+score of the contact is the size of the ramp in standard deviations.
 Source: score test (Rao 1948).
 
-A contact over the whole sweep causes no kink. If a contact blocks one of n joints during the whole
-sweep, the digit behaves like a free digit with other springs. These springs have n / (n - 1) of the
-stiffness and (n - 1) / n of the preload. The travel shows whether a joint is blocked: if the digit
-closes farther than n - 1 joints can, all joints move.
+A contact that lasts during the whole sweep causes no kink. If a contact blocks one of n joints
+during the whole sweep, the digit behaves like a free digit with other springs. The springs then
+seem to have n / (n - 1) of the stiffness and (n - 1) / n of the preload. The travel shows whether a
+joint is blocked: if the digit closes farther than n - 1 joints can, then all joints move.
 """
 
 from collections.abc import Sequence
@@ -52,13 +53,14 @@ class ResidualRamp(NamedTuple):
     """Ramp with the largest score in the residuals of a fit.
 
     Attributes:
-        score: size of the ramp in standard deviations, positive if the ramp adds tension.
+        score: size of the ramp in standard deviations. The value is positive if the ramp adds
+            tension.
         begin: mean joint angle at which the ramp begins [rad].
         end: largest mean joint angle of the sweep [rad].
-        rise: tension [N] or joint torque [N m] of the ramp at angle ``end``.
-        rows: number of bins in the sweep.
-        outliers: fraction of the sweep's rows that the fit excluded as outliers.
-        mean_square: mean square of the sweep's residuals without outliers.
+        rise: tension [N] or joint torque [N m] of the ramp at the angle ``end``.
+        rows: number of bins of data in the sweep.
+        outliers: fraction of the rows of the sweep that the fit has excluded as outliers.
+        mean_square: mean square of the residuals of the sweep, without outliers.
         contact_score: smallest score at which a ramp in the data of this digit counts as a contact.
     """
 
@@ -90,15 +92,15 @@ class ResidualRamp(NamedTuple):
 def steepest_ramp(
     jacobian: Array, residual: Array, first: int, angle: Array, units: Sequence[Array]
 ) -> ResidualRamp | None:
-    """Return the ramp with the largest score, or None if the fit has no sweep.
+    """Return the ramp with the largest score. Return None if the fit has no sweep.
 
     Args:
         jacobian: (rows, parameters) Jacobian of the fit, in which the rows of outliers are zero.
         residual: (rows,) measured minus expected values, in standard deviations.
         first: row at which the sweep begins.
         angle: (m,) mean joint angle of the sweep's bins [rad].
-        units: for every kind of ramp, residuals (m k,) that a tension of 1 N or a torque of 1 N m
-            causes, with k rows per bin.
+        units: for every kind of ramp, the residuals (m k,) that a tension of 1 N or a torque of 1 N
+            m causes, with k rows per bin.
     """
     if not len(angle) or not units:
         return None
@@ -107,7 +109,7 @@ def steepest_ramp(
     used = jacobian[rows].any(axis=1)
     if not used.any():
         return None
-    # The columns of `basis` span everything that the parameters explain.
+    # The columns of `basis` span everything that the parameters can explain.
     basis = np.linalg.qr(jacobian)[0]
     low = float(angle.min())
     high = float(angle.max())
@@ -144,16 +146,16 @@ def steepest_ramp(
 def are_joints_moving(
     joint_count: int, preload: float, half_width: float, travel: float, full: float
 ) -> bool:
-    """Return True if preload and travel of a digit with one tendon show that all its joints move.
+    """Return True if the preload and the travel of a digit with one tendon show that all its joints move.
 
     Args:
         joint_count: number of joints.
-        preload: identified preload of the springs, divided by that of the hand file.
+        preload: identified preload of the springs, divided by the preload in the hand file.
         half_width: half width of the confidence interval of this ratio.
         travel: largest excursion of the digit [m].
-        full: excursion when all joints are at their closed ends [m].
+        full: excursion with all joints at their closed ends [m].
     """
-    # The preload ratio is 1 if all n joints move, and (n - 1) / n if one is blocked. The limit is
-    # halfway between.
+    # The ratio of the preloads is 1 if all n joints move, and (n - 1) / n if one joint is blocked.
+    # The limit is halfway between these two values.
     stiff = 1.0 - 0.5 / joint_count
     return preload + half_width >= stiff or travel > full * (joint_count - 1) / joint_count

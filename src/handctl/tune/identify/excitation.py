@@ -1,4 +1,4 @@
-"""Excitation of a digit for the identification, within the limits of the digit.
+"""Excitation of a digit to identify its parameters, within the limits of the digit.
 
 The excitation takes about twenty seconds per digit.
 """
@@ -61,8 +61,8 @@ def excitation_steps(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, .
     """Return the steps that excite the named digits, one digit after the other.
 
     Raises:
-        ConfigError: A digit does not exist or lacks load cells, or its springs are too weak to hold
-            it on the open stop while its tendon is stretched.
+        ConfigError: A digit does not exist or has no load cells, or its springs are too weak to
+            hold it at the open stop while its tendon is stretched.
     """
     check_identifiable(hand, digits)
     for name in digits:
@@ -87,7 +87,7 @@ def excitation_steps(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, .
 
 
 def has_springs(hand: Hand, digit: str) -> bool:
-    """Return True if springs open a digit, False if tendons open the digit."""
+    """Return True if springs open a digit. Return False if tendons open it."""
     return any(hand.digit_named(digit).spring_stiffness_N_m_per_rad)
 
 
@@ -95,7 +95,7 @@ def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:
     """Check that all tendons of the named digits have a load cell, except spool pairs.
 
     Raises:
-        ConfigError: A digit does not exist, or lacks load cells.
+        ConfigError: A digit does not exist, or has no load cells.
     """
     for name in digits:
         if name not in hand.digit_names:
@@ -114,7 +114,7 @@ def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:
 
 
 def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
-    """Return a digit's steps: tare, stretches, slow and fast sweeps, a swing, and presses against an obstacle."""
+    """Return the steps of a digit: tare, stretches, slow and fast sweeps, a swing, and presses against an obstacle."""
     tendons = hand.tendon[hand.digit_tendons[digit]]
     max_tension = min(tendon.tension_max_N for tendon in tendons)
     floor = max(tendon.tension_floor_N for tendon in tendons)
@@ -188,7 +188,7 @@ def _sweep_range(hand: Hand, digit: str) -> tuple[float, float]:
 
 
 def lift_off_tension(hand: Hand, digit: str) -> float:
-    """Return the tension at which the first joint leaves its open stop, without friction and weight [N]."""
+    """Return the tension at which the first joint leaves its open stop [N], without friction and weight."""
     digit_file = hand.digit_named(digit)
     model = DigitModel.from_hand(hand, digit)
     arms = abs(model.arms_at(model.joint_min)).sum(axis=0)
@@ -198,6 +198,6 @@ def lift_off_tension(hand: Hand, digit: str) -> float:
         arms.tolist(),
         strict=True,
     )
-    # When a joint leaves its open stop, the tension times the tendon's moment arm equals the torque
-    # of the joint's spring (virtual work).
+    # When a joint leaves its open stop, the tension times the moment arm of the tendon equals the
+    # torque of the spring of this joint (virtual work).
     return min(float(stiffness * angle / arm) for stiffness, angle, arm in preload if arm > 0.0)

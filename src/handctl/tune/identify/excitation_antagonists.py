@@ -1,8 +1,10 @@
-"""Excitation of a digit that tendons both close and open: n + 1 tendons without springs, or spool pairs.
+"""Excitation of a digit that tendons both close and open.
 
-First the digit sweeps about a posture. The joints of the digit move together, and then against each
-other, so that each tendon winds while others pay out. After the sweeps, the digit swings. At the
-end, its tendons are stretched while the digit rests on its lower stops.
+Such a digit has n + 1 tendons without springs, or spool pairs.
+
+First the digit sweeps about a posture. The joints of the digit first move together, and then
+against each other, so that each tendon is wound up while others are paid out. After the sweeps, the
+digit swings. At the end, the tendons are stretched while the digit rests on its lower stops.
 """
 
 import math
@@ -183,15 +185,17 @@ def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
 
 
 def _sign_patterns(count: int) -> list[Array]:
-    """Return patterns for the motion of the coordinates, each with one factor per coordinate (count,).
+    """Return patterns for the motion of the coordinates.
+
+    Each pattern has one factor per coordinate (count,).
 
     In the first pattern, all coordinates move together. In each other pattern, one coordinate moves
-    against the others.
+    against all others.
     """
     patterns = [np.ones(count)]
     if count > 1:
-        # With two coordinates, one pattern is enough, because each coordinate moves against the
-        # other.
+        # With two coordinates, one such pattern is enough, because each coordinate then moves
+        # against the other.
         patterns += [
             np.where(np.arange(count) == i, -COUNTER_MOTION_FRACTION, 1.0)
             for i in range(count if count > 2 else 1)
@@ -200,7 +204,7 @@ def _sign_patterns(count: int) -> list[Array]:
 
 
 def _swing_amplitudes(hand: Hand, digit: DigitModel, middle: Array, half: Array) -> Array:
-    """Return amplitudes (n_c,) of the swing for which the motors are strong enough [rad]."""
+    """Return the amplitudes (n_c,) of the swing that the motors can reach [rad]."""
     tree = HandTree.from_hand(hand)
     q = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
     q[digit.joints] = digit.coupling @ middle
@@ -218,14 +222,14 @@ def _swing_amplitudes(hand: Hand, digit: DigitModel, middle: Array, half: Array)
 
 
 def _tension_limits(hand: Hand, digit: DigitModel) -> tuple[Array, Array]:
-    """Return the tension floors of a digit's tendons and their largest tensions while stretched, (n_t,) each [N]."""
+    """Return the floors and the largest stretch tensions of the tendons of a digit, (n_t,) each [N]."""
     tendons = hand.tendon[digit.tendons]
     floor = np.array([tendon.tension_floor_N for tendon in tendons])
     return floor, STRETCH_FRACTION * np.array([tendon.tension_max_N for tendon in tendons])
 
 
 def _balanced_tensions(hand: Hand, digit: DigitModel) -> Array:
-    """Return tensions (n_t,) [N] with joint torques that cancel each other.
+    """Return tensions (n_t,) [N] whose joint torques cancel each other.
 
     All returned tensions are above the tension floors.
     """
@@ -235,13 +239,13 @@ def _balanced_tensions(hand: Hand, digit: DigitModel) -> Array:
 
 
 def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tuple[Array, Array]]]:
-    """Return the tensions that hold a digit at rest, and the lower and upper tensions of each stretch [N].
+    """Return the tensions that hold a digit at rest, and the lower and the upper tensions of each stretch [N].
 
     The tendons are stretched while the digit rests on its lower stops.
 
-    All spool pairs are stretched at once. Without spool pairs, all tendons that open the digit are
-    stretched at once. Then each tendon that closes the digit is stretched alone. The torque of the
-    closing tendon stays small enough that the opening tendons hold the digit open.
+    If there are spool pairs, all of them are stretched at once. Otherwise, all tendons that open
+    the digit are stretched at once. Then each tendon that closes the digit is stretched alone. The
+    torque of the closing tendon stays small enough for the opening tendons to hold the digit open.
     """
     floor, largest = _tension_limits(hand, digit)
     if hand.is_pair[digit.tendons].any():

@@ -142,7 +142,7 @@ def _draw_coherence(axis: Any, result: TendonResult) -> None:
 
 
 def _draw_parameters(axis: Any, result: TendonResult) -> None:
-    """Draw every identified parameter as a ratio to the value of the hand file, with its confidence interval."""
+    """Draw every identified parameter as a ratio to its value in the hand file, with its confidence interval."""
     names = [name for name in PARAMETER_UNITS if name != "delay"]
     values = result.fit.parameter_values
     widths = result.fit.half_widths

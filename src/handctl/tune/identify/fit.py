@@ -1,6 +1,6 @@
 """Fit of all parameters of a tendon to all its equations at once.
 
-The slow drift of the load cell is fitted together with these parameters.
+The slow drift of the load cell is fitted at the same time.
 
 Parameters are divided by their values in the hand file, so that they are of order 1. Residuals are
 divided by the standard deviation of the load cell.
@@ -78,19 +78,19 @@ MAX_HALF_WIDTH = 0.5
 
 @dataclass(frozen=True, slots=True)
 class TendonFitProblem:
-    """Input of the fit of a tendon.
+    """Input for the fit of a tendon.
 
     Attributes:
         spool_radius_m: radius of the spool [m].
-        parameter_scales: (15,) scale of each parameter, mostly its value in the hand file.
-        digit_load: model of the digit, None if the digit has several tendons or no springs.
+        parameter_scales: (15,) scale of each parameter, which is mostly its value in the hand file.
+        digit_load: model of the digit. None if the digit has several tendons or no springs.
         motor_windows: time windows of the motor equation.
         free_bins: bins of data in which the digit moves freely.
         stop_bins: bins of data in which the digit is on the open stop.
         slack_bins: bins of data in which the tendon is slack.
-        drift_knots: (k,) times of the knots of the load cell's drift [s].
+        drift_knots: (k,) times of the knots of the drift of the load cell [s].
         cell_noise_N: standard deviation of a load-cell sample [N].
-        drift_step_N: standard deviation of the change of the drift from knot to knot [N].
+        drift_step_N: standard deviation of the change of the drift from one knot to the next [N].
     """
 
     spool_radius_m: float
@@ -122,7 +122,7 @@ class TendonFitProblem:
             raise LogError(f"{data.tendon} hardly moves", "the log", "a run in which it moves")
         sprung = any(digit.spring_stiffness)
         single = digit.moment_arms.shape[0] == 1
-        # For a digit without springs, the joint encoders measure the stretch of the tendon, see
+        # For a digit without springs, the joint encoders show the stretch of the tendon, see
         # `fit_travel`.
         stop = data.stop & sprung
         return TendonFitProblem(
@@ -137,14 +137,14 @@ class TendonFitProblem:
             cell_noise_N=_cell_noise(
                 data.tension[data.slack | stop], hand.sensor_node.tension_noise_N
             ),
-            # The drift is a random walk. The standard deviation of the drift increases with the
-            # square root of time, and the hand file has the value after 100 s.
+            # The drift is a random walk. The standard deviation of the drift grows with the square
+            # root of the time. The hand file contains its value after 100 s.
             drift_step_N=max(hand.sensor_node.tension_bias_drift_N, 1e-3)
             * (DRIFT_KNOT_S / 100.0) ** 0.5,
         )
 
     def start_parameters(self) -> Array:
-        """Return the initial scaled parameters (15 + k,), taken from the hand file."""
+        """Return the initial scaled parameters (15 + k,), which come from the hand file."""
         first = np.ones(len(PARAMETER_NAMES))
         first[PARAMETER_NAMES.index("delay")] = 1.0
         first[PARAMETER_NAMES.index("stretch_offset")] = self._first_offset() / SCALE_OFFSET_M
@@ -153,7 +153,7 @@ class TendonFitProblem:
     def parameter_bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of the scaled parameters.
 
-        Only delay and stretch offset may be negative.
+        Only the delay and the stretch offset may be negative.
         """
         free = np.full(len(PARAMETER_NAMES) + len(self.drift_knots), np.inf)
         low = -free
@@ -168,8 +168,8 @@ class TendonFitProblem:
     def _first_offset(self) -> float:
         """Return a first estimate of the stretch offset [m].
 
-        The estimate comes from the data at the stop. Without such data, it is the smallest travel
-        in free motion.
+        The estimate uses the data at the open stop. Without such data, it is the smallest travel in
+        free motion.
         """
         stiffness = self.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
         if len(self.stop_bins.t):
@@ -177,18 +177,18 @@ class TendonFitProblem:
         return float(self.free_bins.travel.min()) if len(self.free_bins.t) else 0.0
 
     def residuals(self, z: Array) -> Array:
-        """Return the residuals (rows,) in standard deviations, in the order motor, stop, slack, free, drift, priors."""
+        """Return the residuals (rows,) in standard deviations: motor, stop, slack, free, drift, priors."""
         p = z[: len(PARAMETER_NAMES)] * self.parameter_scales
         drift = z[len(PARAMETER_NAMES) :]
         return np.concatenate([*self._data_residuals(p, drift), *self._prior_residuals(z, drift)])
 
     def _data_residuals(self, p: Array, drift: Array) -> list[Array]:
-        """Return the residuals of the measured data in standard deviations: motor, stop, slack, free."""
+        """Return the residuals of the measured data in standard deviations, in this order: motor, stop, slack, free."""
         gain, inertia, viscous, coulomb, delay, stiffness = p[:6].tolist()
         m = self.motor_windows
         r = self.spool_radius_m
-        # By the motor equation, the tension is the driving force minus the forces of inertia and
-        # friction.
+        # According to the motor equation, the tension is the driving force minus the forces of
+        # inertia and friction.
         driven = gain * m.delayed_command(delay)
         losses = (inertia / r * m.acceleration + viscous / r * m.speed) / r + coulomb / r * m.sign
         rows = [
@@ -197,7 +197,8 @@ class TendonFitProblem:
         ]
         for bin_means, model in self._expected_tensions(p, stiffness):
             rows.append(
-                # The mean of n samples has 1/sqrt(n) of their standard deviation.
+                # The standard deviation of the mean of n samples is 1/sqrt(n) of that of one
+                # sample.
                 (bin_means.tension - self._cell_offset(bin_means.t, drift) - model)
                 / (self.cell_noise_N / bin_means.count**0.5)
             )
@@ -231,7 +232,7 @@ class TendonFitProblem:
         return np.asarray(np.interp(t, self.drift_knots, drift))
 
     def _prior_residuals(self, z: Array, drift: Array) -> list[Array]:
-        """Return the residuals of the load cell's drift and of the prior knowledge."""
+        """Return the residuals of the drift of the load cell and of the prior knowledge."""
         spread = np.array(
             [PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION) for name in PARAMETER_NAMES]
         )
@@ -243,7 +244,7 @@ class TendonFitProblem:
 
 
 def parameter_scales(hand: Hand, tendon: str) -> Array:
-    """Return the scale (15,) of each parameter of a tendon, mostly its value in the hand file."""
+    """Return the scale (15,) of each parameter of a tendon, which is mostly its value in the hand file."""
     known = hand.tendon[hand.tendon_names.index(tendon)]
     motor = hand.motor_of(tendon)
     scales = np.array([
@@ -251,13 +252,13 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
         known.stiffness_N_per_m, 1.0, 1.0, known.friction_coefficient, 1.0, 1.0,
         SCALE_OFFSET_M, STOP_SOFTNESS, 1.0, known.pretension_N or 1.0,
     ])  # fmt: skip
-    # A parameter that the hand file sets to zero still needs a scale.
+    # A parameter that the hand file sets to zero also needs a scale.
     return np.where(scales > 0.0, scales, 1e-3)
 
 
 def stop_stiffness(stiffness: float, softness: float, nominal: Array) -> float:
-    """Return the stiffness of the tendon and the open stop in series [N/m]."""
-    # Compliances in series add up.
+    """Return the stiffness of the tendon and the open stop as springs in series [N/m]."""
+    # The compliances of springs in series add up.
     return stiffness / (
         1.0 + softness * stiffness / float(nominal[PARAMETER_NAMES.index("tendon_stiffness")])
     )
@@ -269,12 +270,12 @@ class TendonFit:
 
     Attributes:
         problem: input of the fit.
-        z: scaled parameters, followed by the drift.
+        z: scaled parameters, and after them the drift.
         covariance: covariance of the scaled parameters.
         degrees_of_freedom: degrees of freedom of the variance of each parameter.
         sensitivity: (rows, 15) weighted Jacobian of the data rows.
-        residual: (rows,) residuals, including those of the priors.
-        ramp: ramp of tension in the residuals of the free sweeps, None without free sweeps.
+        residual: (rows,) residuals, including the residuals of the priors.
+        ramp: ramp of tension in the residuals of the free sweeps. None without free sweeps.
     """
 
     problem: TendonFitProblem
@@ -289,7 +290,7 @@ class TendonFit:
     def parameter_values(self) -> dict[str, float]:
         """Return the parameters by name, in SI units.
 
-        Factors that multiply a value of the hand file have no unit.
+        A parameter that is a factor of a value in the hand file has no unit.
         """
         return dict(
             zip(
@@ -301,14 +302,14 @@ class TendonFit:
 
     @property
     def half_widths(self) -> dict[str, float]:
-        """Return half the width of the 95 % confidence interval of each parameter, in the unit of the parameter."""
+        """Return half of the width of the 95 % confidence interval of each parameter, in the unit of the parameter."""
         return self.half_widths_of(1)
 
     def half_widths_of(self, count: int) -> dict[str, float]:
-        """Return half the widths of intervals that together contain `count` parameters with a probability of 95 %.
+        """Return half of the widths of intervals that contain `count` parameters together with a probability of 95 %.
 
-        Source: Sidak (1967). The intervals are wider than necessary if parameters are not
-            independent.
+        Source: Sidak (1967). If the parameters are not independent, the intervals are wider than
+            necessary.
         """
         spread = (
             np.sqrt(np.diag(self.covariance))[: len(PARAMETER_NAMES)]
@@ -322,7 +323,7 @@ class TendonFit:
 
 
 def fit_tendon(problem: TendonFitProblem) -> TendonFit:
-    """Fit all parameters of a tendon, and search a contact in the residuals."""
+    """Fit all parameters of a tendon, and search for a contact in the residuals."""
     times = _row_times(problem)
     solution = solve_least_squares(
         problem.residuals, problem.start_parameters(), problem.parameter_bounds(), times
@@ -343,7 +344,7 @@ def fit_tendon(problem: TendonFitProblem) -> TendonFit:
 def _unexplained_ramp(problem: TendonFitProblem, solution: FitSolution) -> ResidualRamp | None:
     """Return the tension ramp with the largest score in the residuals of the free sweeps.
 
-    Without free sweeps, return None.
+    Return None if there are no free sweeps.
     """
     free = problem.free_bins
     load = problem.digit_load
@@ -368,32 +369,34 @@ def _row_times(problem: TendonFitProblem) -> Array:
     return np.concatenate(parts)
 
 
-def _cell_noise(quiet: Array, stated: float) -> float:
+def _cell_noise(quiet: Array, stated_noise: float) -> float:
     """Return the standard deviation of a load-cell sample, estimated from neighbouring samples [N].
 
     Args:
-        quiet: tensions at rest and in slow stretches, where neighbouring samples differ only by noise [N].
-        stated: value in the hand file [N]. It is returned if there are too few samples.
+        quiet: tensions at rest and in slow stretches, in which neighbouring samples differ only by
+            noise [N].
+        stated_noise: value of the standard deviation in the hand file [N]. If there are too few samples,
+            this value is returned.
     """
     quiet = quiet[np.isfinite(quiet)]
     return (
-        stated
+        stated_noise
         if len(quiet) < 200
-        else max(float(np.std(np.diff(quiet))) / 2**0.5, 0.1 * stated, 1e-3)
+        else max(float(np.std(np.diff(quiet))) / 2**0.5, 0.1 * stated_noise, 1e-3)
     )
 
 
 def merge_solution(
     fit: TendonFit, solution: FitSolution, rows: int, names: tuple[str, ...], source: Sequence[int]
 ) -> TendonFit:
-    """Return a fit in which some parameters are replaced by the results of another, independent fit.
+    """Return a fit in which the results of another, independent fit replace some parameters.
 
     Args:
         fit: fit of one tendon.
         solution: result of the other fit.
         rows: number of data rows of the other fit.
         names: names of the parameters to replace.
-        source: indexes of these parameters in the solution.
+        source: indexes of these parameters in the other solution.
     """
     target = [PARAMETER_NAMES.index(name) for name in names]
     z = fit.z.copy()
@@ -401,7 +404,7 @@ def merge_solution(
     freedom = fit.degrees_of_freedom.copy()
     z[target] = solution.z[source]
     freedom[target] = solution.degrees_of_freedom[source]
-    # The two fits are independent, so their parameters have no covariance with each other.
+    # The two fits are independent, so the covariance between their parameters is zero.
     covariance[target, :] = covariance[:, target] = 0.0
     covariance[np.ix_(target, target)] = solution.covariance[np.ix_(source, source)]
     rows_added = np.zeros((rows, len(PARAMETER_NAMES)))
@@ -422,7 +425,8 @@ def with_model_error(fit: TendonFit, errors: Mapping[str, float]) -> TendonFit:
 
     Args:
         fit: fit of a tendon.
-        errors: standard deviations by parameter, as fractions of the value.
+        errors: standard deviation of each parameter that errors of the model cause, as a fraction
+            of the value.
     """
     covariance = fit.covariance.copy()
     for name, error in errors.items():

@@ -3,10 +3,11 @@
     sum_j R_ji f_j exp(-mu_j sgn(w_j) (phi_j + q_1 + .. + q_i)) = S k_i (q_i + P p_i) + b_i q_i' + m (M q'' + g)_i
 
 This equation is the torque balance of joint i in free motion. The exponent contains the wrap angle
-of tendon j and the angles of the joints that it crosses up to joint i. The drift of the load cells
-is known from the fits of single tendons. Each row of the fit is such a balance, divided by the
-noise that the load cells cause in it. Errors of the joint encoders are neglected, because their
-effect is a tenth of that of load-cell errors. Source: as in `fit_load`.
+of tendon j, and the angles of the joints that tendon j crosses up to joint i. The drift of the load
+cells is known from the fits of single tendons. Each row of the fit is such a balance. The row is
+divided by the noise that the load cells cause in the balance. Errors of the joint encoders are
+neglected, because their effect is a tenth of the effect of load-cell errors. Source: as in
+`fit_load`.
 """
 
 from collections.abc import Sequence
@@ -53,7 +54,7 @@ MIN_ROWS = 20
 
 @dataclass(frozen=True, slots=True)
 class TorqueBalance:
-    """Data of a digit at selected times at which it moves freely and the joint encoders were read.
+    """Data of a digit at those times at which it moves freely and its joint encoders were read.
 
     Attributes:
         digit: model of the digit.
@@ -61,8 +62,8 @@ class TorqueBalance:
         q: (m, joints) joint angles [rad].
         dq: (m, joints) joint rates [rad/s].
         rigid_body_torque: (m, joints) torque of inertia and weight [N m].
-        tension: (m, tendons) load-cell tension, corrected for drift [N].
-        speed_sign: (m, tendons) signs of the tendons' speeds.
+        tension: (m, tendons) tension at the load cells, corrected for the drift [N].
+        speed_sign: (m, tendons) sign of the speed of each tendon.
         noise: (tendons,) noise of the averaged load cells [N].
         drift_sigma: (tendons,) standard deviation of the load-cell drift that remains after the
             correction [N].
@@ -82,13 +83,13 @@ class TorqueBalance:
     def from_fits(
         digit: DigitModel, data: Sequence[TendonData], fits: Sequence[TendonFit]
     ) -> "TorqueBalance | None":
-        """Return the data of a digit for the fit, from data and fits of its tendons.
+        """Return the data of a digit for its fit, from the data and the fits of its tendons.
 
-        If too few times are usable, return None.
+        If there are too few usable times, return None.
 
         Args:
             digit: model of the digit.
-            data: data of the digit's tendons, in order.
+            data: data of the tendons of the digit, in order.
             fits: fits of the same tendons.
         """
         first_tendon = data[0]
@@ -141,7 +142,8 @@ class TorqueBalance:
             angle = np.full(len(self.t), self.digit.wrap[j])
             for i, mean_arm in enumerate(arms.tolist()):
                 arm = present[..., j, i]
-                # A joint that the tendon does not cross, or that slides, adds no wrap angle.
+                # If the tendon does not cross a joint, or the joint is prismatic, the joint adds no
+                # wrap angle.
                 wraps = mean_arm != 0.0 and not self.digit.is_prismatic[i]
                 angle = angle + self.q[:, i] * wraps
                 # The direction of the friction follows the motion of the tendon.
@@ -157,7 +159,7 @@ class TorqueBalance:
     def whitening_matrix(self) -> Array:
         """Return the whitening matrix (joints, joints) for the joint torques.
 
-        Whitened torques of one sample time are independent, with a standard deviation of 1.
+        The whitened torques of one sample time are independent, and have a standard deviation of 1.
         """
         arms = self.digit.moment_arms
         return np.asarray(
@@ -165,9 +167,9 @@ class TorqueBalance:
         )
 
     def required_torque(self, spring: float, preload: float, damping: float, mass: float) -> Array:
-        """Return the torque (m, joints) that springs, damping, inertia and weight need [N m].
+        """Return the torque (m, joints) that springs, damping, inertia and weight require [N m].
 
-        The arguments are factors that multiply the values of the hand file.
+        The arguments are factors of the values in the hand file.
         """
         digit = self.digit
         springs = (
@@ -187,8 +189,8 @@ def _joint_rates(
 ) -> tuple[Array, Array]:
     """Return joint rates [rad/s] and accelerations [rad/s^2], (m, joints), from those of the tendons, (m, tendons).
 
-    If moment arms R depend on the joint angle, the acceleration of a tendon has the additional part
-    R' q'^2.
+    If the moment arms R depend on the joint angles, the acceleration of a tendon has the additional
+    part R' q'^2.
     """
     if not digit.has_varying_arm:
         to_joints = digit.excursion_to_joints.T
@@ -204,9 +206,9 @@ def _joint_rates(
 
 
 def fit_digit(balance: TorqueBalance) -> FitSolution:
-    """Fit the shared factors of a digit, the capstan coefficients of its tendons, and the offsets of its load cells.
+    """Fit the shared factors of a digit, and capstan coefficients and load-cell offsets of its tendons.
 
-    Factors and coefficients are relative to the hand file.
+    Factors and coefficients are relative to the values in the hand file.
     """
     n = len(SHARED_PARAMETERS)
     tendons = len(balance.noise)
@@ -242,9 +244,10 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
 def fits_with_digit(
     fits: Sequence[TendonFit], solution: FitSolution, balance: TorqueBalance
 ) -> list[TendonFit]:
-    """Return the fits of a digit's tendons, completed with the parameters from the fit of the digit.
+    """Return the fits of the tendons of a digit, completed with the parameters from the fit of the digit.
 
-    Each tendon gets its capstan coefficient. The first tendon also gets the shared factors.
+    Each tendon gets its capstan coefficient. The first tendon also gets the factors that all
+    tendons share.
     """
     rows = len(balance.t) * balance.q.shape[1]
     fits = [replace(fit, ramp=_unexplained_ramp(solution, balance)) for fit in fits]
@@ -257,7 +260,7 @@ def fits_with_digit(
 
 
 def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> ResidualRamp | None:
-    """Return the torque ramp at a single joint that has the largest score in the residuals of the sweeps."""
+    """Return the ramp of torque at a single joint with the largest score in the residuals of the sweeps."""
     units = [np.tile(row, len(balance.t)) for row in balance.whitening_matrix]
     return steepest_ramp(
         solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), units
@@ -265,12 +268,15 @@ def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> Residual
 
 
 def _friction_scales(digit: DigitModel) -> Array:
-    """Return the scale of each capstan coefficient (tendons,), equal to the scale in the tendon fits."""
+    """Return the scale of each capstan coefficient (tendons,).
+
+    This scale equals the scale in the fits of the tendons.
+    """
     return np.where(digit.friction > 0.0, digit.friction, 1e-3)
 
 
 def _spaced_indices(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]:
-    """Return a selection of the indices, at least `spacing` apart, so that averages do not share samples."""
+    """Return a selection of indices that are at least `spacing` apart, so that averages do not share samples."""
     selected: list[int] = []
     for index in indices.tolist():
         if not selected or index - selected[-1] >= spacing:
@@ -279,7 +285,9 @@ def _spaced_indices(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]
 
 
 def _tendon_rates(data: TendonData, reach: int) -> tuple[Array, Array]:
-    """Return speed [m/s] and acceleration [m/s^2] of a tendon, NaN at the ends.
+    """Return the speed [m/s] and the acceleration [m/s^2] of a tendon.
+
+    The values are NaN at the ends of the data.
 
     The differences span twice the time over which signals are averaged.
     """
@@ -296,12 +304,12 @@ def _tendon_rates(data: TendonData, reach: int) -> tuple[Array, Array]:
 
 
 def _cell_drift(data: TendonData, fit: TendonFit) -> Array:
-    """Return the drift of a tendon's load cell at each sample [N]."""
+    """Return the drift of the load cell of a tendon at each sample [N]."""
     return np.asarray(np.interp(data.t, fit.problem.drift_knots, fit.z[len(PARAMETER_NAMES) :]))
 
 
 def _drift_deviation(fit: TendonFit, t: Array) -> float:
-    """Return the standard deviation of a load cell's drift during the times `t` [N]."""
+    """Return the standard deviation of the drift of a load cell within the times `t` [N]."""
     knots = fit.problem.drift_knots
     used = np.flatnonzero((knots >= t.min() - 1.0) & (knots <= t.max() + 1.0)) + len(
         PARAMETER_NAMES

@@ -1,16 +1,16 @@
-"""Load model of a tendon: the load-cell tension that is expected at a motor position.
+"""Load model of a tendon: the load-cell tension that is expected at a given motor position.
 
-The model is for a digit at its open stop or in free motion.
+The model is for a digit that is at its open stop or moves freely.
 
 At the open stop only the tendon stretches: f = k (x - o). In free motion each joint is in balance,
 
     S k_i (q_i + P p_i) + b_i q_i' + m (a_i q'' + g_i) = r_i f exp(-mu sgn(w) (phi_0 + q_1 + .. + q_i)),
 
-and the excursions of the joints and the stretch of the tendon add up to the travel: sum r_i q_i + f
-/ k = x - o. If a moment arm depends on the joint angle, its integral replaces r_i q_i. The
+The excursions of the joints and the stretch of the tendon add up to the travel: sum r_i q_i + f / k
+= x - o. If a moment arm depends on the joint angle, its integral takes the place of r_i q_i. The
 equations are solved for the tension f, because the noise of the encoder is negligible compared with
-the noise of the load cell. S, P and m are factors that multiply springs, preloads and masses of the
-hand file. Source: capstan equation, virtual work, equations of motion of `hand.dynamics`.
+the noise of the load cell. S, P and m are factors of the springs, preloads and masses in the hand
+file. Source: capstan equation, virtual work, equations of motion of `hand.dynamics`.
 """
 
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ The exponent can reach this bound only in the first steps of a solver.
 
 
 class LoadParameters(NamedTuple):
-    """Fitted parameters of the load model, in SI units or as factors that multiply values of the hand file.
+    """Fitted parameters of the load model, in SI units or as factors of values in the hand file.
 
     Attributes:
         stiffness: stiffness of the tendon [N/m].
@@ -76,7 +76,7 @@ class LoadParameters(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SignalBins:
-    """Averages of the signals of a tendon over short times (bins), (m,) each.
+    """Averages of the signals of a tendon over short times (bins), with the shape (m,) each.
 
     Attributes:
         t: mean time of each bin [s].
@@ -84,7 +84,7 @@ class SignalBins:
         tension: load-cell tension [N].
         speed: speed of the tendon [m/s].
         acceleration: acceleration of the tendon [m/s^2].
-        count: number of samples per bin.
+        count: number of samples in each bin.
     """
 
     t: Array
@@ -117,7 +117,8 @@ def average_in_bins(
     if moving:
         speeds = values_in_bins(speed)
         complete &= np.abs(speeds).min(axis=1) > MIN_SPEED_M_S
-        # The signs in a bin are equal if the absolute value of their sum is the number of samples.
+        # The signs in a bin are all equal if the absolute value of their sum is the number of
+        # samples.
         complete &= np.abs(np.sign(speeds).sum(axis=1)) == count
 
     def mean_of_bins(values: Array) -> Array:
@@ -134,9 +135,9 @@ def average_in_bins(
 
 
 def _central_rates(travel: Array, period: float, reach: int) -> tuple[Array, Array]:
-    """Return speed and acceleration of a travel, from differences over `reach` periods.
+    """Return the speed and the acceleration of a travel, from differences over `reach` periods.
 
-    At both ends of the data, they are zero.
+    Both are zero at the two ends of the data.
     """
     speed = np.zeros_like(travel)
     acceleration = np.zeros_like(travel)
@@ -153,15 +154,17 @@ class DigitLoad:
     """Constants of a digit with one tendon and n joints, for the load model.
 
     Attributes:
-        arms: moment arms at the joints [m]. If an arm depends on the joint angle, its mean.
+        arms: moment arms at the joints [m]. If a moment arm depends on the joint angle, this is its
+            mean.
         spring: spring stiffness [N m/rad].
         preload: preload of the springs [rad].
         damping: joint damping [N m s/rad].
         wrap: wrap angle before the first pulley [rad].
-        inertia: (grid, n) joint torque per acceleration of all joints together, at the angles of
-            the table.
+        inertia: (grid, n) joint torque per acceleration when all joints accelerate together, at the
+            angles of the table.
         weight: (grid, n) joint torque of the weight, at the angles of the table [N m].
-        varying: model of the digit if its moment arms depend on the joint angle, else None.
+        varying: model of the digit if its moment arms depend on the joint angles. None
+            otherwise.
     """
 
     arms: Array
@@ -191,7 +194,7 @@ class DigitLoad:
         )
 
     def mean_angle(self, excursion: Array) -> Array:
-        """Return the angle (m,) that all joints have at an excursion (m,) if they turn equally [rad]."""
+        """Return the angle (m,) of each joint at an excursion (m,) if all joints turn equally [rad]."""
         if self.varying is None:
             return np.asarray(excursion / self.arms.sum())
         grid = [
@@ -201,7 +204,7 @@ class DigitLoad:
         return np.interp(excursion, grid, TABLE_ANGLES_RAD)
 
     def _joint(self, i: int, q: Array) -> tuple[Array | float, Array | float, Array]:
-        """Return moment arm [m], its derivative [m/rad] and excursion [m] of joint i at angles (m,) [rad]."""
+        """Return the moment arm [m], its derivative [m/rad] and the excursion [m] of joint i at angles (m,) [rad]."""
         if self.varying is None:
             arm = float(self.arms[i])
             return arm, 0.0, arm * q
@@ -235,8 +238,8 @@ class DigitLoad:
         stiffness = p.spring * self.spring
         q = [mean.copy() for _ in self.arms]
         f = np.full_like(mean, 10.0)
-        # Newton's method changes the tension until the travel is right. A given tension determines
-        # the joint angles one by one, beginning at the palm.
+        # Newton's method changes the tension until the travel is right. For a given tension, the
+        # joint angles are determined one by one, beginning at the palm.
         for _ in range(NEWTON_STEPS):
             angle = np.full_like(mean, self.wrap)
             excursion = f / p.stiffness
@@ -263,7 +266,7 @@ class DigitLoad:
                 angle = angle + q[i]
                 arm, _, taken_up = self._joint(i, q[i])
                 excursion = excursion + taken_up
-                # `slope` is the derivative of the excursion by the tension.
+                # `slope` is the derivative of the excursion with respect to the tension.
                 slope = slope + arm * arm * friction_factor / held
             f = np.maximum(f + (means.travel - p.offset - excursion) / slope, 0.1)
         return np.asarray(f)

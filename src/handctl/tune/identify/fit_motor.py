@@ -1,10 +1,10 @@
-"""Motor equation in weak form: it is integrated with a smooth window, so that no measurement must be differentiated.
+"""Motor equation in weak form: integrated with a smooth window, so that no measurement is differentiated.
 
     K u(t - d) = J/r w' + b/r w + tau_c/r sgn w + r f      per window: all terms times a window, integrated by parts
 
-u is the commanded force at the tendon, w the speed of the spool, f the tension at the load cell.
-All terms are forces at the tendon [N]. Source: modulating functions (Shinbrot 1954). Integration by
-parts moves the derivatives to the window, which is known exactly.
+Here u is the commanded force at the tendon, w the speed of the spool, and f the tension at the load
+cell. All terms are forces at the tendon [N]. Source: modulating functions (Shinbrot 1954).
+Integration by parts moves the derivatives to the window, which is known exactly.
 """
 
 from dataclasses import dataclass
@@ -37,7 +37,9 @@ At lower speeds the sign of the friction is not known.
 
 @dataclass(frozen=True, slots=True)
 class MotorWindows:
-    """Signals of a motor and its tendon, averaged with a window, (m,) each. Forces are at the tendon.
+    """Signals of a motor and its tendon, averaged with a window, with the shape (m,) each.
+
+    All forces are forces at the tendon.
 
     Attributes:
         t: time at the centre of each window [s].
@@ -48,8 +50,9 @@ class MotorWindows:
         commands: (m, taps) commanded forces during each window and shortly before and after [N].
         offsets: (taps + 1,) times at which the commands change, relative to the centre of the
             window [s].
-        half_window_s: half the length of a window [s].
-        noise_ratio: standard deviation of a windowed tension divided by that of a sample [1].
+        half_window_s: half of the length of a window [s].
+        noise_ratio: standard deviation of a windowed tension, divided by the standard deviation of
+            one sample [1].
     """
 
     t: Array
@@ -63,16 +66,16 @@ class MotorWindows:
     noise_ratio: float
 
     def delayed_command(self, delay: float) -> Array:
-        """Return the windowed command (m,) [N], if commands take effect after a delay [s]."""
+        """Return the windowed command (m,) [N], under the assumption that commands take effect after a delay [s]."""
         weights = np.diff(_window_integral((self.offsets + delay) / self.half_window_s))
         return np.asarray(self.commands @ weights)
 
 
 class WindowWeights(NamedTuple):
-    """Weights of the samples of a window, (n,) each.
+    """Weights of the samples of a window, with the shape (n,) each.
 
     Attributes:
-        samples: positions of the samples relative to the centre.
+        samples: positions of the samples relative to the centre of the window.
         mean: weights that give the mean of a signal.
         first: weights that give the negative first derivative [1/s].
         second: weights that give the second derivative [1/s^2].
@@ -106,7 +109,8 @@ class WindowWeights(NamedTuple):
 def motor_windows(data: TendonData, spool: float) -> MotorWindows:
     """Return the windowed signals of a tendon and its motor.
 
-    Windows in which the tendon is too slow, changes its direction, or lacks a sample are left out.
+    Windows are left out if the tendon in them is too slow, changes its direction, or has a missing
+    sample.
     """
     period = data.period
     weights = WindowWeights.from_period(period)
@@ -119,7 +123,8 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
     quick = quick_speed(data.travel, period)
     complete = data.acting[rows].all(axis=1) & np.isfinite(travel + data.tension[rows]).all(axis=1)
     moving = np.abs(quick[rows]).min(axis=1) > MIN_SPEED_RAD_S * spool
-    # The signs in a window are equal if the absolute value of their sum is the number of samples.
+    # The signs in a window are all equal if the absolute value of their sum is the number of
+    # samples.
     selected = complete & moving & (np.abs(np.sign(quick[rows]).sum(axis=1)) == len(samples))
     taps = np.arange(-half - 2, half + 3)
     return MotorWindows(
@@ -136,9 +141,9 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
 
 
 def quick_speed(travel: Array, period: float, reach: int = 3) -> Array:
-    """Return the speed of a travel [m/s], from differences over a few control periods.
+    """Return the speed that a travel has [m/s], from differences over a few control periods.
 
-    At both ends of the data, it is zero.
+    The speed is zero at both ends of the data.
     """
     speed = np.full(len(travel), np.nan)
     speed[reach:-reach] = (travel[2 * reach :] - travel[: -2 * reach]) / (2 * reach * period)
@@ -146,9 +151,9 @@ def quick_speed(travel: Array, period: float, reach: int = 3) -> Array:
 
 
 def _window_value(s: Array) -> Array:
-    """Return the window function: cos^4 with area 1 over [-1, 1], and 0 outside."""
-    # The first three derivatives of the window are 0 at its ends. Therefore integration by parts
-    # leaves no boundary terms.
+    """Return the window function. It is cos^4 with area 1 over [-1, 1], and 0 outside."""
+    # The first three derivatives of the window are 0 at its ends. Because of this, integration by
+    # parts leaves no boundary terms.
     return np.asarray(np.where(np.abs(s) < 1.0, 4.0 / 3.0 * np.cos(0.5 * np.pi * s) ** 4, 0.0))
 
 

@@ -4,14 +4,14 @@
     F = n(load; p, mu)                                     free motion
     g(F; k, p) = x - m s(q) - o                            on a stop, and in free motion
 
-F is the net tension at the spool. In free motion, F balances n. This force is the sum of inertia,
-weight and damping of the links and friction of both tendons. The stretch of the pair is the
-difference between the positions of spool and joints. The characteristic g gives the stretch at a
-net tension F: the stiffness is 2 k while both tendons are taut, and k if F exceeds twice the
+F is the net tension at the spool. In free motion, F balances the force n. The force n is the sum of
+inertia, weight and damping of the links and of the friction of both tendons. The difference between
+the positions of spool and joints is the stretch of the pair. The characteristic g gives the stretch
+at a net tension F. The stiffness is 2 k while both tendons are taut, and k if F exceeds twice the
 pretension p.
 
-No sensor of a spool pair measures a force. Therefore the torque of the drive is the unit of all
-forces. If a motor makes 10 % less torque than commanded, then its inertia, its friction and the
+No sensor of a spool pair measures a force. The torque of the drive is therefore the unit of all
+forces. If a motor makes 10 % less torque than commanded, its inertia, its friction and the
 stiffness of its tendons seem 10 % larger.
 """
 
@@ -96,20 +96,21 @@ MIN_READINGS = 3
 
 @dataclass(frozen=True, slots=True)
 class PairWindows:
-    """Signals of a spool pair, averaged with a window, (m,) each.
+    """Signals of a spool pair, averaged with a window, with the shape (m,) each.
 
     Attributes:
-        motor: windows of the motor equation. Their tension is not known.
-        free: True if the digit moves freely, False if the pair is stretched while the digit is on a
+        motor: windows of the motor equation. The tension in these windows is unknown.
+        free: True if the digit moves freely. False if the pair is stretched while the digit is on a
             stop.
         inertial: net tension that the joints need for inertia and weight [N].
         damping: net tension that the joints need for joint damping [N].
         wrap_angle: wrap angle of the pair [rad].
-        friction_fraction: friction of the tendons divided by its full value at high speed, with its sign.
-        travel: mean travel of the spool at the times of the joint readings [m].
-        excursion: mean excursion at the joint readings, with the moment arms of the hand file [m].
-            The excursion is NaN if there are too few readings.
-        reading_count: effective number of joint readings in the window.
+        friction_fraction: friction of the tendons, as a fraction of its full value at high speed,
+            with its sign.
+        travel: mean travel of the spool at the times at which the joints were read [m].
+        excursion: mean excursion at the same times, with the moment arms of the hand file [m]. The
+            excursion is NaN if there are too few readings.
+        reading_count: effective number of joint readings in each window.
     """
 
     motor: MotorWindows
@@ -133,7 +134,7 @@ class PairWindows:
             digit: model of the digit.
             tendon: index of the pair in the digit.
             data: data of all pairs of the digit, in order.
-            rest: (J,) angles of all joints [rad]. The joints of the other digits do not move.
+            rest: (J,) angles of all joints [rad]. The joints of all other digits do not move.
 
         Raises:
             LogError: The pair hardly moves.
@@ -181,10 +182,10 @@ def select_windows(windows: MotorWindows, selected: NDArray[np.bool_]) -> MotorW
 def _joint_motion(
     digit: DigitModel, means: Array, data: Sequence[TendonData], rest: Array
 ) -> tuple[Array, Array, Array]:
-    """Return angles, rates and accelerations (m, joints) of a digit from the motion of its pairs (n_t, 3, m).
+    """Return angles, rates and accelerations (m, joints) of a digit, computed from the motion of its pairs (n_t, 3, m).
 
-    The stretch of the tendons is neglected. The angles are shifted so that their mean equals that
-    of the joint readings.
+    The stretch of the tendons is neglected here. The angles are shifted so that their mean equals
+    the mean of the joint readings.
     """
     travel, speed, acceleration = (means[:, i].T for i in range(3))
     back = digit.excursion_to_joints.T
@@ -200,9 +201,9 @@ def _joint_motion(
 def _torque_of_digit(
     tree: HandTree, digit: DigitModel, rest: Array, q: Array, dq: Array, ddq: Array
 ) -> Array:
-    """Return the torques (joints,) that a digit needs against inertia and weight of its links [N m].
+    """Return the torques (joints,) that a digit needs for the inertia and the weight of its links [N m].
 
-    The links of digits that it carries are included.
+    The links of the digits that it carries are included.
     """
     motion = np.zeros((3, len(rest)))
     motion[0] = rest
@@ -213,12 +214,12 @@ def _torque_of_digit(
 def _stretch_readings(
     digit: DigitModel, tendon: int, data: TendonData, rows: NDArray[np.intp], weights: WindowWeights
 ) -> tuple[Array, Array, Array]:
-    """Return travel and excursion (m,) of windows at the times of the joint readings [m].
+    """Return the travel and the excursion (m,) of windows at the times at which the joints were read [m].
 
     The third value is the effective number of readings in each window.
 
-    While a pair is stretched on a stop, its travel changes and its excursion does not. In such a
-    window, the travel is averaged over all samples, and not only at the readings.
+    While a pair is stretched on a stop, its travel changes, but not its excursion. In such a
+    window, the travel is averaged over all samples, and not only over the times of the readings.
     """
     read: NDArray[np.bool_] = np.asarray(np.isfinite(data.joints).all(axis=1))
     excursion = np.where(read, tendon_excursions(digit, tendon, np.nan_to_num(data.joints)), 0.0)
@@ -229,8 +230,8 @@ def _stretch_readings(
     stretched = data.stop[rows].all(axis=1)
     travel = np.where(stretched, data.travel[rows] @ weights.mean, travel)
     known = np.where(count >= MIN_READINGS, (excursion[rows] * weight).sum(axis=1) / total, np.nan)
-    # The last value is the effective number of readings, because the window weighs them
-    # differently.
+    # The last value is the effective number of readings, because the window gives the readings
+    # different weights.
     return travel, known, total**2 / np.maximum((weight**2).sum(axis=1), 1e-12)
 
 
@@ -240,9 +241,9 @@ def tension_of_pair(net: Array, pretension: float, passed: Array) -> Array:
     Args:
         net: net tension at the joint (m,) [N].
         pretension: pretension of both tendons [N].
-        passed: tension of the first tendon behind the pulleys divided by its tension at the spool.
+        passed: tension of the first tendon behind the pulleys, divided by its tension at the spool.
 
-    The formula is that of `core.estimation.spool_pair`, for arrays.
+    The formula is the same as in `core.estimation.spool_pair`, but for arrays.
     """
     both_taut = 2.0 * (net + pretension * (1.0 / passed - passed)) / (passed + 1.0 / passed)
     single = np.where(both_taut > 0.0, net / passed, net * passed)
@@ -250,22 +251,24 @@ def tension_of_pair(net: Array, pretension: float, passed: Array) -> Array:
 
 
 def stretch_of_pair(net: Array, stiffness: float, pretension: float) -> Array:
-    """Return the length (m,) [m] by which a pair's spool is ahead of its joints at a net tension (m,) [N]."""
+    """Return the length (m,) [m] by which the spool of a pair is ahead of its joints, at a net tension (m,) [N]."""
     single = np.sign(net) * (np.abs(net) - pretension) / stiffness
     return np.where(np.abs(net) < 2.0 * pretension, 0.5 * net / stiffness, single)
 
 
 @dataclass(frozen=True, slots=True)
 class PairProblem:
-    """Input of the fit of a spool pair.
+    """Input for the fit of a spool pair.
 
     Attributes:
         windows: windowed signals of the pair.
         spool_radius_m: radius of the spool [m].
         parameter_scales: (15,) scale of each parameter of `fit.PARAMETER_NAMES`.
         motor_noise: standard deviation of the residuals of the motor equation [N].
-        reading_noise: standard deviation of the excursion that follows from one joint reading [m].
-        start_parameters: scaled parameters at which the fit starts, taken from the hand file.
+        reading_noise: standard deviation of the excursion that is computed from one joint reading
+            [m].
+        start_parameters: scaled parameters at which the fit starts. The start parameters come from
+            the hand file.
     """
 
     windows: PairWindows
@@ -276,7 +279,7 @@ class PairProblem:
     start_parameters: Array
 
     def parameter_value(self, z: Array, name: str) -> float:
-        """Return a parameter in SI units, or as a factor that multiplies a value of the hand file."""
+        """Return a parameter in SI units, or as a factor of a value in the hand file."""
         return float(
             z[PAIR_PARAMETERS.index(name)] * self.parameter_scales[PARAMETER_NAMES.index(name)]
         )
@@ -295,7 +298,7 @@ class PairProblem:
         )
 
     def free_tension(self, z: Array) -> Array:
-        """Return the net tension (m,) that links and tendon friction need in free motion [N]."""
+        """Return the net tension (m,) that the links and the friction of the tendons require in free motion [N]."""
         w = self.windows
         load = (
             self.parameter_value(z, "link_mass") * w.inertial
@@ -319,7 +322,7 @@ class PairProblem:
     def stretch(self, z: Array) -> Array:
         """Return the length (m,) by which the spool is ahead of the joints [m].
 
-        The length is NaN in windows without enough joint readings.
+        In windows without enough joint readings, the length is NaN.
         """
         w = self.windows
         skew = np.where(w.free, z[-1] * SENSOR_SKEW_S * w.motor.speed, 0.0)
@@ -331,7 +334,7 @@ class PairProblem:
         )
 
     def residuals(self, z: Array) -> Array:
-        """Return the residuals (rows,) in standard deviations, in the order motor, stretch, priors."""
+        """Return the residuals (rows,) in standard deviations, in this order: motor, stretch, priors."""
         w = self.windows
         stiffness = self.parameter_value(z, "tendon_stiffness")
         pretension = self.parameter_value(z, "pretension")
@@ -369,7 +372,7 @@ class PairProblem:
         )
 
     def with_noise_of(self, z: Array) -> "PairProblem":
-        """Return the input of the fit with a new noise of the motor equation.
+        """Return the input of the fit with a new value for the noise of the motor equation.
 
         The noise is estimated from the median of the absolute residuals.
         """
@@ -412,7 +415,10 @@ def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonDa
 
 
 def _start_parameters(windows: PairWindows) -> Array:
-    """Return the scaled parameters at which the fit starts: those of the hand file and a first stretch offset."""
+    """Return the scaled parameters at which the fit starts.
+
+    The start parameters are those of the hand file, and a first estimate of the stretch offset.
+    """
     first = np.ones(len(PAIR_PARAMETERS) + 2)
     known = np.isfinite(windows.excursion)
     offset = (
@@ -426,9 +432,9 @@ def _start_parameters(windows: PairWindows) -> Array:
 def _start_candidates(first: Array) -> list[Array]:
     """Return several start points of the fit, with different pretensions.
 
-    If the pretension is too small at the start, the solver may end at a wrong solution: a pair with
-    one slack tendon and twice the stiffness. No small step leads from this wrong solution to the
-    right parameters.
+    If the fit starts with a pretension that is too small, the solver may end at a wrong solution: a
+    pair with one slack tendon and twice the stiffness. From this wrong solution, no small step
+    leads to the right parameters.
     """
     starts = []
     for factor in PRETENSION_START_FACTORS:
@@ -439,12 +445,12 @@ def _start_candidates(first: Array) -> list[Array]:
 
 
 def _robust_cost(residual: Array) -> float:
-    """Return the soft L1 cost of residuals, in which outliers have little weight."""
+    """Return the soft L1 cost of residuals. Outliers have little weight in this cost."""
     return float((np.sqrt(1.0 + (residual / OUTLIER_RESIDUAL) ** 2) - 1.0).sum())
 
 
 def _as_tendon_fit(hand: Hand, problem: PairProblem, solution: FitSolution) -> TendonFit:
-    """Return the result for a spool pair in the form of the fit of a single tendon."""
+    """Return the result for a spool pair in the same form as the fit of a single tendon."""
     windows = problem.windows
     count = len(PARAMETER_NAMES)
     target = [PARAMETER_NAMES.index(name) for name in PAIR_PARAMETERS]

@@ -1,12 +1,12 @@
-"""Fit of a tendon's stiffness and moment arm, from the travel of its spool, its load cell and the joint encoders.
+"""Fit of stiffness and moment arms of a tendon, from spool travel, load cell and joint encoders.
 
     x = m s(q) + f / k + o(t) + d x'
 
 The travel x of the spool is the sum of the excursion s(q) of the joints and the stretch f / k of
-the tendon. The factor m multiplies the moment arms of the hand file. Joint encoders are read
-somewhat later or earlier than motor encoders. This time difference adds d x' while the joints move.
-The offset o follows the drift of the load cell. The joint stops and return springs have no part in
-this equation.
+the tendon. The factor m multiplies the moment arms of the hand file. The joint encoders are read
+slightly later or earlier than the motor encoders. This time difference adds d x' while the joints
+move. The offset o follows the drift of the load cell. Joint stops and return springs do not occur
+in this equation.
 """
 
 from dataclasses import replace
@@ -57,7 +57,7 @@ def tendon_excursions(digit: DigitModel, tendon: int, q: Array) -> Array:
 
 
 def with_arms(digit: DigitModel, factors: Array) -> DigitModel:
-    """Return a digit whose moment arms are multiplied by a factor for each tendon (n_t,)."""
+    """Return a copy of a digit whose moment arms are multiplied by one factor for each tendon (n_t,)."""
     arms = digit.moment_arms * factors[:, None]
     to_coordinates = np.linalg.pinv(arms @ digit.coupling)
     return replace(
@@ -73,15 +73,15 @@ def with_arms(digit: DigitModel, factors: Array) -> DigitModel:
 def fit_travel(
     digit: DigitModel, tendon: int, data: TendonData, fit: TendonFit, joint_noise: float
 ) -> TendonFit:
-    """Return the fit of a tendon, with stiffness and moment arm fitted to its travel.
+    """Return the fit of a tendon, with a stiffness and a moment arm that are fitted to its travel.
 
-    If there are too few joint readings, the fit is returned without changes.
+    If there are too few joint readings, the fit is returned unchanged.
 
     Args:
         digit: model of the digit.
         tendon: index of the tendon in the digit.
         data: data of the tendon.
-        fit: fit of the tendon, in which stiffness and moment arm are replaced.
+        fit: fit of the tendon. The stiffness and the moment arm of this tendon are replaced.
         joint_noise: standard deviation of a joint reading [rad].
     """
     problem = fit.problem

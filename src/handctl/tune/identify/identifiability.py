@@ -1,8 +1,8 @@
-"""Identifiability of the parameters of a fit: parameters that the data do not determine or cannot tell apart.
+"""Identifiability of the parameters of a fit: which parameters the data do not determine or cannot distinguish.
 
 The analysis uses the Jacobian of the data, scaled by the values of the hand file and by the noise
-of the load cell. The solver returns a value for every parameter. But if a parameter, or a
-combination of parameters, has no effect on the residuals, the data do not determine its value.
+of the load cell. The solver returns a value for every parameter. But a parameter, or a combination
+of parameters, may have no effect on the residuals. The data then do not determine its value.
 """
 
 from dataclasses import dataclass
@@ -37,8 +37,9 @@ class Identifiability:
         rank: number of combinations of parameters that the data determine.
         columns: number of all combinations, which is the number of parameters.
         condition: largest singular value of the Jacobian divided by the smallest.
-        weakest: combination of parameters that the data determine least, as text.
-        correlated: pairs of identified parameters that trade off, with their correlation.
+        weakest: combination of parameters that the data determine worst, as text.
+        correlated: pairs of identified parameters whose errors are correlated, with their
+            correlation.
     """
 
     names: tuple[str, ...]
@@ -51,7 +52,7 @@ class Identifiability:
 
 
 def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) -> Identifiability:
-    """Return the identifiability of the parameters of a tendon, given their fit.
+    """Return the identifiability of the parameters of a tendon, computed from their fit.
 
     Args:
         fit: fit of a tendon.
@@ -61,8 +62,8 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
     """
     unseen = unobservable_parameters(hand, digit, tendon)
     jacobian = fit.sensitivity
-    # Each right singular vector is a combination of parameters. The singular value of the vector is
-    # the information of the data about this combination.
+    # Each right singular vector is a combination of parameters. The singular value that belongs to
+    # the vector is the information of the data about this combination.
     _, sizes, directions = np.linalg.svd(jacobian, full_matrices=False)
     widths = fit.half_widths
     values = fit.parameter_values
@@ -108,8 +109,8 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
 def _lacks_encoders(hand: Hand, digit: str) -> bool:
     """Return True if a digit with springs and several tendons has no joint encoders.
 
-    No tension of a single tendon shows the load of its springs. The torques at a joint are in
-    balance only at the angle that an encoder measures.
+    In such a digit, no tension of a single tendon shows the load of the springs. The torques at a
+    joint are in balance only at the angle that an encoder measures.
     """
     tendons = hand.digit_tendons[digit]
     sprung = any(hand.digit_named(digit).spring_stiffness_N_m_per_rad)
@@ -120,7 +121,8 @@ def _lacks_encoders(hand: Hand, digit: str) -> bool:
 def _is_narrow(name: str, value: float, width: float) -> bool:
     """Return True if the interval of a parameter is narrow enough.
 
-    The width is compared with the value of the parameter, or with a millisecond for the delay.
+    The width of the interval is compared with the value of the parameter. For the delay, it is
+    compared with a millisecond.
     """
     scale = SCALE_DELAY_S if name == "delay" else abs(value)
     return bool(width < MAX_HALF_WIDTH * scale)
@@ -174,7 +176,7 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
 
 
 def _never_identifiable(fit: TendonFit, hand: Hand, name: str) -> list[str]:
-    """Return the parameters that excitation of this kind cannot identify, however long it lasts, with reasons."""
+    """Return the parameters that this kind of excitation cannot identify, however long it lasts, with the reasons."""
     problem = fit.problem
     tendon = hand.tendon[hand.tendon_names.index(name)]
     if tendon.pretension_N is not None:
@@ -217,7 +219,7 @@ def _combination_text(direction: Array) -> str:
 
 
 def excitation_coherence(data: TendonData) -> tuple[Array, Array]:
-    """Return frequencies [Hz] and the coherence of motor force and tendon speed at each, from 0 to 1.
+    """Return frequencies [Hz], and the coherence of motor force and tendon speed at each frequency, from 0 to 1.
 
     At a coherence of 1, the force determines the speed through a linear system. Noise, friction and
     other causes of motion reduce the coherence.

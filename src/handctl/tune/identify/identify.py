@@ -1,4 +1,4 @@
-"""Identification of all tendons in a log: fit, identifiability, search for contacts, entry for the calibration file."""
+"""Identification of all tendons in a log: fit, identifiability, contacts, entry for the calibration file."""
 
 import datetime
 from collections.abc import Callable
@@ -62,13 +62,14 @@ class TendonResult:
         data: data of the tendon from the log.
         fit: fit of all parameters.
         identifiability: identifiability of the parameters.
-        coherence: mean coherence over the frequency band of the swing.
-        spectrum: frequencies [Hz], and the coherence at each of them.
-        balance: data for the fit of the digit, if the digit has several tendons and joint encoders,
-            else None.
-        blocked_event: text of the event with which the controller reported the digit as blocked, or
-            an empty text.
-        contact_text: text that describes a contact during the sweeps, empty without a contact.
+        coherence: mean coherence over the frequency band of the step *swing*.
+        spectrum: frequencies [Hz], and the coherence at each frequency.
+        balance: data for the fit of the digit, if the digit has several tendons and joint encoders.
+            None otherwise.
+        blocked_event: text of the event with which the controller reported the digit as blocked.
+            The value is empty without such an event.
+        contact_text: text that describes a contact during the sweeps. The value is empty without a
+            contact.
     """
 
     data: TendonData
@@ -94,12 +95,15 @@ class TendonResult:
 
     @property
     def is_incoherent(self) -> bool:
-        """Return True if the motor force explains the motion no better than chance."""
+        """Return True if the motor force explains the motion no better than chance would."""
         return self.coherence < MIN_COHERENCE
 
     @property
     def why_not(self) -> dict[str, str]:
-        """Return the reason for each quantity without a valid value: parameters first, then the rest."""
+        """Return, for each quantity without a valid value, the reason.
+
+        The parameters come first, then the other quantities.
+        """
         missing = dict(text.split(": ", 1) for text in self.identifiability.missing)
         invalid = dict.fromkeys(self.identifiability.names, "invalid because of a contact")
         if self.is_incoherent and not self.blocked_event:
@@ -112,13 +116,16 @@ class TendonResult:
         }
 
     def calibration_entry(self, log: Path, made_at: str) -> IdentifiedParameters | None:
-        """Return the tendon's entry for the calibration file, or None if no parameter is identified and valid."""
+        """Return the entry of the tendon for the calibration file.
+
+        Return None if no parameter is identified and valid.
+        """
         names = self.identified_names
         if not names:
             return None
         at = [PARAMETER_NAMES.index(name) for name in names]
         scale = self.fit.problem.parameter_scales[at]
-        # The fit scales the parameters, but the file has them in SI units.
+        # The fit uses scaled parameters, but the file contains them in SI units.
         covariance = self.fit.covariance[np.ix_(at, at)] * np.outer(scale, scale)
         values = self.fit.parameter_values
         widths = self.fit.half_widths
@@ -175,15 +182,15 @@ def identify_tendons(
 ) -> dict[str, TendonResult]:
     """Identify every tendon of a log, and return the results by tendon.
 
-    Tendons that hardly move are left out.
+    Tendons that hardly move are left out of the results.
 
     Args:
         log: log of any run.
-        hand: hand of the run, as described by its file.
+        hand: hand of the run, as its hand file describes it.
         progress: function that is called with a description of each step.
 
     Raises:
-        LogError: No tendon in the log moves.
+        LogError: No tendon moves in the log.
     """
     solved = []
     failure = LogError("no tendon of this hand in it", "the log", "a run in which digits move")
@@ -221,7 +228,7 @@ def identify_tendons(
 def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> TendonFit:
     """Return the fit of a single tendon or spool pair.
 
-    The fit of a spool pair needs the data of all pairs of its digit.
+    The fit of a spool pair needs the data of all spool pairs of the digit.
 
     Raises:
         LogError: The tendon hardly moves.
@@ -239,9 +246,9 @@ def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> Te
 def _with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult:
     """Return the result of a tendon with information about contacts that make parameters invalid.
 
-    The controller uses the springs of the hand file. If the real springs are a third stiffer, the
-    controller reports an obstacle that does not exist. Therefore the event of the controller is
-    ignored if the fit explains the whole sweep.
+    To detect obstacles, the controller uses the springs of the hand file. If the real springs are
+    stiffer by a third, the controller reports an obstacle that does not exist. If the fit explains
+    the whole sweep, the event of the controller is therefore ignored.
     """
     contact = contact_text(hand, result)
     ramp = result.fit.ramp
@@ -250,7 +257,10 @@ def _with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult
 
 
 def contact_text(hand: Hand, result: TendonResult) -> str:
-    """Return a text that describes a contact during the sweeps, or an empty text if there was none."""
+    """Return a text that describes a contact during the sweeps.
+
+    The text is empty if there was none.
+    """
     ramp = result.fit.ramp
     if ramp is not None and ramp.is_contact:
         several = len(hand.tendon[hand.digit_tendons[result.data.digit]]) > 1
@@ -267,7 +277,10 @@ def contact_text(hand: Hand, result: TendonResult) -> str:
 
 
 def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
-    """Return a text that describes a blocked joint in a digit with one tendon, or an empty text if all move."""
+    """Return a text that describes a blocked joint in a digit with one tendon.
+
+    The text is empty if all joints move.
+    """
     load = result.fit.problem.digit_load
     data = result.data
     values = result.fit.parameter_values
@@ -290,11 +303,11 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
 
 
 def blocked_digits(log: RunLog) -> dict[str, str]:
-    """Return, for each excited digit, the first event during its excitation that reports a blocked digit.
+    """Return, for each digit, the first event during its excitation with which the controller reported a blocked digit.
 
     The keys of the result are the names of the excited digits.
 
-    If two digits touch each other, the controller may report the other digit as blocked. Even then,
+    If two digits touch each other, the controller may report the wrong digit as blocked. Even then,
     the event is assigned to the digit that is excited at the time.
     """
     events = [
@@ -318,10 +331,10 @@ def blocked_digits(log: RunLog) -> dict[str, str]:
 def _digit_fits(
     hand: Hand, name: str, fitted: list[tuple[TendonData, TendonFit]]
 ) -> tuple[TorqueBalance | None, list[TendonFit]]:
-    """Return the fits of a digit's tendons.
+    """Return the fits of the tendons of a digit.
 
-    If the digit has several tendons, springs and friction are taken from the fit of the whole
-    digit. The first value is the data of this fit, or None.
+    If the digit has several tendons, springs and friction come from the fit of the whole digit. The
+    first value is the data of the fit of the digit. None if there is no such fit.
     """
     fits = [fit for _, fit in fitted]
     digit = DigitModel.from_hand(hand, name)
@@ -364,11 +377,13 @@ COLUMN_WIDTHS = (18, 10, 19, 9, 9)
 
 
 def result_table(results: dict[str, TendonResult], verbose: bool = False) -> list[str]:
-    """Return lines for a terminal: each parameter with its interval, its value in the hand file, or why it has none.
+    """Return lines for a terminal about each parameter.
+
+    A line has the interval and the value in the hand file, or the reason why there is no value.
 
     Args:
         results: results by tendon.
-        verbose: True for the combinations of parameters and for the joint intervals too.
+        verbose: True to add the combinations of parameters and the joint intervals.
     """
     lines = [
         "coherence: fraction of the motion of a tendon that the motor force explains, 0 to 1; "
@@ -392,7 +407,7 @@ def result_table(results: dict[str, TendonResult], verbose: bool = False) -> lis
 
 
 def _table_row(*cells: str) -> str:
-    """Return a row of a result table, given the text of each cell."""
+    """Return a row of a table of results, given the text of each cell."""
     fixed = [cell.ljust(width) for cell, width in zip(cells, COLUMN_WIDTHS, strict=False)]
     return "  " + " ".join([*fixed, *cells[len(COLUMN_WIDTHS) :]]).rstrip()
 
@@ -415,7 +430,7 @@ def _identified_row(result: TendonResult, key: str) -> str:
 
 
 def _combination_lines(result: TendonResult) -> list[str]:
-    """Return lines about all parameters of a tendon together: joint intervals, combinations, and trade-offs."""
+    """Return lines about all parameters of a tendon together: joint intervals, combinations and correlations."""
     names = result.identified_names
     widths = result.fit.half_widths
     together = result.fit.half_widths_of(max(1, len(names)))

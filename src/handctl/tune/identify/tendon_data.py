@@ -1,4 +1,4 @@
-"""Data of a tendon from a log: travel, tension and torque at equal times, and masks for the equations of the fit."""
+"""Data of a tendon from a log: travel, tension and torque at equal times, and masks for the fit."""
 
 import json
 from dataclasses import dataclass, replace
@@ -48,14 +48,15 @@ class TendonData:
         digit: name of the digit.
         period: control period [s].
         t: (n,) time on the log's clock [s].
-        travel: (n,) travel at the spool [m], NaN where missing.
-        tension: (n,) reading of the load cell minus its tare [N], NaN where missing.
-        command: (n,) motor force at the tendon, commanded from this time on [N].
-        joints: (n, joints) readings of the joint encoders of the digit [rad], NaN where missing.
+        travel: (n,) travel at the spool [m]. The value is NaN if it is missing.
+        tension: (n,) reading of the load cell minus its tare [N]. It is NaN if it is missing.
+        command: (n,) motor force at the tendon that is commanded from this time on [N].
+        joints: (n, joints) readings of the joint encoders of the digit [rad]. A missing reading is
+            NaN.
         slack: (n,) True if the tendon is slack, so that the load cell shows its offset.
         stop: (n,) True if the tendon is taut and the digit is at its open stop.
         free: (n,) True if the tendon is taut and the digit moves freely.
-        acting: (n,) True if the motor equation holds from this time to the next.
+        acting: (n,) True if the motor equation holds from this time to the next time.
     """
 
     tendon: str
@@ -73,14 +74,16 @@ class TendonData:
 
 
 def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
-    """Return the data of every excited tendon, or of all tendons if the log has no excitation.
+    """Return the data of every excited tendon.
 
-    The measurements that the controller receives in a tick were taken at the previous tick.
-    Therefore measurements are shifted by one tick.
+    If the log contains no excitation, return the data of all tendons.
+
+    The measurements that arrive in a tick were taken at the previous tick. All measurements are
+    therefore shifted by one tick.
 
     Args:
         log: log of any run.
-        hand: description of the hand of the run.
+        hand: hand description of the run.
     """
     period = log.header.period_ns * 1e-9
     phases = phase_of_each(log.phases, log.k)
@@ -91,9 +94,9 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
     }
     settle = round(SETTLE_S / period)
     transient = round(TRANSIENT_S / period)
-    # No measurement follows the last tick. Therefore every array ends one tick early.
+    # There is no measurement after the last tick. So every array ends one tick earlier.
     active = (log.mode == HandMode.ACTIVE)[:-1]
-    # The equation between a command and the next measurement does not hold over a missed tick.
+    # If a tick was missed, the equation between a command and the next measurement does not hold.
     consecutive = np.append(np.diff(log.k) == 1, True)[:-1]
     contact = log.field("contact")[:-1]
     gain = _logged_gain(log, len(hand.tendon))
@@ -129,7 +132,7 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
 
 
 def _logged_gain(log: RunLog, tendons: int) -> list[float]:
-    """Return the torque gains (N,) that the controller of the logged run applied."""
+    """Return the torque gains (N,) that the controller used in the logged run."""
     text = log.header.attachments.get(SETUP_ATTACHMENT, b"{}")
     with LogErrorContext(f"{SETUP_ATTACHMENT} in the log"):
         setup = json.loads(text)
@@ -142,7 +145,7 @@ def _logged_gain(log: RunLog, tendons: int) -> list[float]:
 
 
 def _digit_has_tendon(hand: Hand, digit: str, tendon: int) -> bool:
-    """Return True if a tendon, given by its index in the hand, belongs to a digit."""
+    """Return True if a tendon belongs to a digit. The tendon is given by its index in the hand."""
     tendons = hand.digit_tendons[digit]
     return bool(tendons.start <= tendon < tendons.stop)
 
@@ -163,11 +166,12 @@ def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
     )
 
 
-def _lasting_mask(mask: Mask, late: int) -> Mask:
-    """Return a mask that is True where `mask` has been True for more than `late` ticks."""
-    # `last` is the index of the latest False up to each tick, -1 before the first False.
+def _lasting_mask(mask: Mask, tick_count: int) -> Mask:
+    """Return a mask that is True where `mask` has been True for more than `tick_count` ticks."""
+    # `last` is the index of the latest False up to each tick. The value is -1 before the first
+    # False.
     last = np.maximum.accumulate(np.where(mask, -1, np.arange(len(mask))))
-    return np.asarray(np.arange(len(mask)) - last > late)
+    return np.asarray(np.arange(len(mask)) - last > tick_count)
 
 
 def _step_mask(phases: NDArray[np.str_], digit: str, steps: tuple[str, ...], settle: int) -> Mask:
@@ -180,7 +184,7 @@ def _step_mask(phases: NDArray[np.str_], digit: str, steps: tuple[str, ...], set
 
 
 def _restrict_to_excitation(data: TendonData, phases: NDArray[np.str_], digit: str) -> TendonData:
-    """Return the data restricted to the time in which the digit was excited."""
+    """Return the part of the data in which the digit was excited."""
     ticks = np.flatnonzero(np.char.startswith(phases[:-1], f"{digit} "))
     rows = slice(int(ticks[0]), int(ticks[-1]) + 1)
     parts = {
@@ -201,7 +205,10 @@ def _restrict_to_excitation(data: TendonData, phases: NDArray[np.str_], digit: s
 
 
 def average_samples(values: Array, reach: int) -> Array:
-    """Return the mean of each sample and `reach` samples on each side, NaN at the ends."""
+    """Return the mean of each sample and of `reach` samples on each side.
+
+    The value is NaN at the ends of the data.
+    """
     means = np.full(len(values), np.nan)
     width = 2 * reach + 1
     if len(values) >= width:

@@ -1,1 +1,1 @@
-"""Control loops as linear systems: design of their gains, and margins."""
+"""Control loops as linear systems: the design of their gains, and their margins."""

@@ -1,20 +1,21 @@
-"""Design of gains, with the largest authority that keeps the margins on all plants, or with poles at given frequencies.
+"""Design of gains: with the largest authority that keeps the margins on all plants, or with poles at given frequencies.
 
-Authority is the parameter of LQR that this design varies: the force to which Bryson's rule gives
-the same cost as to the errors. More authority makes a loop faster and its margins smaller.
+Authority is the parameter of LQR that this design varies. Authority is the force that has the same
+cost as the errors, by Bryson's rule. More authority makes a loop faster and its margins smaller.
 Therefore the authority of each tendon is increased alone, until a margin would become too small.
-The smallest authority of all tendons becomes ``force_N``. A tendon that permits more than twice
-this authority gets a separate force. Thus a digit with little authority, such as a heavy wrist,
-does not make other digits slow. The eigenvalues of the closed loop confirm the reported margins. A
-function of the caller, such as a simulation, confirms the designed gains.
+The smallest authority of all tendons becomes the common ``force_N``. A tendon that permits more
+than twice the common authority gets a separate force. So a digit with little authority, such as a
+heavy wrist, does not make other digits slow. The eigenvalues of the closed loop confirm the
+reported margins. A function that the caller provides, such as a simulation, confirms the designed
+gains.
 
-To place poles: for a plant with one input and weights on position and speed, the characteristic
-polynomial d of the closed loop satisfies
+To place poles, the design uses this equation: for a plant with one input and weights on position
+and speed, the characteristic polynomial d of the closed loop satisfies
 
     d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r.
 
-Two ratios of weights determine two poles. Therefore the weights have a closed form for each pair
-of poles with a damping ratio above 1/sqrt(2).
+Two ratios of weights determine two poles. For each pair of poles with a damping ratio above
+1/sqrt(2), the weights therefore have a closed form.
 Source: Kalman's symmetric root locus.
 """
 
@@ -85,14 +86,14 @@ class GainDesign:
 
     Attributes:
         gains: designed gains.
-        margins_before: margins of the old gains by tendon and loop, on the nominal plant.
-        margins_after: margins of the designed gains by tendon and loop, on the nominal plant.
-        worst_before: smallest value of each margin on all plants of the ensemble, with the old
+        margins_before: margins with the old gains, by tendon and loop, on the nominal plant.
+        margins_after: margins with the designed gains, by tendon and loop, on the nominal plant.
+        worst_before: smallest value of each margin over all plants of the ensemble, with the old
             gains.
-        worst_after: smallest value of each margin on all plants of the ensemble, with the designed
-            gains.
+        worst_after: smallest value of each margin over all plants of the ensemble, with the
+            designed gains.
         not_at_rest_before: reason why the hand does not come to rest in simulation with the old
-            gains, else empty.
+            gains. The value is empty if it does.
     """
 
     gains: Gains
@@ -103,7 +104,7 @@ class GainDesign:
     not_at_rest_before: str = ""
 
     def with_unproven_before(self, reason: str) -> "GainDesign":
-        """Return the design with zero margins for the old gains.
+        """Return the design, with margins of zero for the old gains.
 
         The margins are zero if the hand did not come to rest in simulation with the old gains.
 
@@ -121,7 +122,7 @@ class GainDesign:
     def as_weights(self) -> Gains:
         """Return the designed gains, expressed with the default authority and scaled errors.
 
-        The controller stays the same, because LQR only depends on ratios of weights.
+        The controller stays the same, because LQR depends only on ratios of weights.
         """
         defaults = Gains()
         gains = self.gains
@@ -154,19 +155,22 @@ class GainDesign:
 
 
 def linear_factors(factors: Mapping[str, float]) -> PlantFactors:
-    """Return those factors of a plant that scale linear parameters. Friction is not linear."""
+    """Return the factors of a plant that scale linear parameters, without the other factors.
+
+    Friction is not linear.
+    """
     names = PlantFactors.__dataclass_fields__
     return PlantFactors(**{key: value for key, value in factors.items() if key in names})
 
 
 def gains_with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float) -> Gains:
-    """Return gains whose weights give the poles of a loop a natural frequency and damping.
+    """Return gains whose weights give the poles of a loop a natural frequency and a damping.
 
     Args:
         model: model of the hand with its present gains.
         kind: kind of the loop.
         hz: natural frequency of the pole pair [Hz].
-        damping: damping ratio, at least 1/sqrt(2). No weights exist for smaller values.
+        damping: damping ratio, at least 1/sqrt(2). No weights exist for smaller damping ratios.
 
     Raises:
         ValueError: No weights lead to these poles.
@@ -188,7 +192,10 @@ def gains_with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float
 
 
 def _scaled_tendon_forces(gains: Gains, motion: float, tension: float) -> list[dict[str, Any]]:
-    """Return the entries of single tendons with their forces multiplied by a factor for each loop."""
+    """Return the entries of single tendons with their forces multiplied.
+
+    Each loop has its own factor.
+    """
     return [
         {
             "name": one.name,
@@ -258,14 +265,16 @@ def _positive_root(square: float, expected: str) -> float:
 
 
 def model_with_gains(model: HandModel, gains: Gains) -> HandModel:
-    """Return the model with other gains of the motion and tension loops, and the same filter."""
+    """Return the model with other gains of the motion and the tension loop, but with the same filter."""
     return replace(model, gains=gains, motion=design_motion(model.space, gains, model.period))
 
 
 def worst_margins(
     model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind
 ) -> LoopMargins:
-    """Return the smallest value of each margin over all plants, all loops, and one of each group of equal tendons.
+    """Return the smallest value of each margin over all plants and loops.
+
+    Of equal tendons, only one is computed.
 
     Eigenvalues of the closed loops confirm the margins.
     """
@@ -273,7 +282,7 @@ def worst_margins(
 
 
 def weakest_plant(model: HandModel, plants: tuple[PlantFactors, ...]) -> int:
-    """Return the index of the plant that has the loop with the smallest disk margin."""
+    """Return the index of the plant that contains the loop with the smallest disk margin."""
     disks = [
         min(margin.disk for margin in _each_margin(model, (factors,), LoopKind))
         for factors in plants
@@ -289,8 +298,8 @@ def keeps_required_margins(
 ) -> bool:
     """Return True if the loops of the given tendons have the required margins on every plant.
 
-    Without `tendons`, all tendons are checked. The check ends at the first loop whose margin is too
-    small.
+    If `tendons` is not given, all tendons are checked. The check ends at the first loop whose
+    margin is too small.
     """
     return all(
         margin.are_sufficient for margin in _each_margin(model, plants, kinds, tendons=tendons)
@@ -301,18 +310,20 @@ def _each_margin(
     model: HandModel,
     plants: tuple[PlantFactors, ...],
     kinds: Iterable[LoopKind],
-    judge: Callable[[LinearSystem], LoopMargins] = margins_of_loop,
+    margins_of: Callable[[LinearSystem], LoopMargins] = margins_of_loop,
     tendons: Iterable[int] | None = None,
 ) -> Iterator[LoopMargins]:
     """Yield the margins of each loop, tendon, and plant.
 
-    Without `tendons`, one of each group of equal tendons is used.
+    If `tendons` is not given, one of each group of equal tendons is used.
     """
     for kind in kinds:
         for i in distinct_tendons(model) if tendons is None else tendons:
             loop_controller = controller_system(model, i, kind)
             yield from (
-                judge(join_to_open_loop(plant_system(model, i, kind, factors), loop_controller))
+                margins_of(
+                    join_to_open_loop(plant_system(model, i, kind, factors), loop_controller)
+                )
                 for factors in plants
             )
 
@@ -323,7 +334,7 @@ def distinct_tendons(model: HandModel) -> tuple[int, ...]:
 
 
 def _equal_tendons(model: HandModel) -> tuple[tuple[int, ...], ...]:
-    """Return groups of tendons with equal constants and equal forces, except for rounding errors."""
+    """Return groups of tendons whose constants and forces are equal, except for rounding errors."""
     space = model.space
     groups: dict[tuple[str, ...], tuple[int, ...]] = {}
     for i, name in enumerate(space.names):
@@ -370,8 +381,8 @@ def design_gains(
                     after,
                 )
             unproven = unproven or after.are_sufficient
-        # Less disturbance rejection changes only one term of the control law. If the hand does not
-        # come to rest, another term is the cause.
+        # A smaller disturbance rejection changes only one term of the control law. If the hand
+        # still does not come to rest, another term is the cause.
         if unproven:
             raise ValueError(
                 "the gains that keep the margins do not come to rest in simulation; expected other weights"
@@ -384,7 +395,7 @@ def design_gains(
 def _with_decreasing_authority(
     model: HandModel, plants: tuple[PlantFactors, ...]
 ) -> Iterator[HandModel]:
-    """Yield the model, then models with less and less authority, as far as they keep the margins."""
+    """Yield the model, and then models with less and less authority, as long as they keep the margins."""
     yield model
     for step in range(1, MAX_COMMON_REDUCTIONS + 1):
         less = _with_scaled_forces(model, math.exp(-step * LOG_FORCE_STEP))
@@ -415,7 +426,7 @@ def _with_motion(model: HandModel, **values: float) -> HandModel:
 def _with_largest_authority(
     model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]
 ) -> HandModel | None:
-    """Return the model with the largest authority of each tendon's loop that keeps the margins.
+    """Return the model in which the loop of each tendon has the largest authority that keeps the margins.
 
     If no authority keeps the margins, return None.
     """
@@ -437,11 +448,13 @@ def _with_largest_authority(
 def _largest_force(
     model: HandModel, kind: LoopKind, tendon: int, plants: tuple[PlantFactors, ...]
 ) -> float | None:
-    """Return the largest authority of a tendon's loop that keeps the margins [N], or None if none does.
+    """Return the largest authority of a tendon's loop that keeps the margins [N].
 
-    The search starts at the smallest force. This force may violate the margins, because the
-    integrator with little other feedback makes a tendon oscillate. After the first force that keeps
-    the margins, the force is increased until a margin is violated. The last step is bisected, and
+    Return None if there is none.
+
+    The search starts at the smallest force. This force may violate the margins, because with little
+    other feedback the integrator makes a tendon oscillate. After the first force that keeps the
+    margins, the force is increased until a margin is violated. The last step is bisected, and
     larger forces are not tried.
     """
 
@@ -467,7 +480,7 @@ def _largest_force(
             best = middle
         else:
             high = middle
-    # Eigenvalues and a response at many frequencies may show smaller margins than the coarse
+    # The eigenvalues, or the response at more frequencies, may show smaller margins than the coarse
     # response of the search.
     for _ in range(MAX_REDUCTIONS):
         tried = _with_force(model, kind, _rounded_force(best))
@@ -481,10 +494,10 @@ def _largest_force(
 
 
 def _rounded_force(log_force: float) -> float:
-    """Return the force [N] of a natural logarithm, rounded down to a few digits."""
+    """Return the force [N] that belongs to a natural logarithm, rounded down to a few digits."""
     force = math.exp(log_force)
     unit = 10.0 ** (math.floor(math.log10(force)) - FORCE_DIGITS + 1)
-    # Adding 1e-9 compensates the rounding error of the quotient.
+    # The 1e-9 compensates the rounding error of the quotient.
     return float(f"{math.floor(force / unit + 1e-9) * unit:.{FORCE_DIGITS}g}")
 
 

@@ -1,11 +1,11 @@
 """Linear models of the motion loop and the tension loop of a tendon.
 
-The controller is linearised by finite differences of its own code. The model of the plant is
+The models of the controller come from finite differences of its own code. The model of the plant is
 calculated from the hand file.
 
-The finite differences call the same code as a tick of the controller. Thus the matrices follow
-every change of the code of the filter or control law. Each tendon is treated alone, as in the
-design of the gains. Friction is neglected, because during motion it is constant. In each tick, the
+The finite differences call the same code as a tick of the controller. The matrices therefore follow
+every change of the code of the filter or the control law. Each tendon is treated alone, as in the
+design of the gains. Friction is neglected, because it is constant during motion. In each tick, the
 controller acts on the samples of the previous tick. This delay of one tick models the bus.
 
 The control law is linearised without its limits, because a saturated loop would seem to have no
@@ -109,7 +109,7 @@ class LinearSystem:
 
 @dataclass(frozen=True, slots=True)
 class PlantFactors:
-    """Linear parameters of a plant, divided by their values in the hand file."""
+    """Linear parameters of a plant, as factors of their values in the hand file."""
 
     stiffness: float = 1.0
     damping: float = 1.0
@@ -135,11 +135,11 @@ def plant_system(
         model: model of the hand.
         tendon: index of the tendon.
         kind: kind of the loop. In a tension loop, the digit is blocked.
-        factors: factors by which the plant's parameters differ from the hand file.
+        factors: factors by which the parameters of the plant differ from the hand file.
 
     Returns:
-        The system with the states travel, travel rate, excursion, excursion rate, motor force. For
-        a blocked digit, the two states of the excursion are absent.
+        The system has these states: travel, travel rate, excursion, excursion rate, motor force.
+        For a blocked digit, the two states of the excursion are absent.
 
     Source: two masses on a spring, torque with a first-order lag, zero-order hold.
     """
@@ -153,7 +153,7 @@ def plant_system(
     A = np.zeros((5, 5))
     B = np.zeros((5, 1))
     A[0, 1] = 1.0
-    # By Newton's law, motor force minus tension and friction accelerates the rotor.
+    # By Newton's law, the motor force minus tension and friction accelerates the rotor.
     A[1] = -tendon_force / m
     A[1, 1] -= b / m
     A[1, 4] = 1.0 / m
@@ -162,8 +162,8 @@ def plant_system(
     if kind == LoopKind.MOTION:
         load = space.load_mass[i] * factors.mass
         A[2, 3] = 1.0
-        # By Newton's law, the tension accelerates the digit. All its constants are reflected to the
-        # tendon.
+        # By Newton's law, the tension accelerates the digit. All constants of the digit are
+        # reflected to the tendon.
         A[3] = tendon_force / load
         A[3, 2] -= space.load_stiffness[i] * factors.spring / load
         A[3, 3] -= space.load_damping[i] * factors.damping / load
@@ -226,8 +226,8 @@ def open_loop(
 def join_to_open_loop(P: LinearSystem, K: LinearSystem) -> LinearSystem:
     """Return the open loop of a plant P and a controller K, broken at the motor force.
 
-    The output is the force that the controller commands, with the opposite sign. Therefore the
-    margins are calculated from 1 + L.
+    The output is the force that the controller commands, with the opposite sign. The margins are
+    therefore calculated from 1 + L.
     """
     K = _without_constants(K)
     p = len(P.A)
@@ -235,7 +235,7 @@ def join_to_open_loop(P: LinearSystem, K: LinearSystem) -> LinearSystem:
     y = len(P.C)
     A = np.zeros((p + y + n, p + y + n))
     A[:p, :p] = P.A
-    A[p : p + y, :p] = P.C  # samples for the next tick
+    A[p : p + y, :p] = P.C  # the samples for the next tick
     A[p + y :, p : p + y] = K.B
     A[p + y :, p + y :] = K.A  # the filter also uses the force that was commanded
     B = np.vstack([P.B, np.zeros((y + n, 1))])
@@ -244,9 +244,9 @@ def join_to_open_loop(P: LinearSystem, K: LinearSystem) -> LinearSystem:
 
 
 def _without_constants(K: LinearSystem) -> LinearSystem:
-    """Return a system without its constant states, such as a setpoint.
+    """Return a system from which the constant states, such as a setpoint, are removed.
 
-    Constant states never deviate from the operating point, and their poles at 1 do not affect
+    Constant states never leave the operating point, and their poles at 1 do not affect the
     stability.
     """
     A = K.A - np.eye(len(K.A))
@@ -269,7 +269,7 @@ def _central_difference(function: Callable[[float], Matrix], step: float) -> Mat
 def _tick_with_state(
     tick: _TickFunction, state: Matrix, reading: Matrix, j: int, step: float
 ) -> Matrix:
-    """Return the result of a tick in which state j is changed by a step."""
+    """Return the result of a tick after a step of state j."""
     moved = state.copy()
     moved[j] += step
     return tick(moved, reading)
@@ -278,7 +278,7 @@ def _tick_with_state(
 def _tick_with_reading(
     tick: _TickFunction, state: Matrix, reading: Matrix, j: int, step: float
 ) -> Matrix:
-    """Return the result of a tick in which reading j is changed by a step."""
+    """Return the result of a tick after a step of reading j."""
     moved = reading.copy()
     moved[j] += step
     return tick(state, moved)
@@ -304,11 +304,11 @@ one.
 
 
 class _LinearizationBench:
-    """Filter and linear control law of a hand, for use on a block of state.
+    """Filter and linear control law of a hand, for use on a state block.
 
     Attributes:
         model: model of the hand with its gains, but without limits and motor friction.
-        layout: layout of the block of state.
+        layout: layout of the state block.
     """
 
     def __init__(self, model: HandModel) -> None:
@@ -323,7 +323,7 @@ class _LinearizationBench:
     def run_filter(self, block: BlockArray) -> None:
         """Run the correction and prediction of the filter.
 
-        No contact is detected, because no torque acts yet.
+        No contact is detected, because no motor makes torque yet.
         """
         self.layout.view(block, "mode")[...] = HandMode.ARMING
         tick_stages.correct_estimate(block, self.layout.places, *self._constant_args)
@@ -342,7 +342,7 @@ class _LinearizationBench:
 def _operating_point(
     model: HandModel, tendon: int, kind: LoopKind
 ) -> tuple[_TickFunction, Matrix, Matrix, Matrix]:
-    """Return the tick function of a tendon, its state and reading at the operating point, and the state steps."""
+    """Return the tick function of a tendon, its state and readings at the operating point, and its steps."""
     bench = _LinearizationBench(model)
     point = _operating_block(bench, tendon, kind)
 
@@ -367,10 +367,10 @@ def _operating_point(
 
 
 def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) -> BlockArray:
-    """Return the block of state at the operating point.
+    """Return the state block at the operating point.
 
-    Every digit is half closed, and every tendon is taut. In a motion loop the tendon winds, in a
-    tension loop it is at rest. All errors are zero.
+    Every digit is half closed, and every tendon is taut. In a motion loop, the tendon is wound up.
+    In a tension loop, the tendon is at rest. All errors are zero.
     """
     model = bench.model
     layout = bench.layout
@@ -453,9 +453,9 @@ def _half_closed(digit: DigitModel) -> Matrix:
 
 
 def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matrix:
-    """Return coordinate rates (n_c,) of a digit with which one tendon winds at a given speed [m/s].
+    """Return coordinate rates (n_c,) of a digit with which one tendon is wound up at a given speed [m/s].
 
-    If the tendon belongs to another digit, all tendons of this digit wind at this speed.
+    If the tendon belongs to another digit, all tendons of this digit are wound up at the speed.
     """
     digit = model.digits[d]
     arms = digit.at_angles(digit.coupling @ _half_closed(digit)).reduced_moment_arms
@@ -485,7 +485,7 @@ def _hold_goal(tendons: slice) -> DigitGoal:
 def _move_goal(
     digit: DigitModel, position: Matrix, rate: Matrix, reached: Matrix, speed: Matrix, i: int
 ) -> DigitGoal:
-    """Return a motion goal that equals the estimated excursion [m] and speed [m/s] of tendon i of a digit."""
+    """Return a motion goal equal to the estimated excursion [m] and speed [m/s] of tendon i of a digit."""
     q = digit.coupling @ position
     arms = digit.at_angles(q).reduced_moment_arms
     if 0 <= i < len(arms):

@@ -1,8 +1,8 @@
-"""Margins of a control loop: gain, phase, disk, and delay margin, crossover frequency, and step response.
+"""Margins of a control loop: gain, phase, disk and delay margin, crossover frequency and step response.
 
-A search needs thousands of margins. Therefore each margin is calculated from a frequency response.
+A search needs thousands of margins. Each margin is therefore calculated from a frequency response.
     The tests compare the calculated margins with those of the Python package `control`. The
-    eigenvalues of the closed loop confirm reported margins: no change of gain, phase, or delay
+    eigenvalues of the closed loop confirm the reported margins. No change of gain, phase or delay
     within its margin moves a pole to the unit circle.
 Source: balanced disk margin 1 / max |S - 1/2| (Seiler, Packard, Gahinet, 2020).
 """
@@ -52,13 +52,13 @@ class LoopMargins:
     """Margins of a control loop.
 
     Attributes:
-        gain_db: largest factor by which the gain of the loop may be multiplied or divided, the
-            smaller of the two [dB]. It is 0 if the loop is unstable.
-        phase_deg: smallest difference of the phase from -180 degrees where the gain is one [deg].
-        disk: balanced disk margin, from 0 for an unstable loop to 2.
+        gain_db: largest factor by which the gain of the loop may be multiplied or divided [dB]. The
+            margin is the smaller of the two factors. The gain margin is 0 if the loop is unstable.
+        phase_deg: smallest difference between the phase and -180 degrees at a gain of one [deg].
+        disk: balanced disk margin, from 0 (unstable loop) to 2.
         delay_s: largest additional delay with which the loop stays stable [s].
-        crossover_hz: highest frequency at which the loop gain is one [Hz], NaN if the gain is never
-            one.
+        crossover_hz: highest frequency at which the gain of the loop is one [Hz]. The value is NaN
+            if the gain is never one.
         peak: largest value of the sensitivity function [1].
         stable: True if the closed loop is stable.
     """
@@ -94,12 +94,15 @@ class LoopMargins:
 
 
 def unproven_margins(linear_margins: LoopMargins) -> LoopMargins:
-    """Return zero margins, in place of margins that a simulation contradicts."""
+    """Return margins of zero, in place of margins that a simulation contradicts."""
     return _zero_margins(linear_margins.crossover_hz, linear_margins.peak, stable=False)
 
 
 def smaller_margins(first: LoopMargins, second: LoopMargins) -> LoopMargins:
-    """Return for each margin the smaller of two values, and the larger crossover frequency and peak."""
+    """Return for each margin the smaller of two values.
+
+    For the crossover frequency and the peak, return the larger one.
+    """
     return LoopMargins(
         gain_db=min(first.gain_db, second.gain_db),
         phase_deg=min(first.phase_deg, second.phase_deg),
@@ -119,7 +122,7 @@ def frequency_grid(period: float, points: int = SEARCH_GRID_POINTS) -> Matrix:
 def margins_of_loop(system: LinearSystem, points: int = SEARCH_GRID_POINTS) -> LoopMargins:
     """Return the margins of an open loop L, given that the closed loop has the denominator 1 + L.
 
-    An unstable loop and a loop without gain have zero margins.
+    For an unstable loop and for a loop without gain, all margins are zero.
     """
     omega = frequency_grid(system.period, points)
     if not (np.isfinite(system.A).all() and np.isfinite(system.C).all()):
@@ -151,7 +154,7 @@ def is_stable(system: LinearSystem, factor: complex = 1.0, delay: int = 0) -> bo
 
     Args:
         system: open loop.
-        factor: factor that multiplies the loop gain, complex for a change of phase.
+        factor: factor that multiplies the gain of the loop. A complex factor changes the phase.
         delay: additional delay in the loop [ticks].
     """
     n = len(system.A)
@@ -201,12 +204,12 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
 def _stable_with_all(
     system: LinearSystem, factors: Sequence[complex] | NDArray[np.complex128]
 ) -> bool:
-    """Return True if the loop is stable with its gain multiplied by each of the factors."""
+    """Return True if the loop is stable with each of the factors of its gain."""
     return all(is_stable(system, complex(factor)) for factor in factors)
 
 
 def _disk_factors(size: float) -> NDArray[np.complex128]:
-    """Return complex factors of the loop gain on the edge of a balanced disk.
+    """Return complex factors of the loop gain that lie on the edge of a balanced disk.
 
     Complex conjugate factors have the same stability. Therefore only half of the edge is returned.
     """
@@ -217,7 +220,7 @@ def _disk_factors(size: float) -> NDArray[np.complex128]:
 def _largest_confirmed(
     margin: float, is_confirmed: Callable[[float], bool], fractions: int = CHECKED_FRACTIONS
 ) -> float:
-    """Return the largest part of a margin in which every tested fraction is confirmed.
+    """Return the largest part of a margin that is confirmed at every tested fraction of it.
 
     The last hundredth of a margin is not tested, because the frequency response is interpolated.
     """
@@ -268,7 +271,7 @@ def all_margins(
 def worst_loop(
     margins_by_loop: dict[tuple[str, LoopKind], LoopMargins],
 ) -> tuple[tuple[str, LoopKind], LoopMargins]:
-    """Return the name (tendon and kind) and the margins of the loop with the largest shortfall of a margin."""
+    """Return the name (tendon and kind) and the margins of the loop whose margin has the largest shortfall."""
     return max(margins_by_loop.items(), key=lambda item: item[1].shortfall)
 
 
@@ -284,7 +287,8 @@ def step_response(
         duration: duration of the response [s].
 
     Returns:
-        Times (k,) [s], and travel [m] of a motion loop or tension [N] of a tension loop, (k,).
+        The times (k,) [s], and the travel [m] of a motion loop or the tension [N] of a tension
+        loop, (k,).
     """
     L = open_loop(model, tendon, kind)
     P = plant_system(model, tendon, kind)

@@ -1,10 +1,10 @@
 """Step tests in a lockstep simulation.
 
-They check that the hand comes to rest with the whole controller.
+Each test checks that the hand comes to rest with the whole controller.
 
 The linear models of the loops neglect friction, limits, quantisation, the drives, and the other
 digits. Therefore gains are accepted only after a test on the simulated plant. The hand must come to
-rest after a step of the joint angles, and after a step of the tensions.
+rest after a step of the joint angles and after a step of the tensions.
 """
 
 from collections.abc import Mapping
@@ -52,7 +52,7 @@ unstable loop, a held tension oscillates by 2.9 N or more, or the run ends with 
 
 
 class StepExercise(ExerciseProgram):
-    """Exercise that tightens the tendons, then steps the angles in free motion, then the tensions of closed digits."""
+    """Exercise: tighten the tendons, step the angles in free motion, and step the tensions of closed digits."""
 
     @property
     def stages(self) -> tuple[ExerciseStage, ...]:
@@ -75,9 +75,9 @@ class StepOscillation:
         angle_rad: largest oscillation of a mean joint angle after the angle step, peak to peak
             [rad].
         free_tension_N: largest oscillation of a true tension after the angle step, peak to peak [N].
-        hold_swings_N: (N,) oscillation of each tendon's true tension after the tension step, peak
-            to peak [N].
-        failure: reason why the run ended early, else empty.
+        hold_swings_N: (N,) oscillation of the true tension of each tendon after the tension step,
+            peak to peak [N].
+        failure: reason why the run ended early. The value is empty without a failure.
     """
 
     angle_rad: float
@@ -130,8 +130,8 @@ def simulate_swing(
 
     Args:
         hand: description of the simulated hand.
-        model: model of the hand with its gains.
-        factors: factors by which the plant's parameters differ from the description.
+        model: model of the hand, with its gains.
+        factors: factors by which the parameters of the plant differ from the description.
         seed: seed of the simulated noise.
     """
     ticks, truth, failure = simulate_program(hand, model, StepExercise(), factors, seed)
@@ -166,7 +166,7 @@ def _measure_swing(
 def _peak_to_peak(values: Matrix) -> Matrix:
     """Return the peak-to-peak value of each column after a parabola is subtracted.
 
-    The parabola removes slow creep, which is not an oscillation.
+    The parabola removes slow creep, because creep is not an oscillation.
     """
     t = np.linspace(-1.0, 1.0, len(values))
     # The columns are t^2, t and 1.
@@ -181,8 +181,8 @@ def is_loop_ringing(model: HandModel, factors: PlantFactors) -> bool:
     """Return True if a linear tension loop still oscillates when the oscillations after a step are measured.
 
     The oscillating eigenvalues are the same at every tension below the knee of the tendon. The
-    measurement begins `REST_DURATION_S - EVALUATED_DURATION_S` after the step. By then, the oscillation must be below
-    `MAX_HOLD_SWING_N`.
+    measurement begins `REST_DURATION_S - EVALUATED_DURATION_S` after the step. At this time, the
+    oscillation must be below `MAX_HOLD_SWING_N`.
 
     Args:
         model: model of the hand with its gains.
@@ -224,10 +224,10 @@ All other parameters of the plant are nominal.
 
 @dataclass
 class RestTest:
-    """Test of gains in a lockstep simulation, in which the hand must come to rest.
+    """Test of gains in a lockstep simulation. The hand must come to rest with these gains.
 
-    Four plants are simulated: the nominal plant, the nominal plant with the lowest friction of any
-    ensemble, the plant with the smallest margins, and the plant with the highest friction. A
+    Four plants are simulated: the nominal plant, the nominal plant with the lowest friction of all
+    ensembles, the plant with the smallest margins, and the plant with the highest friction. A
     simulation is necessary because the linear models neglect friction.
 
     The links of a digit that presses on an object may chatter even at constant motor torque. The
@@ -237,11 +237,11 @@ class RestTest:
 
     Attributes:
         hand: description of the simulated hand.
-        factors: factors of the plants of the ensemble, the nominal plant first.
+        factors: factors of the plants of the ensemble. The nominal plant comes first.
         plants: linear factors of the plants.
         seed: seed of the simulated noise.
-        reason: reason why the hand did not come to rest with the gains tested last, empty if it
-            did.
+        reason: reason why the hand did not come to rest with the gains that were tested last. The
+            value is empty if it did.
     """
 
     hand: Hand
@@ -263,7 +263,7 @@ class RestTest:
     def _simulate(self, model: HandModel) -> str:
         """Simulate the plants, and return the reason why the hand does not come to rest.
 
-        If it does, return an empty text.
+        If the hand comes to rest, return an empty text.
         """
         friction = [factors.get("friction", 1.0) for factors in self.factors]
         indices = sorted({0, weakest_plant(model, self.plants), friction.index(max(friction))})
@@ -296,7 +296,7 @@ class RestTest:
     ) -> tuple[float, ...]:
         """Return the largest oscillation of each held tension without feedback [N].
 
-        In a failed run, the oscillations count as zero.
+        If the run fails, the oscillations count as zero.
         """
         if name not in self._chatter:
             still = HandModel.from_hand(

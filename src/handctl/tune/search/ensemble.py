@@ -31,7 +31,7 @@ MAX_FACTOR_SPREAD = 0.9
 def draw_ensemble(
     count: int, seed: int, spread: Mapping[str, float] | None = None
 ) -> tuple[dict[str, float], ...]:
-    """Return factors of plant parameters: first those of the nominal plant, then those of random plants.
+    """Return factors of plant parameters: those of the nominal plant first, then those of random plants.
 
     The random plants come from a scrambled Sobol sequence.
 
@@ -39,7 +39,7 @@ def draw_ensemble(
         count: number of plants, including the nominal plant.
         seed: seed of the sequence.
         spread: half width of the range of each factor, for example from an identification. A value
-            below that of `MIN_FACTOR_SPREAD` is increased to it.
+            that is smaller than in `MIN_FACTOR_SPREAD` is increased to the value there.
 
     Returns:
         `count` tables, each with the factor of each key.
@@ -48,8 +48,8 @@ def draw_ensemble(
         key: min(MAX_FACTOR_SPREAD, max(min_spread, (spread or {}).get(key, 0.0)))
         for key, min_spread in MIN_FACTOR_SPREAD.items()
     }
-    # A Sobol sequence is balanced if its length is a power of two. Therefore the length is rounded
-    # up.
+    # A Sobol sequence is balanced if its length is a power of two. The length is therefore rounded
+    # up to a power of two.
     drawn = qmc.Sobol(len(half), seed=seed).random(
         1 << max(0, (max(count - 1, 1) - 1).bit_length())
     )

@@ -1,10 +1,10 @@
 """Search for gains in simulation with Optuna. The result depends only on the seed.
 
-Trials are requested from Optuna in batches of a fixed size, and their scores are reported in the
+The search requests trials from Optuna in batches of a fixed size, and reports their scores in the
 same order. Each batch has a separate sampler, whose seed follows from the seed of the study and the
-number of the batch. Therefore the result does not depend on the number of processes, and an
-interrupted study can be resumed. A resumed study begins with those trials of the last batch that
-have no score. If the request of a batch was interrupted, the whole batch is requested again.
+number of the batch. Because of this, the result does not depend on the number of processes, and an
+interrupted study can be resumed. A resumed study begins with the trials of the last batch that have
+no score yet. If the request of a batch was interrupted, the whole batch is requested again.
 """
 
 import fcntl
@@ -41,7 +41,7 @@ class SearchPlan:
         plants: factors of the plants of the ensemble.
         seed: seed of the samplers and of the simulated noise.
         trials: number of trials.
-        others: further gains that are tried first, such as those of a design.
+        others: further gains that are tried before the random trials, such as those of a design.
     """
 
     hand: str
@@ -55,15 +55,16 @@ class SearchPlan:
     def gains_of(self, number: int, values: Mapping[str, float]) -> Gains:
         """Return the gains of a trial.
 
-        The first trial has exactly the gains of the plan, which may be outside of the search space.
+        The first trial has exactly the gains of the plan. These gains may be outside of the search
+        space.
         """
         return with_values(self.gains, values, "study") if number else self.gains
 
     def trial_job(self, number: int, values: Mapping[str, float]) -> dict[str, Any]:
         """Return the job with which a worker evaluates a trial.
 
-        The first trial is the reference for the others. Therefore it is simulated even if its
-        margins are too small.
+        The first trial is the reference for the others. The first trial is therefore simulated even
+        if its margins are too small.
         """
         return {
             "hand": self.hand,
@@ -96,7 +97,7 @@ class SearchTrial:
 
     @property
     def is_feasible(self) -> bool:
-        """Return True if the trial finished the exercise and keeps the margins."""
+        """Return True if the trial has finished the exercise and keeps the margins."""
         return not self.score.failure and self.score.shortfall <= 0.0
 
 
@@ -106,7 +107,7 @@ class SearchResult:
 
     Attributes:
         trials: finished trials in order. The first trial has the gains of the plan.
-        best: feasible trial with the smallest cost, None if no trial is feasible.
+        best: feasible trial with the smallest cost. None if no trial is feasible.
         pareto_front: numbers of the Pareto-optimal feasible trials.
     """
 
@@ -137,7 +138,7 @@ class SearchResult:
         return SearchResult(trials, best, tuple(front))
 
     def relative_cost(self, trial: SearchTrial) -> float:
-        """Return the cost of a trial relative to the first trial.
+        """Return the cost of a trial relative to the cost of the first trial.
 
         If the first trial failed, the first feasible trial is the reference.
         """
@@ -145,7 +146,7 @@ class SearchResult:
 
 
 def _cost_reference(trials: tuple[SearchTrial, ...]) -> GainScore:
-    """Return the score to which costs are relative."""
+    """Return the score relative to which costs are computed."""
     first = trials[0].score
     feasible = (trial.score for trial in trials if trial.is_feasible)
     return next(feasible, first) if first.failure else first
@@ -160,7 +161,7 @@ def _dominates(score: GainScore, other_score: GainScore) -> bool:
 def run_search(
     plan: SearchPlan, storage: Path, workers: SearchWorkers, show: Callable[[SearchResult], None]
 ) -> SearchResult:
-    """Run a search, or resume an interrupted one.
+    """Run a search, or resume an interrupted search.
 
     Args:
         plan: plan of the search.
@@ -169,7 +170,7 @@ def run_search(
         show: function that is called after each trial.
 
     Raises:
-        ConfigError: The storage holds another search, or another process uses it.
+        ConfigError: The storage contains another search, or another process uses it.
     """
     with _exclusive_lock(storage):
         study = _open_study(plan, storage)
@@ -206,7 +207,7 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
     """Open the study of a plan in a journal, or start it there.
 
     Raises:
-        ConfigError: The journal cannot be used, or holds another search.
+        ConfigError: The journal cannot be used, or contains another search.
     """
     import optuna
     from optuna.storages import JournalStorage
@@ -243,7 +244,7 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
 def _truncate_partial_line(path: Path) -> None:
     """Remove the last line of a journal if it is incomplete, for example after a power failure.
 
-    Optuna would append its next entry to the incomplete line.
+    Without this, Optuna would append its next entry to the incomplete line.
 
     Raises:
         OSError: The file cannot be read or written.
@@ -278,16 +279,16 @@ def _run_batch(
 def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]:
     """Return the trials of the present batch that have no score yet.
 
-    A whole batch is requested from Optuna before the first score of this batch is reported.
-    Therefore an interrupted or extended search has the same trials as an uninterrupted one.
+    A whole batch is requested from Optuna before the first score of this batch is reported. An
+    interrupted or extended search therefore has the same trials as an uninterrupted search.
     """
     from optuna.trial import Trial as OptunaTrial
     from optuna.trial import TrialState
 
     count = BATCH_SIZE - finished_count % BATCH_SIZE
     still_open = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
-    # If the whole batch was requested before, its open trials have the right number and all
-    # parameters.
+    # If the whole batch was requested before, its trials without a score have the right number and
+    # all parameters.
     if len(still_open) == count and all(
         len(trial.params) == len(GAIN_RANGES) for trial in still_open
     ):
@@ -312,9 +313,10 @@ def _close_open_trials(study: Any) -> None:
 
 def _report_score(study: Any, trial: Any, score: GainScore) -> None:
     """Report the score of a trial to the study."""
-    # The attribute is set before the state. Thus every finished trial has a score.
+    # The attribute is set before the state. So every finished trial has a score.
     trial.set_user_attr("score", asdict(score))
-    if not trial.constraints:  # It already exists if an earlier call was interrupted before `tell`.
+    # The attribute already exists if an earlier call was interrupted before `tell`.
+    if not trial.constraints:
         trial.set_constraint("margins", score.shortfall)
     study.tell(trial, list(score.objectives))
 

@@ -35,7 +35,10 @@ The force of Bryson's rule is fixed, because only ratios of weights have an effe
 
 
 def clamped_gains(gains: Gains) -> dict[str, float]:
-    """Return gains as a point of the search space, clamped to the ranges."""
+    """Return gains as a point of the search space.
+
+    Values outside of their range are clamped to the range.
+    """
     values = values_by_key(gains)
     return {
         key: min(max(values[key], gain_range.low), gain_range.high)

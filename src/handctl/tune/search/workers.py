@@ -1,6 +1,6 @@
 """Workers of a search: this process, a pool of processes, or a Dask cluster.
 
-The scores do not depend on the kind of workers.
+The scores do not depend on the kind of worker.
 """
 
 import json
@@ -53,7 +53,7 @@ class InProcessWorkers:
 class ProcessPool:
     """Pool of worker processes on this machine.
 
-    A dead process is replaced, and its job is repeated.
+    A process that has died is replaced, and its job is repeated.
     """
 
     def __init__(self, count: int) -> None:
@@ -73,7 +73,7 @@ class ProcessPool:
             ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
         )
         command = [sys.executable, "-m", "handctl.tune.search.worker"]
-        # In a separate session, the worker does not receive Ctrl-C from the terminal, not even
+        # The worker has its own session, so it does not receive Ctrl-C from the terminal, not even
         # during its imports.
         return subprocess.Popen(
             command,
@@ -111,18 +111,18 @@ class ProcessPool:
                         "tune search",
                         "--jobs 1",
                     )
-                # The job of a dead worker is repeated next. Thus the order of the results changes
-                # little.
+                # The job of a worker that has died is repeated next. So the order of the results
+                # changes little.
                 waiting.appendleft(i)
 
-    def _wait_for_readable(self, busy: Iterable[int]) -> list[int]:
+    def _wait_for_readable(self, busy_workers: Iterable[int]) -> list[int]:
         """Wait until a worker has written a line or has ended, and return the indices of all such workers."""
-        outputs = {_read_output(self._processes[slot]): slot for slot in busy}
+        outputs = {_read_output(self._processes[slot]): slot for slot in busy_workers}
         ready, _, _ = select.select(list(outputs), [], [])
         return [outputs[output] for output in ready]
 
     def _send_job(self, slot: int, job: ScoreJob) -> None:
-        """Send a job to a worker. A dead worker is replaced first."""
+        """Send a job to a worker. If the worker has died, it is first replaced."""
         if self._processes[slot].poll() is not None:
             self._replace_process(slot)
         channel = self._processes[slot].stdin
@@ -131,7 +131,7 @@ class ProcessPool:
             channel.write(json.dumps(job).encode() + b"\n")
             channel.flush()
         except BrokenPipeError:
-            return  # whoever reads the output detects that the worker died
+            return  # the code that reads the output detects that the worker has died
 
     def _replace_process(self, slot: int) -> None:
         """Replace a worker by a new process."""
@@ -198,7 +198,7 @@ def _check_result(result: ScoreResult) -> ScoreResult:
 
 
 def make_workers(count: int, scheduler: str | None) -> SearchWorkers:
-    """Return workers: a number of processes on this machine, or the cluster of a Dask scheduler."""
+    """Return workers: either a number of processes on this machine, or the cluster of a Dask scheduler."""
     if scheduler:
         return DaskCluster(scheduler)
     return InProcessWorkers() if count == 1 else ProcessPool(count)
