@@ -90,17 +90,17 @@ def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | Non
     recorder = Recorder.start(
         log, RunHeader.from_hand(hand.to_toml(), plan.period_ns, attachments=described)
     )
-    counter = ActiveTickCounter(seconds)
+    tick_times_ns: list[int] = []
+    counter = ActiveTickCounter(seconds, tick_times_ns)
     cut = controller.cut_frames()
 
     def record(entry, out):
         recorder.send_record(pack_tick_record(entry, out))
 
-    took = []
     # The timing of a tick takes a few microseconds. A measurement of the rate without deadlines
     # must not include this time.
     begin = (
-        (lambda state, entry: TimedTick(controller, state, entry, took))
+        (lambda state, entry: TimedTick(controller, state, entry, tick_times_ns))
         if rate_hz
         else controller.begin_tick
     )
@@ -116,7 +116,7 @@ def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | Non
         raise RuntimeError(f"never active: {state.failure}")
     span = (counter.last_ns - counter.first_ns) / 1e9
     missed = (counter.last_k - counter.first_k - counter.ticks) / counter.ticks
-    return counter.ticks / span, missed, counter.late, took[-counter.ticks :], counter.cpu_s / span
+    return counter.ticks / span, missed, counter.late, counter.tick_times_ns, counter.cpu_s / span
 
 
 class TimedTick:
@@ -149,10 +149,21 @@ class TimedTick:
 
 
 class ActiveTickCounter:
-    """Observer that counts the ticks with an active hand and ends the run after the requested time."""
+    """Observer that counts the ticks with an active hand and ends the run after the requested time.
 
-    def __init__(self, seconds: float) -> None:
+    The ticks before and after this time run the state machines of all drives, and are not counted.
+    """
+
+    def __init__(self, seconds: float, all_times_ns: list[int]) -> None:
+        """Create the observer.
+
+        Args:
+            seconds: time for which the hand is active [s].
+            all_times_ns: wall times of all ticks so far [ns], empty if ticks are not timed.
+        """
         self.seconds = seconds
+        self.all_times_ns = all_times_ns
+        self.tick_times_ns: list[int] = []
         self.ticks = 0
         self.late = []
         self.first_ns = self.last_ns = self.first_k = self.last_k = 0
@@ -170,6 +181,7 @@ class ActiveTickCounter:
         self.ticks += 1
         self.last_k = entry.k
         self.late.append(entry.late_ns)
+        self.tick_times_ns += self.all_times_ns[-1:]
 
     def requests(self) -> tuple[str, ...]:
         if not self.first_ns or self.stopped:
