@@ -4,7 +4,6 @@ Start in another terminal: handctl sim --hand jamia --bus local:lab --scene none
 Then start: python stream_sine.py [options of handctl run] writes sine.png.
 """
 
-import math
 import sys
 
 import matplotlib
@@ -17,37 +16,40 @@ import handctl
 from handctl.log.read.reader import RunLog
 
 MIDDLE_DEG, SWING_DEG, DURATION_S = 30.0, 20.0, 3.0
+SETTLING_S = 0.3  # the digit begins at rest, and the sine with its full speed
+
+
+def sine_deg(t_s):
+    """Return the wanted angle [deg] at a time since the start of the stream [s]."""
+    return MIDDLE_DEG + SWING_DEG * np.sin(2.0 * np.pi * t_s)
+
 
 with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:
     hand.move(index=MIDDLE_DEG)
-    first = hand.observe().k
     with hand.stream(rate_Hz=100, space="digit", names=["index"]) as stream:
-        for tick in range(round(DURATION_S * stream.rate_Hz)):
-            t = (
-                tick / stream.rate_Hz + stream.horizon_s
-            )  # time at which the hand must reach the target
-            stream.send([MIDDLE_DEG + SWING_DEG * math.sin(2.0 * math.pi * t)])
+        began_s = hand.observe().t_s
+        # The time comes from the clock of the hand: a count of the targets would lag behind after
+        # each delay of this program.
+        while (t := hand.observe().t_s - began_s) < DURATION_S:
+            stream.send([sine_deg(t + stream.horizon_s)])  # the hand reaches it after the horizon
             stream.sleep()
         print(stream.status)
-        last = hand.observe().k
     hand.move(index=0)
 
 with RunLog(
     hand.result["log"]
 ) as log:  # the log has all ticks, but this program has observed only some of them
-    streamed = (log.k > first) & (log.k < last)
+    streamed = (log.times > began_s + SETTLING_S) & (log.times < began_s + DURATION_S)
     joints = [name.startswith("index") for name in log.names("q")]
-    t = log.times[streamed]
-    q, goal = (
-        np.degrees(log.field(name)[streamed][:, joints]).mean(axis=1) for name in ("q", "q_goal")
-    )
-print(f"RMS of the tracking error: {np.sqrt(np.mean((q - goal) ** 2)):.2f} deg")
+    t = log.times[streamed] - began_s
+    q = np.degrees(log.field("q")[streamed][:, joints]).mean(axis=1)
+print(f"RMS of the tracking error: {np.sqrt(np.mean((q - sine_deg(t)) ** 2)):.2f} deg")
 
 figure, (above, below) = plt.subplots(2, sharex=True, figsize=(7, 4.5), layout="constrained")
-above.plot(t - t[0], goal, "k--", label="reference")
-above.plot(t - t[0], q, label="estimated")
+above.plot(t, sine_deg(t), "k--", label="sine")
+above.plot(t, q, label="estimated")
 above.set(ylabel="mean angle of index [deg]", title="1 Hz streamed at 100 Hz")
 above.legend(loc="upper right")
-below.plot(t - t[0], q - goal)
+below.plot(t, q - sine_deg(t))
 below.set(xlabel="time [s]", ylabel="error [deg]")
 figure.savefig("sine.png", dpi=120)

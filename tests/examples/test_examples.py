@@ -121,7 +121,10 @@ def test_connect_and_move(repeat_time_scale):
 def test_stream_sine(repeat_time_scale):
     with simulated_hand(repeat_time_scale, "--scene", "none") as options:
         out = run_example("stream_sine.py", *options)
-    assert "accepted=300, clipped=0" in out
+    accepted = re.search(r"accepted=(\d+), clipped=0", out)
+    assert accepted
+    assert 100 < int(accepted[1]) <= 301, "missed times are left out"
+    # The reference is the sine of the program, so that a lag of the targets counts as an error.
     assert numbers_in(out.splitlines()[-1])[0] < 1.5
     check_picture("sine.png")
 
