@@ -639,7 +639,7 @@ def main() -> None:
         "--time-scale",
         type=float,
         default=1.0,
-        help="ratio of simulated time to wall time, except for the latency (default: 1)",
+        help="ratio of simulated time to wall time (default: 1). The latency is always measured with 1",
     )
     parser.add_argument(
         "--bus", default="local:streaming", help="bus: local:NAME or socketcan:INTERFACE"

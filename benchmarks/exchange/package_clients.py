@@ -49,7 +49,8 @@ class DamiaoClient:
 class OdriveClient:
     """Client odrive-can.
 
-    The client encodes a torque with its DBC file, and decodes a position with its reader.
+    odrive-can encodes a torque with the DBC file of the package, and decodes a position with the
+    frame reader of the package.
     """
 
     DBC_AXIS_COUNT = 8

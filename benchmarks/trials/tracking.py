@@ -159,7 +159,7 @@ def run_tracking_trial(job: tuple) -> dict[str, dict[str, float | str]]:
 
 
 def tune_weights(plan: JobPlan) -> None:
-    """Try all weights for each law on each hand.
+    """Try all weights of the gain design for each control law on each hand.
 
     Print the error of the fast motion for all weights, and the weights that keep the margins. After
     the last trial, write both into ``TUNED_FILE``.

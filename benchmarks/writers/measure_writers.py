@@ -1,6 +1,6 @@
 """Measurement of all log writers.
 
-Each one writes the same run and reads it back. The costs are printed.
+Each writer writes the same run, and the program reads each log back. It prints the costs.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Every program in examples/ runs with the command line of a user, and does what its docstring describes."""
+"""Every program in examples/ is started as a user starts it, and does what its docstring describes."""
 
 import re
 import runpy

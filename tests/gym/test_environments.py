@@ -103,7 +103,7 @@ def test_equal_seeds_and_actions_give_equal_episodes(name: str) -> None:
     ("hand", "span"), [("jamia", None), ("jamia11", None), ("jamia_bench", None), ("t42", 0.05)]
 )
 def test_the_reference_can_be_tracked(hand: str, span: float | None) -> None:
-    """The reference of the hand t42 moves only a little, because its fingers touch each other at 9 degrees."""
+    """For the hand t42, the reference angles are small, because the fingers of t42 touch each other at 9 degrees."""
     env = make_env(TRACK_ENV, hand=hand, **({} if span is None else {"span": (0.0, span)}))
     seen, _ = env.reset(seed=3)
     rewards, ended, truncated = [], False, False

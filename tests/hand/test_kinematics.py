@@ -43,7 +43,7 @@ def random_angles(rng, digit, count=100):
 
 
 def hand_with_general_mounts() -> Hand:
-    """Return a hand whose digits have general orientations: no rotation is the identity or a half turn."""
+    """Return a hand whose digits are rotated about all three axes."""
     content = load_hand("jamia").content
     tilts = ((25.0, -40.0, 70.0), (-160.0, 15.0, 5.0), (90.0, 0.0, 90.0), (10.0, 85.0, -120.0))
     digits = [

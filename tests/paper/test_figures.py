@@ -1,4 +1,4 @@
-"""Test the figures about the paper.
+"""Test the pictures that ``handctl paper`` draws of the source paper's results.
 
 No figure is empty, the axes have names, and the numbers printed in the paper are marked.
 """

@@ -208,7 +208,7 @@ def stuck_joint(joint: int, deg: float) -> TickInput:
 
 
 def replayed_readings(tendon: int, run: int) -> TickInput:
-    """Return an input with load-cell readings that repeat those of 16 ticks ago, ``run`` times in a row."""
+    """Return an input in which the last ``run`` load-cell readings equal the readings 16 ticks before them."""
     past = {(age, tendon): 20.0 + (age - 15) / 16.0 for age in range(64)}
     return state_rows(past=past, same={(15, tendon): run - 1})
 

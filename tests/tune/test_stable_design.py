@@ -230,7 +230,7 @@ def test_a_failed_rest_test_gives_no_design(jamia: HandModel) -> None:
 
 
 def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
-    """The rest test detects unstable gains.
+    """A simulated hand with unstable gains does not come to rest.
 
     Earlier defect: unstable gains were written as a design with infinite margins.
     """

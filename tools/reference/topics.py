@@ -105,7 +105,7 @@ def topic_table() -> str:
 def _linked_type(kind: str) -> str:
     """Return the name of a message type.
 
-    If the page prints its definition, the name is a link to it.
+    If the page contains the definition of the message type, the name links to this definition.
     """
     name = kind.replace("/msg/", "/")
     if name not in MESSAGE_DEFINITIONS or not name.startswith(PRINTED_TYPES):

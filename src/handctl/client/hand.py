@@ -838,7 +838,7 @@ def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[s
     """Combine the values of a mapping and of keyword arguments, and return them by name of the digit.
 
     Raises:
-        ConfigError: the goals are not a mapping, no digit is named, or a digit is named twice.
+        ConfigError: the goals are not a mapping, contain no digit, or contain a digit twice.
     """
     if goals is not None and not isinstance(goals, Mapping):
         raise ConfigError(repr(goals), do, 'digits by name, as in index=30 or {"index": 30}')

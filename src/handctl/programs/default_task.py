@@ -249,8 +249,8 @@ def default_scene(hand: Hand) -> str:
     """Return the scene for the default task of a hand: a cylinder or a ball between the open digits.
 
     The diameter of the object is in proportion to the length of the digits. The tips of opposed
-    digits would meet around thin objects. A hand whose digits cannot balance their forces, such as
-    an anthropomorphic hand, gets the scene with the object of 35 mm.
+    digits would meet around thin objects. If the digits of a hand cannot press against
+    each other, as in an anthropomorphic hand, the scene has an object of 35 mm.
     """
     directions = _flexion_directions(hand)
     parallel = all(abs(direction[2]) < MAX_AXIAL_COMPONENT for direction in directions.values())

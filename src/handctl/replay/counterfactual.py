@@ -95,7 +95,8 @@ def draw_commands(
 ) -> None:
     """Draw the logged commands and the commands with other gains as PNG: tension and torque of each tendon.
 
-    The time after the comparable ticks has a grey background.
+    After the other gains have caused a different reaction, ticks are not comparable. The background
+    of this time is grey.
 
     Args:
         path: PNG file to write.

@@ -56,7 +56,7 @@ class TargetBox:
     def __init__(self, name: str, run_time: Callable[[int], int]) -> None:
         """Bind the target socket of the controller of bus ``name``.
 
-        The controller must have locked the bus.
+        Before this call, the controller must lock the bus.
 
         Args:
             name: bus of the controller.

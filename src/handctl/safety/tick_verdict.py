@@ -62,7 +62,7 @@ class TickVerdict(NamedTuple):
     Attributes:
         action: most severe reaction that a fault demands.
         findings: faults that became active in this tick.
-        latched: faults latched after the tick.
+        latched: all faults that are latched at the end of the tick.
         reported_faults: faults that are reported in this tick.
     """
 

@@ -221,7 +221,7 @@ def run_lockstep(
     a fault.
 
     Raises:
-        DriveError: a fault has held the hand for too long.
+        DriveError: because of a fault, the hand had to hold its position for too long.
     """
     clock.restart()
     header = run_header(plan, controller, None, lockstep=True)

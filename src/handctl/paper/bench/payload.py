@@ -92,8 +92,8 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     normals = np.array(
         [_mean_normals(truth, _phase_end_ns(recording, phase["name"])) for phase in phases]
     )
-    # Interpolation needs strictly increasing forces. Steps of 1e-6 N are added to forces that are
-    # equal.
+    # Interpolation needs strictly increasing forces. Each force is raised by 1e-6 N per phase, so
+    # that equal forces differ.
     normals = np.maximum.accumulate(normals + 1e-6 * np.arange(len(phases))[:, None])
     start_s = recording.t_ns[recording.phase.index(phases[0]["name"])] / 1e9
     target_normals = np.full(len(names), float(src.FINGER_GRIP_FORCE_N))

@@ -1,4 +1,4 @@
-"""Excitation of a digit that tendons both close and open.
+"""Motions that excite a digit for identification, if tendons close the digit and tendons open it.
 
 Such a digit has n + 1 tendons without springs, or spool pairs.
 
