@@ -129,13 +129,22 @@ def _open_graphics(width_px: int, height_px: int) -> Any:
         else:
             from mujoco.gl_context import GLContext  # type: ignore[import-untyped,unused-ignore]
         return GLContext(width_px, height_px)
-    except (
-        Exception
-    ) as error:  # OpenGL libraries raise many kinds of errors, AttributeError among them.
+    except _graphics_errors() as error:
         raise SimulatorError(
             f"no graphics for pictures: {error}; expected an OpenGL library such as libegl1, "
             "or MUJOCO_GL=egl, osmesa or glfw"
         ) from error
+
+
+def _graphics_errors() -> tuple[type[Exception], ...]:
+    """Return the exceptions with which graphics libraries report that they cannot be used."""
+    # A library without an EGL function raises AttributeError.
+    known = (AttributeError, ImportError, OSError, RuntimeError, ValueError, mujoco.FatalError)
+    try:
+        from OpenGL.error import Error  # type: ignore[import-untyped,unused-ignore]
+    except ImportError:
+        return known
+    return (*known, Error)
 
 
 def _paint(model: Any, digits: list[str]) -> None:
