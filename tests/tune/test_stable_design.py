@@ -12,7 +12,14 @@ import pytest
 from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
-from handctl.tune.loops.design import GainDesign, design_gains, distinct_tendons, linear_factors
+from handctl.tune.loops.design import (
+    GainDesign,
+    design_gains,
+    distinct_tendons,
+    keeps_required_margins,
+    linear_factors,
+    with_largest_authority,
+)
 from handctl.tune.loops.linear import (
     LinearSystem,
     LoopKind,
@@ -222,6 +229,19 @@ def test_written_design_is_stable(hand: str, seed: int) -> None:
         return  # in this case, no design is written
     after = judged_stable(model, found, seed)
     assert RestTest(model.hand, factors, plants, seed + 100)(after)
+
+
+def test_tendons_that_share_joints_keep_their_margins_together() -> None:
+    """Reproduce a defect: ``tune design`` gave up for n_plus_1.
+
+    The first tendon of a finger got a large force of its own, which took the margins of the other
+    tendons of the finger below 6 dB.
+    """
+    model = HandModel.from_hand(load_hand("n_plus_1"), Gains(), 250.0)
+    plants = (linear_factors({}),)
+    designed = with_largest_authority(model, LoopKind.MOTION, plants)
+    assert designed is not None
+    assert keeps_required_margins(designed, plants, (LoopKind.MOTION,))
 
 
 def test_a_failed_rest_test_gives_no_design(jamia: HandModel) -> None:

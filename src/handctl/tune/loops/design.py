@@ -364,10 +364,10 @@ def design_gains(
     for rejection in REJECTION_FRACTIONS:
         if rejection > model.gains.motion.disturbance_rejection:
             continue
-        candidate = _with_largest_authority(
+        candidate = with_largest_authority(
             _with_motion(model, disturbance_rejection=rejection), LoopKind.MOTION, plants
         )
-        candidate = candidate and _with_largest_authority(candidate, LoopKind.TENSION, plants)
+        candidate = candidate and with_largest_authority(candidate, LoopKind.TENSION, plants)
         if not candidate:
             continue
         for tried in _with_decreasing_authority(candidate, plants):
@@ -423,12 +423,13 @@ def _with_motion(model: HandModel, **values: float) -> HandModel:
     return model_with_gains(model, gains)
 
 
-def _with_largest_authority(
+def with_largest_authority(
     model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]
 ) -> HandModel | None:
     """Return the model in which the loop of each tendon has the largest authority that keeps the margins.
 
-    If no authority keeps the margins, return None.
+    If a tendon influences the loops of others, all tendons have equal forces. If no authority keeps
+    the margins, return None.
     """
     model = model_with_gains(model, _without_tendon_forces(model.gains, kind))
     forces: dict[int, float] = {}
@@ -442,7 +443,12 @@ def _with_largest_authority(
     own = {
         model.space.names[i]: force for i, force in forces.items() if force > FORCE_RATIO * shared
     }
-    return _with_tendon_forces(with_shared, kind, own) if own else with_shared
+    if not own:
+        return with_shared
+    separate = _with_tendon_forces(with_shared, kind, own)
+    # Each force was found with equal forces of all tendons. If tendons share a joint, a larger force
+    # of one tendon reduces the margins of the others.
+    return separate if keeps_required_margins(separate, plants, (kind,)) else with_shared
 
 
 def _largest_force(
