@@ -4,7 +4,6 @@ Each protocol has its own progress, a named tuple in ``DriveState.private``. A f
 only those fields of ``EnablingProgress`` that its text names, and returns the next drive state.
 """
 
-from collections.abc import Sequence
 from typing import Any, Protocol, Self
 
 from handctl.drives import readback
@@ -56,26 +55,36 @@ def enter_fault(state: DriveState, error_code: int, text: str) -> DriveState:
     return state._replace(phase=FAULT, error=error_code, error_text=text)
 
 
+class RecheckedDrive(Protocol):
+    """Properties of a drive that ``request_recheck`` uses, see ``contract.Drive``."""
+
+    @property
+    def node_id(self) -> int:
+        """Return the node number of the drive."""
+        ...
+
+    @property
+    def rechecks(self) -> tuple[SettingRecheck, ...]:
+        """Return the settings of the repeated read-back."""
+        ...
+
+
 def request_recheck(
-    state: DriveState,
-    rechecks: Sequence[SettingRecheck],
-    error_code: int,
-    node_id: int,
-    t_ns: int,
+    state: DriveState, drive: RecheckedDrive, error_code: int, t_ns: int
 ) -> tuple[DriveState, tuple[Frame, ...]]:
     """Return the next state, and the request that reads a setting of the enabled drive again, if it is due.
 
     Args:
         state: state of the drive.
-        rechecks: settings of the repeated read-back.
+        drive: drive whose settings are read again.
         error_code: error code of a setting that the drive does not answer.
-        node_id: node number of the drive.
         t_ns: time of the tick [ns].
     """
-    if not rechecks or t_ns < state.recheck.due_ns:
+    # Most calls end here. The frames of the exchanges are built only for a request that is due.
+    if t_ns < state.recheck.due_ns or not (rechecks := drive.rechecks):
         return state, ()
     one = rechecks[state.recheck.step]
-    check, problem = readback.next_recheck(state.recheck, one.name, node_id, t_ns)
+    check, problem = readback.next_recheck(state.recheck, one.name, drive.node_id, t_ns)
     state = state._replace(recheck=check)
     return enter_fault(state, error_code, problem) if problem else state, (one.request,)
 

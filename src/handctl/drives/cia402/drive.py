@@ -421,9 +421,7 @@ class Cia402Drive:
         ):
             return self._disable(state, progress, t_ns)
         if state.phase == ENABLED:
-            state, recheck = request_recheck(
-                state, self.rechecks, SETTING_MISMATCH_ERROR, self.node_id, t_ns
-            )
+            state, recheck = request_recheck(state, self, SETTING_MISMATCH_ERROR, t_ns)
             return state, (self._rpdo_frame(codec.ENABLE_OPERATION, command), *recheck)
         if state.phase == FAULT:
             return state, self.cut_frames() if progress.may_be_enabled else ()

@@ -332,9 +332,7 @@ class MitDrive:
         progress: MitProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
             sent = self._command_frame(command)
-            state, recheck = request_recheck(
-                state, self.rechecks, SETTING_MISMATCH_ERROR, self.node_id, t_ns
-            )
+            state, recheck = request_recheck(state, self, SETTING_MISMATCH_ERROR, t_ns)
             return state, (sent, *recheck)
         if target == LISTEN:
             return state, ()

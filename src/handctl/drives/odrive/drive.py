@@ -386,9 +386,7 @@ class OdriveDrive:
             return start_disabling(state, progress, t_ns), (self._axis_state_frame(codec.IDLE),)
         if state.phase == ENABLED:
             state, requests = self._feedback_requests(state, t_ns)
-            state, recheck = request_recheck(
-                state, self.rechecks, SETTING_MISMATCH_ERROR, self.node_id, t_ns
-            )
+            state, recheck = request_recheck(state, self, SETTING_MISMATCH_ERROR, t_ns)
             return state, (self._command_frame(command), *recheck, *requests)
         if state.phase == FAULT:
             return state, self.cut_frames() if progress.may_be_enabled else ()
