@@ -268,13 +268,19 @@ def test_an_identification_refuses_two_sources(capsys, words):
     assert "expected one of them" in refusal_line(capsys, "identify", *words)
 
 
-def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, capsys, monkeypatch):
-    hand, own = load_hand("jamia"), work_folder / "jamia.calibration.toml"
+def jamia_calibration(simulated: bool = False) -> Calibration:
+    """Return a calibration of the packaged hand jamia without identified parameters."""
+    hand = load_hand("jamia")
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
-    rows = dict.fromkeys(hand.tendon_names, nothing)
-    made = Calibration(
-        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows
-    )
+    return Calibration(
+        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00",
+        tendon=dict.fromkeys(hand.tendon_names, nothing), simulated=simulated,
+    )  # fmt: skip
+
+
+def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, capsys, monkeypatch):
+    own = work_folder / "jamia.calibration.toml"
+    made = jamia_calibration()
     write_calibration(own, made)
     before, ended = (
         own.read_bytes(),
@@ -334,11 +340,7 @@ def _replace_identification(monkeypatch, made, found):
 def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, capsys, monkeypatch):
     """One line names the digit, the parameters that are not written, the reason, and the next step."""
     hand, path = load_hand("jamia"), work_folder / "own.toml"
-    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
-    rows = dict.fromkeys(hand.tendon_names, nothing)
-    made = Calibration(
-        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows
-    )
+    made = jamia_calibration()
     names, why = ("tendon_stiffness", "spring_stiffness", "capstan"), "from 14 deg on it takes more"
     found = {"middle_tendon": result_of_digit("middle", 9e4, met=why, names=names)}
     _replace_identification(monkeypatch, made, found)
@@ -366,12 +368,7 @@ def test_the_reason_why_no_calibration_is_written_is_true(
     work_folder, capsys, monkeypatch, index, reason
 ):
     """Reproduce a defect: "there is no own.toml: handctl commission first", although the hand was commissioned."""
-    hand = load_hand("jamia")
-    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
-    made = Calibration(
-        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00",
-        tendon=dict.fromkeys(hand.tendon_names, nothing),
-    )  # fmt: skip
+    made = jamia_calibration()
     write_calibration(work_folder / "own.toml", made)
     result = result_of_digit("index", 9e4, names=("spring_stiffness",), **index)
     _replace_identification(monkeypatch, made, {"index_tendon": result})
@@ -383,11 +380,7 @@ def test_the_reason_why_no_calibration_is_written_is_true(
 def test_values_of_a_low_coherence_are_not_kept(work_folder, capsys, monkeypatch, coherence):
     """Reproduce a defect: at a coherence of 0.08 the values were written, and `tune search` was proposed."""
     hand, path = load_hand("jamia"), work_folder / "own.toml"
-    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
-    rows = dict.fromkeys(hand.tendon_names, nothing)
-    made = Calibration(
-        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows
-    )
+    made = jamia_calibration()
     names = ("tendon_stiffness", "motor_inertia", "delay")
     result = replace(result_of_digit("middle", 9e4, names=names), coherence=coherence)
     _replace_identification(monkeypatch, made, {"middle_tendon": result})
@@ -407,11 +400,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatc
     The true value of this parameter is 1.2.
     """
     hand, path = load_hand("jamia"), work_folder / "own.toml"
-    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
-    rows = dict.fromkeys(hand.tendon_names, nothing)
-    made = Calibration(
-        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows
-    )
+    made = jamia_calibration()
     entry = result_of_digit("index", 9e4).calibration_entry(Path("a"), "t")
     before = made.model_copy(update={"identified": {"index_tendon": entry}})
     write_calibration(path, before)
@@ -634,12 +623,7 @@ def test_a_log_does_not_change_the_calibration_of_another_hand(
     work_folder, capsys, monkeypatch, bus, other
 ):
     """Reproduce a defect: a log of a simulated bus changed the identified parameters of the real hand."""
-    hand = load_hand("jamia")
-    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
-    made = Calibration(
-        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00",
-        tendon=dict.fromkeys(hand.tendon_names, nothing), simulated=other,
-    )  # fmt: skip
+    made = jamia_calibration(simulated=other)
     write_calibration(Path("jamia.calibration.toml"), made)
     before = Path("jamia.calibration.toml").read_bytes()
     with RunLog(Path(GOLDEN_LOG)) as log:
