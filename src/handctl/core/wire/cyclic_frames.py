@@ -273,13 +273,18 @@ def _is_recheck_regular(x: StateTables, n: Any, now_ns: Any) -> bool:
 
 
 @kernel_helper
+def _copy_record(source: Any, row: Any) -> None:
+    """Copy the record of a frame, without any words after it, into a row."""
+    for word in range(WORDS_PER_RECORD):
+        row[word] = source[word]
+
+
+@kernel_helper
 def _request_recheck(
     x: StateTables, n: Any, row: Any, ranges: IntArray, rechecks: WordRows
 ) -> None:
     """Write the request that reads a setting of a drive again into the record of a frame."""
-    one = rechecks[ranges[n, 0] + x.tendon_int[s.RECHECK_STEP, n]]
-    for word in range(WORDS_PER_RECORD):
-        row[word] = one[word]
+    _copy_record(rechecks[ranges[n, 0] + x.tendon_int[s.RECHECK_STEP, n]], row)
     x.tendon_int[s.RECHECK_DUE_NS, n] += RECHECK_PERIOD_NS
     x.tendon_int[s.RECHECK_TRIES, n] += 1
 
@@ -481,8 +486,7 @@ def _write_position_command(
     end: int,
 ) -> None:
     """Write position, velocity, kp, kd, torque and limit into the record of a command."""
-    for word in range(WORDS_PER_RECORD):
-        row[word] = template[word]
+    _copy_record(template, row)
     for i in range(first, end):
         bits = encode_signal(x.servo[s.SERVO_POSITION + i - first, n], wholes, reals, i)
         bits = bytes_reversed(bits) if wholes[i, ORDER_COLUMN] else bits
@@ -494,8 +498,7 @@ def _write_torque_command(
     row: Any, template: Any, torque: float, signal: Any, wholes: IntArray, reals: FloatArray
 ) -> None:
     """Write a command into the record of a frame. A command without a torque has the signal -1."""
-    for word in range(WORDS_PER_RECORD):
-        row[word] = template[word]
+    _copy_record(template, row)
     if signal >= 0:
         bits = encode_signal(torque, wholes, reals, signal)
         ordered = bytes_reversed(bits) if wholes[signal, ORDER_COLUMN] else bits
