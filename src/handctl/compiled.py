@@ -41,7 +41,7 @@ KERNEL_SOURCES = (
     "compiled.py", "core", "safety",
     "drives/contract.py", "drives/frame.py", "drives/frame_records.py", "drives/readback.py",
     "drives/signals.py",
-    "hand/file/quantities.py", "hand/rigid_body.py", "hand/tendons.py",
+    "hand/file/quantities.py", "hand/rigid_body.py", "hand/tendons.py", "runtime/buses/canfd.py",
 )  # fmt: skip
 """Files and folders of this package that contain functions and constants of kernels.
 
@@ -80,6 +80,7 @@ _NUMBA_TYPES = {
     "keys": types.Array(types.int64, 1, "C", readonly=True),
     "table": types.Array(types.float64, 2, "C", readonly=True),
     "table_int": types.Array(types.int64, 2, "C", readonly=True),
+    "table_words": types.Array(types.uint64, 2, "C", readonly=True),
     "bytes": types.Array(types.uint8, 1, "C", readonly=True),
 }
 
@@ -89,8 +90,9 @@ def kernel(*arguments: str) -> Callable[[F], F]:
 
     Args:
         arguments: type of each argument. real and count are numbers. vector, matrix, cube, flags
-            and counts are arrays that the kernel reads. keys (int64), table (rows of float64) and
-            table_int are contiguous arrays that the kernel reads and may borrow. block (float64),
+            and counts are arrays that the kernel reads. keys (int64), table (rows of float64),
+            table_int and table_words (rows of uint64) are contiguous arrays that the kernel reads
+            and may borrow. block (float64),
             layout (int64) and words (rows of uint64) are contiguous arrays that the kernel may
             write into.
     """

@@ -8,6 +8,7 @@ import ast
 import hashlib
 import json
 import os
+import random
 import shutil
 import subprocess
 import sys
@@ -29,8 +30,10 @@ from handctl.compiled import (
 from handctl.core.block_schema import BlockLayout
 from handctl.core.control_law.streamed_motion import begin_segments
 from handctl.core.state_block import STATE_SCHEMA, STREAM_RANGE
+from handctl.drives.frame import FDF
 from handctl.log.read.reader import RunLog
 from handctl.replay.controller_rebuild import rebuild_controller
+from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES, FrameStructs
 from tests.contracts.random_hands import TICKS_PER_HAND, tick_hashes
 
 REPOSITORY = Path(__file__).parents[2]
@@ -82,6 +85,31 @@ def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
         mine = hash_of_execution(GOLDEN_LOGS / name)
         output, _ = other.communicate(timeout=120)
     assert output.strip() == mine
+
+
+def hash_of_frame_conversions() -> str:
+    """Return a hash over random structs of CAN frames, converted to records and back.
+
+    The structs contain frames of all kinds, lengths and flags, also impossible ones. The times of
+    reception are positive and negative.
+    """
+    digest = hashlib.sha256()
+    for seed in range(20):
+        memory = bytearray(random.Random(seed).randbytes(50 * CANFD_FRAME_BYTES))
+        structs = FrameStructs(memory)
+        for flag_mask, added_flags in ((0xFF, 0), (0, 0), (0xFF, FDF)):
+            frames, has_errors = structs.read(50, 1000 - 100 * seed, 3, flag_mask, added_flags)
+            digest.update(frames.records.tobytes() + bytes([has_errors]))
+        back = bytearray(len(memory))
+        digest.update(FrameStructs(back).write(frames).tobytes() + back)
+    return digest.hexdigest()
+
+
+def test_interpreted_kernels_convert_frames_to_the_same_bytes() -> None:
+    script = f"from {__name__} import hash_of_frame_conversions; print(hash_of_frame_conversions())"
+    with run_without_compiler("-c", script) as other:
+        output, _ = other.communicate(timeout=120)
+    assert output.strip() == hash_of_frame_conversions()
 
 
 DAILY_RANDOM_HANDS = [(1, 0), (2, 0), (5, 1), (5, 2), (6, 5), (11, 1), (24, 0)]

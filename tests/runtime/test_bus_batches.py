@@ -14,9 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from handctl.compiled import compile_kernels
 from handctl.drives.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, Frame
-from handctl.drives.frame_records import WORDS_PER_RECORD, Frames, frames_as_records, join_frames
-from handctl.runtime.buses import canfd
+from handctl.drives.frame_records import (
+    FRAME_RECORD_DTYPE,
+    WORDS_PER_RECORD,
+    Frames,
+    frames_as_records,
+    join_frames,
+)
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.buses.socketcan import MAX_FRAMES_PER_CALL, SocketCanBus
@@ -270,8 +276,12 @@ def test_the_kernels_stamps_become_the_runs_time(
         assert len(set(stamps)) > 1
 
 
-def test_a_flood_of_new_batches_fills_no_memory() -> None:
-    structs = canfd.FrameStructs(bytearray(4096 * canfd.CANFD_FRAME_BYTES))
-    before = canfd._convert_received.cache_info().currsize
-    assert len(structs.read(4096, structs.converted_heads(4096, 0), 0)) == 4096
-    assert canfd._convert_received.cache_info().currsize == before
+def test_frames_in_read_only_memory_are_sent(
+    local_bus: tuple[Bus, socket.socket], udp_bus: tuple[SocketCanBus, socket.socket]
+) -> None:
+    compile_kernels()  # afterwards, a kernel accepts only arguments of its declared types
+    batch = equal_frames(8, 0)
+    frames = Frames(np.frombuffer(frames_as_records(batch).records.tobytes(), FRAME_RECORD_DTYPE))
+    for bus, link in (local_bus, udp_bus):
+        assert bus.send(frames) == len(batch)
+        assert link.recv(16).startswith(struct.pack("<IB", batch[0].can_id, 8))

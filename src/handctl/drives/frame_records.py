@@ -42,7 +42,8 @@ WORDS_PER_RECORD = FRAME_RECORD_BYTES // 8
 TIME_WORD = 0
 HEAD_WORD = 1
 PAYLOAD_WORD = 2
-# Lowest bits of the fields bus and length in the word HEAD_WORD.
+# Lowest bits of the fields flags, bus and length in the word HEAD_WORD.
+FLAGS_BIT = 32
 BUS_BIT = 48
 LENGTH_BIT = 56
 

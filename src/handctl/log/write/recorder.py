@@ -44,6 +44,12 @@ CLOSE_TIMEOUT_S = 20.0
 """Longest wait until the recorder has finished the log at the end of a run [s]."""
 LOCKSTEP_TIMEOUT_S = 60.0
 """Longest wait until the recorder accepts one record of a lockstep run [s]."""
+CALLS_PER_CHECK = 8
+"""Number of calls of ``Recorder.take_events`` from one look at the recorder process to the next.
+
+A look needs two system calls. Events of the recorder may be some milliseconds late, because no
+event of the recorder stops the hand.
+"""
 
 
 def _enlarge_pipe(descriptor: int) -> int:
@@ -82,6 +88,7 @@ class Recorder:
         self._ended = self._end_reported = self._filling = False
         self._announced = self.dropped = 0
         self._messages: list[dict[str, object]] = []
+        self._calls = 0
         os.set_blocking(self._notes, False)
         self._poll = select.poll()
         self._poll.register(self._notes, select.POLLIN)
@@ -196,7 +203,9 @@ class Recorder:
         return False
 
     def take_events(self) -> tuple[IoEvent, ...]:
-        """Return the events of the recorder since the last call.
+        """Return the events of the recorder since the last call. The loop calls this method in every tick.
+
+        The recorder process is asked for events in the first of `CALLS_PER_CHECK` calls only.
 
         All these events have the kind "recorder".
 
@@ -211,10 +220,11 @@ class Recorder:
             misshapen: the telemetry of a tick does not have the shape that the header describes.
         """
         events = []
-        if not self._ended:
+        if not self._ended and self._calls % CALLS_PER_CHECK == 0:
             if self._poll.poll(0):
                 self._read_notes(0.0)
             events += self._filling_event()
+        self._calls += 1
         if not self._messages and self.dropped == self._announced and not self._ended:
             return tuple(events)
         events += [

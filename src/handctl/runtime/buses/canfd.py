@@ -1,261 +1,196 @@
-"""Conversion of batches of frames between records and ``struct canfd_frame``, without a loop over frames.
+"""Conversion of batches of frames between records and ``struct canfd_frame``, by compiled loops.
 
     can_id 32 | length 8 | flags 8 | reserved 16 | data 64 x 8
 
 The local bus sends this struct. For a classical frame, a CAN socket fills only the first 16 bytes
-of the struct. The head of a struct is its first 8 bytes. The head of a record is its 8 bytes from
-identifier to length. Every tick exchanges the same identifiers, flags and lengths. Therefore the
-converted heads of each batch are cached, and a tick copies only the payloads. Source: Linux
-``can.h``.
+of the struct. Source: Linux ``can.h``. ``drives.frame_records`` describes the record.
 """
 
-import functools
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from handctl.compiled import kernel, kernel_helper
 from handctl.drives.frame import ERROR_FLAG, FDF, Frame
-from handctl.drives.frame_records import FRAME_RECORD_DTYPE, Frames, RecordArray
+from handctl.drives.frame_records import (
+    BUS_BIT,
+    FLAGS_BIT,
+    HEAD_WORD,
+    LENGTH_BIT,
+    PAYLOAD_WORD,
+    TIME_WORD,
+    WORDS_PER_RECORD,
+    Frames,
+    RecordArray,
+    WordRows,
+)
 from handctl.runtime.buses.contract import check_payload_size
 
-CANFD_FRAME_DTYPE = np.dtype(
-    [
-        ("can_id", "<u4"),
-        ("length", "u1"),
-        ("flags", "u1"),
-        ("reserved", "<u2"),
-        ("data", "<u8", (8,)),
-    ]
-)
-CANFD_FRAME_BYTES = CANFD_FRAME_DTYPE.itemsize
+CANFD_FRAME_BYTES = 72
 """Size of ``struct canfd_frame``, and MTU of an interface that carries CAN FD [bytes]."""
 CLASSICAL_FRAME_BYTES = 16
 """Size of ``struct can_frame`` [bytes]."""
 MAX_PAYLOAD_BYTES = 64
 """Payload of the longest frame [bytes]."""
-CACHED_BATCHES = 256
-"""Largest number of batches whose converted heads are cached."""
-MAX_CACHED_FRAMES = 128
-"""Largest number of frames in a cached batch.
-
-Larger batches are not cached, so that a flood of frames does not fill the memory.
-"""
-WORD_DTYPE = np.dtype("<u8")
-PAYLOAD_DTYPE = np.dtype(("<u8", (8,)))
-_HEADER_DTYPE = np.dtype(CANFD_FRAME_DTYPE.descr[:-1])
-TIME_OFFSET, HEAD_OFFSET, DATA_OFFSET = (
-    FRAME_RECORD_DTYPE.fields[name][1]  # type: ignore[index]
-    for name in ("t_ns", "can_id", "data")
-)
-"""Offsets in a record [bytes]: time, head (from identifier to length), payload."""
-
-WordArray = NDArray[np.uint64]
+MAX_CLASSICAL_PAYLOAD_BYTES = 8
+"""Payload of the longest classical frame [bytes]."""
+PAYLOAD_WORDS = MAX_PAYLOAD_BYTES // 8
+"""Number of words of eight bytes in the payload of a struct, and of a record."""
+# Lowest bits of the fields of a struct in its first word.
+STRUCT_LENGTH_BIT = 32
+STRUCT_FLAGS_BIT = 40
+STRUCT_RESERVED_BIT = 48
+ID_MASK = 0xFFFFFFFF
+"""Mask of the identifier, which has the same place in a struct and in a record."""
+BYTE_MASK = 0xFF
+FLAGS_MASK = 0xFFFF
+"""Mask of the flags of a record."""
+ALL_FLAGS = 0xFF
+"""Value of ``flag_mask`` that keeps all flags of a struct."""
 
 
-def _payload_masks() -> WordArray:
-    """Return masks of the 64-byte data field, as an array (MAX_PAYLOAD_BYTES + 1, 8).
+@kernel_helper
+def _copy_payload(
+    source: WordRows, first: int, target: WordRows, at: int, row: int, length: int
+) -> None:
+    """Copy the payload of one frame word by word, and set the bytes behind its end to zero.
 
-    Row n selects the first n bytes.
+    Args:
+        source: (n, words) records or structs that contain the payload.
+        first: first word of the payload in the source.
+        target: (n, words) structs or records that get the payload.
+        at: first word of the payload in the target.
+        row: index of the frame.
+        length: length of the payload [bytes].
     """
-    masks = np.zeros((MAX_PAYLOAD_BYTES + 1, MAX_PAYLOAD_BYTES), np.uint8)
-    for length in range(MAX_PAYLOAD_BYTES + 1):
-        masks[length, :length] = 0xFF
-    return masks.view(np.uint64)
+    for word in range(PAYLOAD_WORDS):
+        left = length - 8 * word
+        value = source[row, first + word] if left > 0 else np.uint64(0)
+        if 0 < left < 8:
+            value &= (np.uint64(1) << np.uint64(8 * left)) - np.uint64(1)
+        target[row, at + word] = value
 
 
-PAYLOAD_MASKS = _payload_masks()
-_PAYLOAD_LENGTHS = bytes(min(length, MAX_PAYLOAD_BYTES) for length in range(256))
-"""Table for ``bytes.translate``.
+@kernel("table_words", "words", "count", "count", "count", "count")
+def read_structs(
+    structs: WordRows, records: WordRows, t_ns: int, bus: int, flag_mask: int, added_flags: int
+) -> bool:
+    """Convert structs to records. Return True if there is an error frame among them.
 
-This table limits the length byte of a struct to MAX_PAYLOAD_BYTES.
-"""
-_ERROR_FRAME_MARKS = bytes((highest << 24 & ERROR_FLAG) != 0 for highest in range(256))
-"""Table for ``bytes.translate``.
-
-The highest byte of an identifier becomes 1 for an error frame, and 0 for any other frame.
-"""
-
-
-class ReceivedHeads(NamedTuple):
-    """Heads of received structs, converted to records.
-
-    Attributes:
-        heads: (n,) identifier, flags, bus and length of each record.
-        payload_words: number of 8-byte words that contain the longest payload of the batch, at
-            least 1.
-        payload_masks: bits that belong to each payload, (n,) for one word and (n, words) for more.
-            If every payload fills all its words, there are no masks (None).
-        has_error_frames: True if there is an error frame among the structs.
+    Args:
+        structs: (at least n, 9) words of the structs.
+        records: (n, WORDS_PER_RECORD) words of the records, which get the frames of the first n
+            structs.
+        t_ns: time of reception, written into every record [ns].
+        bus: index of the bus, written into every record.
+        flag_mask: mask of the flags to copy from the structs.
+        added_flags: flags to set in every record.
     """
-
-    heads: WordArray
-    payload_words: int
-    payload_masks: WordArray | None
-    has_error_frames: bool
-
-
-@functools.lru_cache
-def _flag_table(mask: int, added: int) -> bytes:
-    """Return a table for ``bytes.translate`` that converts the flags of a struct to the flags of a record."""
-    return bytes(flags & mask | added for flags in range(256))
-
-
-@functools.lru_cache(maxsize=CACHED_BATCHES)
-def _convert_received(raw: bytes, bus: int, flag_mask: int, added_flags: int) -> ReceivedHeads:
-    """Convert heads of structs to heads of records.
-
-    The conversion slices columns of bytes. For a batch that is not cached, this is faster than
-    numpy.
-    """
-    # Bytes of a head in a struct:  can_id 0..3 | length 4 | flags 5 | reserved 6..7
-    # Bytes of a head in a record:  can_id 0..3 | flags  4 | zero  5 | bus 6 | length 7
-    lengths = raw[4::8].translate(_PAYLOAD_LENGTHS)
-    count = len(raw) // 8
-    heads = bytearray(len(raw))
-    for i in range(4):
-        heads[i::8] = raw[i::8]
-    heads[4::8] = raw[5::8].translate(_flag_table(flag_mask, added_flags))
-    heads[6::8] = bytes((bus,)) * count
-    heads[7::8] = lengths
-    words = max(1, -(-max(lengths, default=0) // 8))  # division, rounded up
-    masks = None  # usually every payload fills its words, and no byte has to be cleared
-    if lengths.count(8 * words) < count:
-        masks = PAYLOAD_MASKS[:, 0] if words == 1 else PAYLOAD_MASKS[:, :words]
-        masks = masks.take(np.frombuffer(lengths, np.uint8), axis=0)
-    return ReceivedHeads(
-        np.frombuffer(heads, WORD_DTYPE), words, masks, 1 in raw[3::8].translate(_ERROR_FRAME_MARKS)
-    )
-
-
-class SentHeads(NamedTuple):
-    """Heads of records to be sent, converted to structs.
-
-    Attributes:
-        heads: (n,) identifier, length and flags of each struct.
-        payload_words: number of 8-byte words that contain the longest payload of the batch, at
-            least 1.
-        frame_sizes: (n,) number of bytes to send of each struct: the size of ``can_frame`` or of
-            ``canfd_frame``.
-    """
-
-    heads: WordArray
-    payload_words: int
-    frame_sizes: WordArray
-
-
-@functools.lru_cache(maxsize=CACHED_BATCHES)
-def _convert_sent(raw: bytes) -> SentHeads:
-    """Convert heads of records to heads of structs.
-
-    Raises:
-        ValueError: a payload is longer than its kind of frame can carry.
-    """
-    words = np.frombuffer(raw, WORD_DTYPE)
-    records = np.zeros(len(words), FRAME_RECORD_DTYPE)
-    records.setfield(words, WORD_DTYPE, HEAD_OFFSET)
-    fd = (records["flags"] & FDF) != 0
-    lengths = records["length"]
-    for i in np.flatnonzero(lengths > np.where(fd, MAX_PAYLOAD_BYTES, 8))[:1]:
-        check_payload_size(
-            Frame(int(records["can_id"][i]), bytes(int(lengths[i])), int(records["flags"][i]))
+    every_id = np.uint64(0)
+    place = np.uint64(bus) << np.uint64(BUS_BIT)
+    for i in range(records.shape[0]):
+        head = structs[i, 0]
+        can_id = head & np.uint64(ID_MASK)
+        every_id |= can_id
+        length = int(np.int64((head >> np.uint64(STRUCT_LENGTH_BIT)) & np.uint64(BYTE_MASK)))
+        length = min(length, MAX_PAYLOAD_BYTES)
+        flags = (head >> np.uint64(STRUCT_FLAGS_BIT)) & np.uint64(flag_mask)
+        flags |= np.uint64(added_flags)
+        records[i, TIME_WORD] = np.int64(t_ns)
+        records[i, HEAD_WORD] = (
+            can_id
+            | flags << np.uint64(FLAGS_BIT)
+            | place
+            | np.uint64(length) << np.uint64(LENGTH_BIT)
         )
-    heads = np.zeros(len(records), _HEADER_DTYPE)
-    heads["can_id"] = records["can_id"]
-    heads["length"] = lengths
-    heads["flags"] = np.where(fd, records["flags"], 0)
-    longest = max(1, -(-int(lengths.max(initial=0)) // 8))
-    return SentHeads(
-        heads.view(WORD_DTYPE),
-        longest,
-        np.where(fd, CANFD_FRAME_BYTES, CLASSICAL_FRAME_BYTES).astype(np.uint64),
-    )
+        _copy_payload(structs, 1, records, PAYLOAD_WORD, i, length)
+    return bool(every_id & np.uint64(ERROR_FLAG))
+
+
+@kernel("table_words", "words", "words")
+def write_structs(records: WordRows, structs: WordRows, sizes: WordRows) -> int:
+    """Convert records to structs. The flags of a classical frame become 0.
+
+    Return the index of the first record whose payload is longer than its kind of frame can carry.
+    If there is none, return the number of records.
+
+    Args:
+        records: (n, WORDS_PER_RECORD) words of the records.
+        structs: (at least n, 9) words of the structs, of which the first n are written.
+        sizes: (at least n, 1) number of bytes of each struct, of which the first n are written: the size
+            of ``can_frame`` or of ``canfd_frame``.
+    """
+    count = len(records)
+    for i in range(count):
+        head = records[i, HEAD_WORD]
+        flags = (head >> np.uint64(FLAGS_BIT)) & np.uint64(FLAGS_MASK)
+        length = int(np.int64(head >> np.uint64(LENGTH_BIT)))
+        if not flags & np.uint64(FDF):
+            flags = np.uint64(0)
+        if length > (MAX_PAYLOAD_BYTES if flags else MAX_CLASSICAL_PAYLOAD_BYTES):
+            return i
+        structs[i, 0] = (
+            head & np.uint64(ID_MASK)
+            | np.uint64(length) << np.uint64(STRUCT_LENGTH_BIT)
+            | (flags & np.uint64(BYTE_MASK)) << np.uint64(STRUCT_FLAGS_BIT)
+        )
+        _copy_payload(records, PAYLOAD_WORD, structs, 1, i, length)
+        sizes[i, 0] = CANFD_FRAME_BYTES if flags else CLASSICAL_FRAME_BYTES
+    return count
 
 
 class FrameStructs:
-    """An array of ``struct canfd_frame`` in memory, read and written by columns.
+    """An array of ``struct canfd_frame`` in memory.
 
     Attributes:
         count: number of structs.
     """
 
     def __init__(self, memory: Any) -> None:
-        """Create views into ``memory``, a writable buffer whose size is a whole number of structs."""
-        rows = np.frombuffer(memory, WORD_DTYPE).reshape(-1, CANFD_FRAME_BYTES // 8)
-        self.count = len(rows)
-        self._heads = rows[:, 0]
-        self._data = rows[:, 1:]
-        self._first = rows[:, 1]
-        self._written = 8
-
-    def converted_heads(
-        self, count: int, bus: int, flag_mask: int = 0xFF, added_flags: int = 0
-    ) -> ReceivedHeads:
-        """Return the heads of the first ``count`` structs, converted to heads of records.
-
-        Args:
-            count: number of structs to convert.
-            bus: index of the bus, written into every head.
-            flag_mask: mask of the flags to copy from the structs.
-            added_flags: flags to set in every converted head.
-        """
-        convert = _convert_received if count <= MAX_CACHED_FRAMES else _convert_received.__wrapped__
-        return convert(self._heads[:count].tobytes(), bus, flag_mask, added_flags)
+        """Use ``memory``, a writable buffer whose size is a whole number of structs."""
+        self._rows = np.frombuffer(memory, np.uint64).reshape(-1, CANFD_FRAME_BYTES // 8)
+        self.count = len(self._rows)
+        self._sizes = np.zeros((self.count, 1), np.uint64)
 
     def reserved_bits(self, at: int) -> int:
         """Return the value in the 16 reserved bits of the struct with index ``at``."""
-        return int(self._heads[at]) >> 48
+        return int(self._rows[at, 0]) >> STRUCT_RESERVED_BIT
 
     def read(
-        self, count: int, heads: ReceivedHeads, t_ns: "int | NDArray[np.int64]"
-    ) -> RecordArray:
-        """Return the first ``count`` structs as records.
+        self, count: int, t_ns: int, bus: int, flag_mask: int = ALL_FLAGS, added_flags: int = 0
+    ) -> tuple[Frames, bool]:
+        """Return the first ``count`` structs as frames, and True if there is an error frame among them.
 
         Args:
             count: number of structs to read.
-            heads: converted heads of these structs.
-            t_ns: time of reception [ns], either a single time for all frames or a time for each
-                frame.
+            t_ns: time of reception of all these frames [ns].
+            bus: index of the bus, written into every record.
+            flag_mask: mask of the flags to copy from the structs.
+            added_flags: flags to set in every record.
         """
-        records: RecordArray = np.zeros(count, FRAME_RECORD_DTYPE)
-        records.setfield(t_ns, np.dtype("<i8"), TIME_OFFSET)
-        records.setfield(heads.heads, WORD_DTYPE, HEAD_OFFSET)
-        if heads.payload_words == 1:
-            first = self._first[:count]
-            records.setfield(
-                first if heads.payload_masks is None else first & heads.payload_masks,
-                WORD_DTYPE,
-                DATA_OFFSET,
-            )
-        else:
-            data = self._data[:count, : heads.payload_words]
-            payload = records.getfield(PAYLOAD_DTYPE, DATA_OFFSET)[:, : heads.payload_words]
-            payload[...] = data if heads.payload_masks is None else data & heads.payload_masks
-        return records
+        rows = np.empty((count, WORDS_PER_RECORD), np.uint64)
+        has_errors = read_structs(self._rows, rows, t_ns, bus, flag_mask, added_flags)
+        return Frames.of_rows(rows), has_errors
 
-    def write(self, frames: Frames) -> SentHeads:
+    def write(self, frames: Frames) -> NDArray[np.uint64]:
         """Write frames into the first structs. Payload bytes behind the end of a frame are set to zero.
 
+        Returns:
+            (n,) number of bytes to send of each struct. It is the size of ``can_frame`` or of
+            ``canfd_frame``.
+
         Raises:
-            ValueError: a payload is longer than its kind of frame can carry. Nothing is written.
+            ValueError: a payload is longer than its kind of frame can carry.
         """
-        records = frames.records
-        count = len(records)
-        convert = _convert_sent if count <= MAX_CACHED_FRAMES else _convert_sent.__wrapped__
-        sent = convert(records.getfield(WORD_DTYPE, HEAD_OFFSET).tobytes())
-        self._heads[:count] = sent.heads
-        if (
-            sent.payload_words < self._written
-        ):  # clear the bytes that remain from longer payloads of the previous batch
-            self._data[:, sent.payload_words :] = 0
-        self._written = sent.payload_words
-        if sent.payload_words == 1:
-            self._first[:count] = records.getfield(WORD_DTYPE, DATA_OFFSET)
-        else:
-            self._data[:count, : sent.payload_words] = records.getfield(PAYLOAD_DTYPE, DATA_OFFSET)[
-                :, : sent.payload_words
-            ]
-        return sent
+        rows = frames.rows
+        written = write_structs(rows, self._rows, self._sizes)
+        if written < len(rows):
+            refused = frames.records[written]
+            check_payload_size(
+                Frame(int(refused["can_id"]), bytes(int(refused["length"])), int(refused["flags"]))
+            )
+        return self._sizes[:written, 0]
 
 
 def without_errors(records: RecordArray) -> tuple[Frames, list[Frame]]:

@@ -167,9 +167,10 @@ class LocalBus:
         if not count:
             return NO_FRAMES
         structs = self._structs
-        heads = structs.converted_heads(count, self._index)
-        frames = Frames(structs.read(count, heads, self._stamp(time.monotonic_ns())))
-        if heads.has_error_frames:
+        frames, has_error_frames = structs.read(
+            count, self._stamp(time.monotonic_ns()), self._index
+        )
+        if has_error_frames:
             frames, errors = without_errors(frames.records)
             for frame in errors:
                 self._take_control(frame.can_id, frame.data)

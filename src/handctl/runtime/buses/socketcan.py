@@ -17,7 +17,7 @@ from handctl.drives.frame import ERROR_FLAG, FDF, Frame
 from handctl.drives.frame_records import Frames, frames_as_records, join_frames
 from handctl.errors import BusError
 from handctl.runtime.buses import mmsg
-from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES, FrameStructs
+from handctl.runtime.buses.canfd import ALL_FLAGS, CANFD_FRAME_BYTES, FrameStructs
 from handctl.runtime.buses.clock_offset import ClockOffset
 from handctl.runtime.buses.contract import TimeConversion
 from handctl.runtime.buses.events import BusEvent, BusEvents
@@ -125,8 +125,10 @@ class SocketCanBus:
         If the batch contains an error frame or a doubtful time stamp, return None. The caller then
         converts each frame separately.
         """
-        heads = self._structs.converted_heads(count, self._index, 0xFF if fd_flag else 0, fd_flag)
-        if heads.has_error_frames:
+        frames, has_error_frames = self._structs.read(
+            count, 0, self._index, ALL_FLAGS if fd_flag else 0, fd_flag
+        )
+        if has_error_frames:
             return None
         times = self._in.reception_stamps(count)
         times += self._offset.offset_ns()
@@ -145,7 +147,8 @@ class SocketCanBus:
         else:
             times = np.array([stamp(t_ns) for t_ns in each])
         self._latest = each[-1]
-        return Frames(self._structs.read(count, heads, times))
+        frames.records["t_ns"] = times
+        return frames
 
     def _take_each(self, datagrams: list[mmsg.Datagram], now: int) -> Frames:
         """Convert datagrams of any kind, one after the other, and return their frames.
@@ -157,9 +160,7 @@ class SocketCanBus:
         offset = self._offset.offset_ns()
         count = len(datagrams)
         stamps = []
-        frames = Frames(
-            self._structs.read(count, self._structs.converted_heads(count, self._index), 0)
-        )
+        frames, _ = self._structs.read(count, 0, self._index)
         is_data = np.ones(count, bool)
         for i, ((size, realtime, dropped), frame) in enumerate(zip(datagrams, frames, strict=True)):
             if dropped != self._dropped and dropped:  # 0 means that the kernel reported no count
@@ -189,7 +190,7 @@ class SocketCanBus:
                 if len(frames) > MAX_FRAMES_PER_CALL
                 else frames
             )
-            self._out.set_lengths(self._out_structs.write(batch).frame_sizes)
+            self._out.set_lengths(self._out_structs.write(batch))
             sent, code = mmsg.send_datagrams(self._socket.fileno(), self._out, 0, len(batch))
             accepted += sent
             if code:
