@@ -8,7 +8,9 @@ little-endian.
 """
 
 import json
+import os
 import struct
+import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +25,13 @@ _HEAD_SIZE = 8192
 """Size of the header line [bytes]."""
 _ROWS_BUFFERED = 256
 """Number of rows collected before a write to the file."""
+MIN_FREE_DISK_BYTES = 64 << 20
+"""Free disk space below which no more rows are written [bytes].
+
+The run folder may be in memory, and a simulator may run for days.
+"""
+MAX_UNNAMED_BYTES = 1 << 30
+"""Largest size of a truth file that no user has named [bytes]. It lasts for about 40 minutes."""
 
 
 class TruthFile(NamedTuple):
@@ -76,15 +85,19 @@ class TruthWriter:
 
     Attributes:
         due_ns: plant time when the next row must be written [ns].
+        full: True after the last row that fits. Later rows are discarded.
     """
 
-    def __init__(self, path: Path, plant: Plant, header: dict[str, object]) -> None:
+    def __init__(
+        self, path: Path, plant: Plant, header: dict[str, object], max_bytes: int = sys.maxsize
+    ) -> None:
         """Create the truth file.
 
         Args:
             path: path of the file.
             plant: plant to record.
             header: additional content of the header line.
+            max_bytes: largest size of the file [bytes].
         """
         named = truth_columns(plant)
         self._header = {
@@ -96,8 +109,10 @@ class TruthWriter:
         self._row = struct.Struct(f"<q{len(named)}d")
         self._buffered: list[bytes] = []
         self._motors = list(plant.motors.values())
-        self._file = path.open("wb")
+        self._file = path.open("wb", buffering=0)
         self.due_ns = 0
+        self.full = False
+        self._max_bytes = max_bytes
         self._file.write(self._header_line(_HEAD_SIZE))
 
     def _header_line(self, size: int) -> bytes:
@@ -107,6 +122,8 @@ class TruthWriter:
     def write(self, t_ns: int, plant: Plant) -> None:
         """Record the present true state of the plant as a row."""
         self.due_ns += PERIOD_NS
+        if self.full:
+            return
         engine = plant.engine
         self._buffered.append(
             self._row.pack(
@@ -128,15 +145,28 @@ class TruthWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Write the collected rows to the file."""
-        self._file.write(b"".join(self._buffered))
-        self._file.flush()
+        """Write the collected rows to the file, unless the file or the disk is full."""
+        data = b"".join(self._buffered)
         self._buffered.clear()
+        disk = os.fstatvfs(self._file.fileno())
+        free = disk.f_bavail * disk.f_frsize
+        if self._file.tell() + len(data) > self._max_bytes or free < MIN_FREE_DISK_BYTES:
+            self.full = True
+        if self.full:
+            return
+        try:
+            self._file.write(data)
+            self._file.flush()
+        except OSError:  # the disk became full meanwhile, or does not work
+            self.full = True
 
     def close(self, summary: dict[str, object]) -> None:
-        """Write the collected rows, add a summary of the run to the header, and close the file."""
+        """Write the collected rows, add a summary of the run to the header, and close the file.
+
+        The header also says whether the last rows are missing, because the file or the disk was full.
+        """
         self.flush()
-        self._header.update(summary)
+        self._header.update({**summary, "truncated": self.full})
         head = self._header_line(_HEAD_SIZE)
         if len(head) == _HEAD_SIZE:
             self._file.seek(0)

@@ -22,7 +22,7 @@ from firmware_sim.serial_numbers import with_serial_numbers
 from firmware_sim.shared_clock import SharedClock
 from firmware_sim.simulated_world import SimulatedWorld, make_world
 from firmware_sim.socket_paths import clock_path, faults_path, truth_path
-from firmware_sim.truth_file import TruthWriter
+from firmware_sim.truth_file import MAX_UNNAMED_BYTES, TruthWriter
 from firmware_sim.wire.wire_options import WIRE_OPTION_KEYS as WIRE_KEYS
 
 _PERTURBATION_KEYS_HELP = "\n".join(f"  {key:16}{text}" for key, text in PERTURBATION_KEYS.items())
@@ -70,7 +70,7 @@ def _argument_parser() -> argparse.ArgumentParser:
         "--truth",
         type=Path,
         metavar="FILE",
-        help="file for the true state of the plant (in the run directory)",
+        help="file for the true state of the plant (in the run directory, there at most 1 GiB)",
     )
     add("--json", action="store_true", help="print the line with the word ready as JSON")
     add("--dry-run", action="store_true", help="check all arguments and exit without opening a bus")
@@ -150,6 +150,7 @@ def run(words: list[str]) -> None:
                 path,
                 header,
                 ready_line,
+                sys.maxsize if args.truth else MAX_UNNAMED_BYTES,
             )
     finally:
         clock.close()
@@ -158,11 +159,12 @@ def run(words: list[str]) -> None:
 
 
 def _serve_hand(
-    server: BusServer, world: SimulatedWorld, path: Path, header: dict[str, Any], ready_line: str
-) -> None:
+    server: BusServer, world: SimulatedWorld, path: Path, header: dict[str, Any], ready_line: str,
+    max_truth_bytes: int,
+) -> None:  # fmt: skip
     """Serve a simulated hand and record its truth file."""
     try:
-        truth = TruthWriter(path, world.plant, header)
+        truth = TruthWriter(path, world.plant, header, max_truth_bytes)
     except OSError as error:
         raise SimulatorError(f"truth file {path}: {error.strerror}") from error
     world.record(truth)

@@ -13,7 +13,7 @@ from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.plant.plant import STEP_NS, Plant
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.simulated_world import SimulatedWorld
-from firmware_sim.truth_file import read_truth
+from firmware_sim.truth_file import TruthWriter, read_truth, truth_columns
 
 
 def closing_hand(hand: str, native: bool = True, compiled: bool = True) -> Plant:
@@ -204,3 +204,23 @@ def test_a_motor_fault_acts_in_every_step() -> None:
     assert len(seen) == 4
     assert rig.world.plant.motors["ring_motor"].torque > 0.2
     assert rig.world.plant.motors["index_motor"].torque == 0.0
+
+
+@pytest.mark.parametrize("reason", ["size", "disk"])
+def test_a_full_truth_file_ends_and_the_simulation_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reason: str
+) -> None:
+    rig = LockstepHand("jamia")
+    plant = rig.world.plant
+    path = tmp_path / "truth"
+    limit = 8192 + 1000 * 8 * (1 + len(truth_columns(plant)))
+    writer = TruthWriter(path, plant, {}, limit if reason == "size" else sys.maxsize)
+    for t_ms in range(3000):
+        if reason == "disk" and t_ms == 1000:
+            monkeypatch.setattr("firmware_sim.truth_file.MIN_FREE_DISK_BYTES", 1 << 62)
+        writer.write(t_ms * 1_000_000, plant)
+    writer.close({"frames": 7})
+    truth = read_truth(path)
+    assert truth.t_ns.tolist() == [t_ms * 1_000_000 for t_ms in range(768)]
+    assert path.stat().st_size <= limit
+    assert (truth.header["truncated"], truth.header["frames"]) == (True, 7)

@@ -83,6 +83,21 @@ def test_a_program_moves_a_hand_with_asyncio(work_folder, hand, calibrated, scal
 
 
 @REALTIME
+def test_a_hand_is_opened_and_closed_without_a_block(work_folder, hand, calibrated, scale):
+    async def use():
+        options = ("--calibration", "c.toml", "--log", "live.mcap", *scale)
+        hand = await library.connect_async("jamia", LOCAL_BUS, *options).open()
+        phase = hand.observe().phase
+        await hand.close()
+        await hand.close()  # the second call has no effect
+        return phase, hand.result
+
+    phase, result = asyncio.run(use())
+    assert (phase, result["failure"]) == ("live", "")
+    modes_of_complete_log(work_folder / "live.mcap")
+
+
+@REALTIME
 def test_an_exception_in_the_block_stops_the_hand(work_folder, hand, calibrated, scale):
     async def fail():
         async with library.connect_async(
@@ -130,8 +145,6 @@ def test_a_controller_that_cannot_start_is_one_error(work_folder):
 def test_every_call_has_its_coroutine():
     """With a few exceptions, the asyncio client has a coroutine for each method of the ordinary client."""
     apart = {
-        "open",
-        "close",
         "end_stream",
         "state",
         "wait",

@@ -200,6 +200,13 @@ def test_connect_reports_why_the_controller_ends(work_folder, capfd):
     assert "no simulator serves this bus" in capfd.readouterr().err
 
 
+def test_arguments_for_a_controller_that_already_runs_are_refused(work_folder, monkeypatch):
+    monkeypatch.setattr("handctl.client.hand.is_running", lambda bus: True)
+    with pytest.raises(ConfigError, match=r"already runs.*--log x\.mcap.*handctl stop"):
+        library.connect("jamia", LOCAL_BUS, "--yes", "--log", "x.mcap")
+    library.connect("jamia", LOCAL_BUS, "--yes").close()
+
+
 @REALTIME
 def test_a_program_moves_holds_and_reads_the_state(work_folder, hand, calibrated, scale):
     with library.connect(

@@ -46,6 +46,13 @@ class AsyncHandClient:
     async def __aenter__(self) -> Self:
         """Wait until the hand accepts goals, and return the client.
 
+        This method raises the same errors as ``HandClient.open``.
+        """
+        return await self.open()
+
+    async def open(self) -> Self:
+        """Wait until the hand accepts goals, as ``async with`` does. Call ``close`` at the end.
+
         If this wait is cancelled, the client is closed. Otherwise the thread would arm a hand that
         no block of the program releases.
         """
@@ -68,6 +75,10 @@ class AsyncHandClient:
         exception.
         """
         await asyncio.shield(asyncio.to_thread(self.client.__exit__, kind, error, trace))
+
+    async def close(self) -> None:
+        """End the control of the hand, see ``HandClient.close``."""
+        await asyncio.shield(asyncio.to_thread(self.client.close))
 
     @property
     def result(self) -> dict[str, Any]:

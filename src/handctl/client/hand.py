@@ -80,6 +80,8 @@ This is longer than the delays of the thread that renews the lease, on a busy ma
 SHUTDOWN_MODE_NAMES = {mode.name for mode in SHUTTING_DOWN}
 """Modes of the hand in which the controller follows no goals."""
 RUN_OWNER = "a running handctl run"
+CONFIRMATION_OPTION = "--yes"
+"""Argument of ``handctl run`` that confirms that a hand on a real bus may move."""
 _client_numbers = itertools.count(1)
 """Counter that numbers the clients and streams of this process."""
 
@@ -108,7 +110,8 @@ def connect(
         bus: bus as for the option ``--bus``. For a hand with several buses, give all buses. The
             first bus of the hand comes first.
         arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real
-            bus, ``"--yes"`` confirms that the hand may move.
+            bus, ``"--yes"`` confirms that the hand may move. A controller that already runs has its
+            own arguments, so only ``"--yes"`` is accepted then.
         lease_s: longest time without a renewal of the lease, in the time of the hand [s], from 0.2
             to 3600. A thread of the client renews the lease. If it is None, the hand keeps its last
             goal without a time limit.
@@ -118,7 +121,7 @@ def connect(
 
     Raises:
         ConfigError: the bus, the lease or the watchdog is invalid, or the bus is real and no hand
-            is given.
+            is given, or there are arguments for a controller that already runs.
         BusError: the socket for requests to the controller cannot be created.
     """
     _check_lease(lease_s, watchdog_s)
@@ -127,6 +130,10 @@ def connect(
     if not specs:
         raise ConfigError("no bus", "bus", "one, as in 'local:demo'")
     if is_running(specs[0]):
+        if others := [text for text in arguments if text != CONFIRMATION_OPTION]:
+            where = f"arguments for the controller that already runs on {specs[0]}"
+            right = f"none, or first handctl stop --bus {specs[0]}"
+            raise ConfigError(" ".join(others), where, right)
         expected = None if hand is None else load_hand(os.fspath(hand)).name
         return HandClient(specs[0], (), lease_s, watchdog_s, expected)
     if hand is None:
@@ -399,7 +406,8 @@ class HandClient:
     ) -> Observation:
         """Execute a task up to the first hold phase, and return the observation at the start of this phase.
 
-        The hold phase lasts until ``release`` is called.
+        The hold phase lasts until ``release`` is called, or until another goal is set, such as by
+        ``move``. Another goal ends the task.
 
         Args:
             task: packaged task, e.g. ``"grasp"``, or a task file.
