@@ -99,27 +99,36 @@ def root_mean_square(values: np.ndarray) -> float:
     return float(np.degrees(np.sqrt(np.mean(values**2))))
 
 
-@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 @pytest.mark.parametrize(
     ("task", "scene"),
     GRASPS_AND_OBJECTS if os.environ.get("HANDCTL_NIGHTLY") else GRASPS_AND_OBJECTS[:2],
 )
-def test_the_truth_is_within_two_sigma_in_a_grasp(task: str, scene: str, seed: int) -> None:
+def test_the_truth_is_within_two_sigma_in_a_grasp(task: str, scene: str) -> None:
     """For at least 95 % of the joints and ticks, the true joint angle is within two standard deviations.
+
+    While an object is held, the error of a joint is nearly constant. Thus a run of the hand with
+    eleven joints is a sample of eleven errors, and one error above two standard deviations in a run
+    is no sign of a wrong standard deviation. The 95 % hold for the runs with all seeds together. In
+    a single run, one joint may be outside.
 
     During the hold, angles that are computed as for free digits have larger errors.
     """
-    seen = list(run_grasp(packaged_task("jamia"), task, scene, seed))
-    held = [one for one in seen if one.phase in HELD_PHASES]
-    assert np.mean([np.abs(one.q - one.true_angles) <= 2.0 * one.sigma for one in held]) >= 0.95
-    hold = [one for one in seen if one.phase == "hold"]
-    assert len(hold) > 1000
-    error = root_mean_square(np.array([one.q - one.true_angles for one in hold]))
-    assumed = root_mean_square(np.array([one.free_angles - one.true_angles for one in hold]))
-    assert error < 0.7 * assumed, f"{error:.1f} deg, free digit {assumed:.1f} deg"
-    free = [one for one in seen if one.phase in FREE_PHASES]
-    assert root_mean_square(np.array([one.sigma for one in free])) < 1.0
-    assert root_mean_square(np.array([one.q - one.true_angles for one in free])) < 0.5
+    within = []
+    for seed in SIMULATOR_SEEDS:
+        seen = list(run_grasp(packaged_task("jamia"), task, scene, seed))
+        held = [one for one in seen if one.phase in HELD_PHASES]
+        inside = np.array([np.abs(one.q - one.true_angles) <= 2.0 * one.sigma for one in held])
+        within.append(inside.mean())
+        assert within[-1] >= 1.0 - 1.0 / inside.shape[1], f"seed {seed}"
+        hold = [one for one in seen if one.phase == "hold"]
+        assert len(hold) > 1000
+        error = root_mean_square(np.array([one.q - one.true_angles for one in hold]))
+        assumed = root_mean_square(np.array([one.free_angles - one.true_angles for one in hold]))
+        assert error < 0.7 * assumed, f"seed {seed}: {error:.1f} deg, free digit {assumed:.1f} deg"
+        free = [one for one in seen if one.phase in FREE_PHASES]
+        assert root_mean_square(np.array([one.sigma for one in free])) < 1.0
+        assert root_mean_square(np.array([one.q - one.true_angles for one in free])) < 0.5
+    assert np.mean(within) >= 0.95
 
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
