@@ -122,7 +122,7 @@ def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | Non
 class TimedTick:
     """Tick of the controller that measures its own wall time.
 
-    This class adds the wall times of the three steps of a tick: begin, command and conclude [ns].
+    This class adds the wall times of the four steps of a tick: begin, decide, command and conclude [ns].
     """
 
     def __init__(self, controller, state, entry, tick_times_ns) -> None:
@@ -131,9 +131,14 @@ class TimedTick:
         self.tick_times_ns = tick_times_ns
         self.spent_ns = _now_ns() - began
 
-    def command(self, requests):
+    def decide(self, requests):
         began = _now_ns()
-        frames = self.step.command(requests)
+        self.step.decide(requests)
+        self.spent_ns += _now_ns() - began
+
+    def command(self, targets):
+        began = _now_ns()
+        frames = self.step.command(targets)
         self.spent_ns += _now_ns() - began
         return frames
 

@@ -155,7 +155,10 @@ class _PreparedTick:
     state: int
     out: TickOut
 
-    def command(self, requests: tuple[TickRequest, ...]) -> Sequence[Frame]:
+    def decide(self, requests: tuple[TickRequest, ...]) -> None:
+        """Do nothing, because the result of the tick is known."""
+
+    def command(self, targets: tuple[TickRequest, ...]) -> Sequence[Frame]:
         """Return the frames of the tick."""
         return self.out.frames
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from handctl.core.tick_types import HandMode, IoEvent, TickIn, TickOut
+from handctl.core.tick_types import HandMode, IoEvent, TickIn, TickOut, TickRequest
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import Frames, frames_as_records
 from handctl.errors import PowerError
@@ -84,10 +84,14 @@ class WholeTick:
     tick: Callable[[int, TickIn], tuple[int, TickOut]]
     state: int
     entry: TickIn
+    requests: tuple[TickRequest, ...] = ()
     result: tuple[int, TickOut] | None = None
 
-    def command(self, requests: tuple[str, ...]) -> Sequence[Frame]:
-        self.result = self.tick(self.state, self.entry._replace(requests=requests))
+    def decide(self, requests: tuple[TickRequest, ...]) -> None:
+        self.requests = requests
+
+    def command(self, targets: tuple[TickRequest, ...]) -> Sequence[Frame]:
+        self.result = self.tick(self.state, self.entry._replace(requests=self.requests + targets))
         self.state = self.result[0]
         return self.result[1].frames
 
@@ -263,6 +267,7 @@ def raise_error(*_: object) -> None:
         "publish_tick",
         "keep_snapshot",
         "take_requests",
+        "take_targets",
         "take_host_events",
         "wait",
         "send",

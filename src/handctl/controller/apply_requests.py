@@ -12,20 +12,16 @@ from handctl.controller.client_lease import begin_lease, renew_lease
 from handctl.controller.controller_state import ControllerState
 from handctl.controller.hand_modes import OperatorRequests
 from handctl.controller.target_streams import (
-    apply_target,
     bring_to_rest,
     close_stream,
     open_stream,
     present_references,
 )
-from handctl.core import state_block as s
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import (
     SHUTTING_DOWN,
     HandMode,
-    StreamTarget,
     TickEvent,
-    TickRequest,
 )
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.live_session import (
@@ -54,9 +50,7 @@ from handctl.programs.requests import (
     StopRequest,
     describe_request,
     is_routine_request,
-    is_stream_target,
     parse_request,
-    parse_target,
 )
 from handctl.programs.stream_plans import streamed_digits
 from handctl.safety.faults.table import DEBOUNCE_TICKS, FAULT_BY_ID
@@ -66,9 +60,9 @@ BEFORE_READY = (HandMode.SILENT, HandMode.INVENTORY)
 
 
 def apply_requests(
-    model: HandModel, program: Program, state: ControllerState, requests: tuple[TickRequest, ...]
+    model: HandModel, program: Program, state: ControllerState, requests: tuple[str, ...]
 ) -> tuple[OperatorRequests, tuple[TickEvent, ...]]:
-    """Apply the requests of one tick, in the order of their arrival.
+    """Apply the requests of one tick except targets, in the order of their arrival.
 
     A text that is not a request causes a warning event.
 
@@ -76,7 +70,7 @@ def apply_requests(
         model: model of the hand.
         program: program that sets the goals of the digits.
         state: state of the tick, modified in place.
-        requests: requests as JSON texts, or as decoded targets of a stream.
+        requests: requests as JSON texts.
 
     Returns:
         The stop and cut requests among them, and the events of all requests.
@@ -84,9 +78,6 @@ def apply_requests(
     operator = OperatorRequests()
     events = list[TickEvent]()
     for text in requests:
-        if isinstance(text, StreamTarget) or is_stream_target(text):
-            events += apply_target(model, state, parse_target(text), state.run_integer(s.T_NS))
-            continue
         request = parse_request(text)
         if isinstance(request, str):
             events.append(TickEvent("warn", "request", "", request))

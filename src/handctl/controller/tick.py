@@ -1,16 +1,16 @@
 """One tick of the controller, as a pure function from received frames to frames to send.
 
 ``TickIn`` contains all inputs, so that a logged tick can be executed again. The loop calls the
-three steps of a tick one by one: ``begin`` processes the received frames, ``command`` turns
-requests and goals into frames, ``conclude`` completes the output. In this way the loop reads
-requests and streamed targets as late as possible, and sends the commands as early as possible. The
-function ``tick`` executes all three steps.
+four steps of a tick one by one: ``begin`` processes the received frames, ``decide`` applies requests
+and chooses the goals, ``command`` turns streamed targets and goals into frames, ``conclude``
+completes the output. In this way the loop reads requests and streamed targets as late as possible,
+and sends the commands as early as possible. The function ``tick`` executes all four steps.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact
 judge     faults -> action demanded by safety
 decide    requests, safety, mode, program -> goals
-command   goals -> tension -> motor torque
+command   streamed targets, goals -> tension -> motor torque
 encode    motor torque -> frames
 
 Compiled stages (``core.tick_stages``) compute the numbers in the state block. ``tick`` makes the
@@ -33,6 +33,7 @@ from handctl.controller.controller_state import (
 from handctl.controller.monitor.safety_thresholds import compiled_constants, safety_limits
 from handctl.controller.monitor.unsolicited_replies import detect_unsolicited_replies
 from handctl.controller.relaxing import is_open_loop, present_relax_rate
+from handctl.controller.target_streams import apply_target
 from handctl.controller.telemetry import TelemetryGatherer
 from handctl.core import state_block as s
 from handctl.core import tick_stages
@@ -60,7 +61,7 @@ from handctl.drives.frame_records import (
 )
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.programs.program import TARE_PHASE, Program
-from handctl.programs.requests import REFUSED_PREFIX
+from handctl.programs.requests import REFUSED_PREFIX, parse_target
 from handctl.safety.action import SafetyAction
 from handctl.safety.safety_limits import SafetyLimits
 from handctl.safety.tick_verdict import (
@@ -241,7 +242,8 @@ class Controller:
             ValueError: a command cannot be encoded. In this case, no command is sent.
         """
         step = self.begin_tick(last_state, tick_input)
-        step.command(tick_input.requests)
+        step.decide(tick_input.requests)
+        step.command(())
         return step.conclude()
 
     def begin_tick(self, last_state: ControllerState, tick_input: TickIn) -> "TickInProgress":
@@ -263,10 +265,8 @@ class Controller:
         )
         return TickInProgress(controller, last_state, state, tick_input, signs)
 
-    def _command_drives(
-        self, open_tick: "TickInProgress", requests: tuple[TickRequest, ...]
-    ) -> None:
-        """Apply requests, judge, decide, and compute the frames to send, see ``TickInProgress.command``."""
+    def _decide_goals(self, open_tick: "TickInProgress", requests: tuple[TickRequest, ...]) -> None:
+        """Apply requests, judge faults, and choose mode and goals, see ``TickInProgress.decide``."""
         before, state, entry = open_tick.before, open_tick.state, open_tick.entry
         operator, request_events = NO_REQUESTS
         if requests:
@@ -286,13 +286,23 @@ class Controller:
         )
         program_events = self._advance_program(state, action)
         self._write_progress(state, before)
-        open_tick.unchanged = state.copy() if state.decisions.pending else None
-        self._compute_torques(state, action, entry.k - before.k)
-        open_tick.sent = self._encode_frames(state, entry.t_ns)
         open_tick.action = action
         open_tick.events = (
             events + tuple(map(_fault_event, findings)) + mode_events + program_events
         )
+
+    def _command_drives(
+        self, open_tick: "TickInProgress", targets: tuple[TickRequest, ...]
+    ) -> None:
+        """Apply targets, and compute the frames to send, see ``TickInProgress.command``."""
+        state, entry = open_tick.state, open_tick.entry
+        for target in targets:
+            open_tick.events += apply_target(
+                self.model, state, parse_target(target), state.run_integer(s.T_NS)
+            )
+        open_tick.unchanged = state.copy() if state.decisions.pending else None
+        self._compute_torques(state, open_tick.action, entry.k - open_tick.before.k)
+        open_tick.sent = self._encode_frames(state, entry.t_ns)
 
     def _conclude_tick(self, open_tick: "TickInProgress") -> tuple[ControllerState, TickOut]:
         """Design pending gains, and complete state and output, see ``TickInProgress.conclude``."""
@@ -692,8 +702,9 @@ class TickInProgress:
         state: state of the tick. Each step modifies it.
         entry: inputs of the tick, without requests.
         signs: signs of a second controller.
+        targets: targets of streams among the requests, which ``command`` applies.
         sent: frames to send, which ``command`` has computed.
-        action: reaction that the safety monitor demands, which ``command`` has determined.
+        action: reaction that the safety monitor demands, which ``decide`` has determined.
         events: events of the tick so far.
         unchanged: state before the motor torques were computed. It is kept only while other gains
             are pending.
@@ -704,21 +715,32 @@ class TickInProgress:
     state: ControllerState
     entry: TickIn
     signs: tuple[str, ...]
+    targets: tuple[TickRequest, ...] = ()
     sent: Frames = NO_FRAMES
     action: SafetyAction = SafetyAction.PASS
     events: tuple[TickEvent, ...] = ()
     unchanged: ControllerState | None = None
 
-    def command(self, requests: tuple[TickRequest, ...]) -> Frames:
-        """Apply requests, and return the frames to send.
+    def decide(self, requests: tuple[TickRequest, ...]) -> None:
+        """Apply requests, judge faults, and choose the mode and the goals of the hand.
 
         Args:
-            requests: requests of operators and programs, in the order of arrival.
+            requests: requests of operators and programs, in the order of arrival. The targets among
+                them are applied in the next step.
+        """
+        others, self.targets = without_targets(requests) if requests else ((), ())
+        self.controller._decide_goals(self, others)
+
+    def command(self, targets: tuple[TickRequest, ...]) -> Frames:
+        """Apply the targets of streams, and return the frames to send.
+
+        Args:
+            targets: further targets of streams, in the order of arrival.
 
         Raises:
             ValueError: a command cannot be encoded. The command is not sent.
         """
-        self.controller._command_drives(self, requests)
+        self.controller._command_drives(self, self.targets + targets)
         return self.sent
 
     def conclude(self) -> tuple[ControllerState, TickOut]:

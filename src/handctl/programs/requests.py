@@ -234,6 +234,20 @@ def is_stream_target(text: str) -> bool:
     return text.startswith(_TARGET_START)
 
 
+def without_targets(
+    requests: tuple[TickRequest, ...],
+) -> tuple[tuple[str, ...], tuple[TickRequest, ...]]:
+    """Return the requests that are no targets of a stream, and the targets, both in their order."""
+    others = list[str]()
+    targets = list[TickRequest]()
+    for request in requests:
+        if isinstance(request, StreamTarget) or is_stream_target(request):
+            targets.append(request)
+        else:
+            others.append(request)
+    return tuple(others), tuple(targets)
+
+
 _ALIVE_START = '{"do": "alive", '
 """Start of the text of ``AliveRequest``."""
 

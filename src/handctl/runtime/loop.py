@@ -1,7 +1,7 @@
 """The control loop with a fixed rate.
 
-In each tick, the loop waits, receives frames, begins the tick, reads requests, sends commands,
-concludes the tick, and records it. The same loop runs in real time and in lockstep.
+In each tick, the loop waits, receives frames, begins the tick, reads requests, reads streamed
+targets, sends commands, concludes the tick, and records it. The same loop runs in real time and in lockstep.
 
 The loop never executes a missed tick later. After missed deadlines, it skips their tick numbers.
 The next tick decides whether the gap is a fault. This module has the only broad ``except`` of the
@@ -39,8 +39,12 @@ class TickInProgress(Protocol[T]):
         """Return the state of the controller after the steps so far."""
         ...
 
-    def command(self, requests: tuple[TickRequest, ...]) -> Sequence[Frame]:
-        """Apply the requests of operators and programs, and return the frames to send."""
+    def decide(self, requests: tuple[TickRequest, ...]) -> None:
+        """Apply the requests of operators and programs, and choose the goals of the hand."""
+        ...
+
+    def command(self, targets: tuple[TickRequest, ...]) -> Sequence[Frame]:
+        """Apply the targets of streams, and return the frames to send."""
         ...
 
     def conclude(self) -> tuple[T, TickOut]:
@@ -165,8 +169,7 @@ class ControlLoop(Generic[S]):
         period_ns: control period [ns].
         buses: buses in the order of the hand file. A single object may serve all buses of a hand.
         begin_tick: function that begins a tick, from the last state of the controller and the
-            received frames. The loop reads requests after this call, so that a streamed target
-            waits as briefly as possible.
+            received frames.
         cut_frames: frames that remove the torque, built before the run.
         take_requests: function that returns the requests of operators and programs since its last
             call.
@@ -184,6 +187,8 @@ class ControlLoop(Generic[S]):
             frames to send, and the names of the drives that have not reported that they are off.
         tick_priority: function that returns a context manager, such as real-time priority. The
             context contains the ticks alone.
+        take_targets: function that returns the streamed targets since its last call. The loop calls
+            it as late as possible in a tick, so that a target waits as briefly as possible.
         stats: statistics of the run.
     """
 
@@ -202,6 +207,7 @@ class ControlLoop(Generic[S]):
         Callable[[S, int, list[Frame]], tuple[S, tuple[Frame, ...], tuple[str, ...]]] | None
     ) = None
     tick_priority: Callable[[], AbstractContextManager[object]] = nullcontext
+    take_targets: Callable[[], tuple[TickRequest, ...]] = tuple
     stats: LoopStats = field(default_factory=LoopStats)
     _k: int = 0
 
@@ -303,6 +309,7 @@ class ControlLoop(Generic[S]):
         first tick of the run.
         """
         tick = self.begin_tick(state, TickIn(0, 0))
+        tick.decide(())
         tick.command(())
         tick.conclude()
 
@@ -322,9 +329,12 @@ class ControlLoop(Generic[S]):
             self._k = k
             entry = self._collect(k, late - skipped * self.period_ns)
             tick = self.begin_tick(last[0], entry)
-            if requests := self.take_requests():
-                entry = entry._replace(requests=requests)
-            frames = tick.command(requests)
+            requests = self.take_requests()
+            tick.decide(requests)
+            targets = self.take_targets()
+            if requests or targets:
+                entry = entry._replace(requests=requests + targets)
+            frames = tick.command(targets)
             # After an error, a drive that may have received an enable command must report that it is
             # off. So the loop keeps the state with the commands before it sends them.
             last[0] = tick.state

@@ -191,10 +191,9 @@ def run_live(
             show = _merge_observers(
                 observer, _status_callback(display, mailbox, plan.rate_hz, published)
             )
-            request_source = _merge_requests(
-                observer, _request_source(plan, signals, mailbox, targets)
-            )
+            request_source = _merge_requests(observer, _request_source(plan, signals, mailbox))
             loop = _build_loop(plan, controller, clock, buses, recorder, request_source, show)
+            loop.take_targets = targets.read_targets
             loop.publish_tick = partial(_publish_tick, observations, published)
             not_started.pop_all()
         outcome = _run_to_end(
@@ -382,9 +381,9 @@ def _describe_run(plan: RunPlan) -> dict[str, object]:
 
 
 def _request_source(
-    plan: RunPlan, signals: StopSignals, mailbox: Mailbox, targets: TargetBox
+    plan: RunPlan, signals: StopSignals, mailbox: Mailbox
 ) -> Callable[[], tuple[TickRequest, ...]]:
-    """Return a function that collects all requests for a tick.
+    """Return a function that collects all requests for a tick except streamed targets.
 
     If the plan says so, the first request is to clear the latched errors of the drives.
     """
@@ -392,7 +391,7 @@ def _request_source(
 
     def take_requests() -> tuple[TickRequest, ...]:
         first = (orders.pop(),) if orders else ()
-        return first + signals.take_request() + mailbox.read_requests() + targets.read_targets()
+        return first + signals.take_request() + mailbox.read_requests()
 
     return take_requests
 
