@@ -61,7 +61,7 @@ from handctl.drives.frame_records import (
 )
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.programs.program import TARE_PHASE, Program
-from handctl.programs.requests import REFUSED_PREFIX, parse_target
+from handctl.programs.requests import REFUSED_PREFIX, parse_target, without_targets
 from handctl.safety.action import SafetyAction
 from handctl.safety.safety_limits import SafetyLimits
 from handctl.safety.tick_verdict import (
@@ -265,7 +265,7 @@ class Controller:
         )
         return TickInProgress(controller, last_state, state, tick_input, signs)
 
-    def _decide_goals(self, open_tick: "TickInProgress", requests: tuple[TickRequest, ...]) -> None:
+    def _decide_goals(self, open_tick: "TickInProgress", requests: tuple[str, ...]) -> None:
         """Apply requests, judge faults, and choose mode and goals, see ``TickInProgress.decide``."""
         before, state, entry = open_tick.before, open_tick.state, open_tick.entry
         operator, request_events = NO_REQUESTS
