@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from firmware_sim.lockstep_hand import LockstepHand
+from handctl.controller.run_setup import make_drives
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import PROTOCOL_TRAITS
-from handctl.drives.protocol_registry import make_drive
 from handctl.drives.sensors.sensor_node import SensorNode
 from handctl.hand.file.sections import Motor
 from handctl.hand.hand_loading import load_hand
@@ -83,8 +83,7 @@ class ProtocolBench:
         self.period_ns = period_ns
         self.simulated_hand = LockstepHand(str(path), seed=3, period_ns=period_ns, wire=wire)
         buses = self.hand.bus_names
-        motors = [self.hand.motor_of(name) for name in self.hand.tendon_names]
-        self.drives: list[Drive] = [make_drive(motor, buses.index(motor.bus)) for motor in motors]
+        self.drives: list[Drive] = list(make_drives(self.hand))
         self.states: list[DriveState] = [drive.initial_state() for drive in self.drives]
         node = self.hand.sensor_node
         self.sensor_node = SensorNode.from_description(

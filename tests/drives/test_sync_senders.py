@@ -1,13 +1,14 @@
-"""Test the SYNC frame for CiA 402 drives.
+"""Test the SYNC frame and the heartbeat of the host for CiA 402 drives.
 
 On every bus, either the request to the sensor node is the SYNC frame, or one drive sends a SYNC
-frame.
+frame. One drive of each bus sends the heartbeat.
 """
 
 import tomllib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from handctl.campaign.run_stages import hand_with_protocol
@@ -25,6 +26,9 @@ from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.drives.protocol_bench import hand_file, move_to_second_bus
 
 SYNC_ID = 0x080
+HOST_HEARTBEAT_ID = 0x77F
+HEARTBEAT_TICKS = 5
+"""Period of the host's heartbeat at 250 Hz [ticks]: a third of the watchdog time of 50 ms, rounded up."""
 
 
 def sync_sender_names(hand: Hand) -> list[str]:
@@ -65,6 +69,30 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
         assert sent == [(0, 1), (1, 0)], (
             "once on each bus: with the counter for the sensor node, else empty"
         )
+
+
+def test_the_host_sends_one_heartbeat_on_each_bus(tmp_path: Path) -> None:
+    """Reproduce a defect.
+
+    Earlier defect: the host sent its heartbeat once for each drive, although every drive on a bus
+    receives each of them.
+    """
+    path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
+    model = HandModel.from_hand(load_hand(str(path)), Gains(), 250.0)
+    with SimulatorSettings(str(path), None, 0, homed=True).begin_run(
+        homed_controller(model, LiveProgram())
+    ) as run:
+        assert run.run_until(lambda out: out.mode == HandMode.ACTIVE, 5.0)
+        ticks_by_bus: dict[int, list[int]] = {0: [], 1: []}
+        for k in range(100):
+            run.run_tick()
+            assert run.last_output.mode == HandMode.ACTIVE
+            for frame in run.last_output.frames:
+                if frame.can_id == HOST_HEARTBEAT_ID:
+                    ticks_by_bus[frame.bus].append(k)
+    for ticks in ticks_by_bus.values():
+        assert len(ticks) == 100 // HEARTBEAT_TICKS
+        assert set(np.diff(ticks)) == {HEARTBEAT_TICKS}
 
 
 def test_the_packaged_hand_on_two_buses_has_sync_on_both() -> None:

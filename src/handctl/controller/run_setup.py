@@ -191,8 +191,9 @@ def caution_lines(drives: Iterable[Drive]) -> tuple[str, ...]:
 def make_drives(hand: Hand) -> tuple[Drive, ...]:
     """Return the drive of each tendon, in the order of the tendons.
 
-    A CiA 402 drive replies to a SYNC frame. On a bus without another SYNC frame, the host sends
-    SYNC after the command of one drive.
+    A CiA 402 drive replies to a SYNC frame, and supervises the heartbeat of the host. The host
+    sends the heartbeat after the command of one drive on each bus. On a bus without another SYNC
+    frame, the host also sends SYNC after this command.
 
     Raises:
         ConfigError: a drive does not have an option in the hand file, or two nodes share an
@@ -207,7 +208,7 @@ def make_drives(hand: Hand) -> tuple[Drive, ...]:
     named = [(f"motor[{drive.name}].node_id", drive) for drive in drives]
     where = "sensor_node.node_ids" if hand.sensor_node.is_cia404 else "sensor_node.base_id"
     check_identifiers([(where, sensors), *named])
-    return _with_sync(drives, sensors)
+    return _with_host_frames(drives, sensors)
 
 
 def _check_position_loop(motor: Motor, drive: Drive) -> None:
@@ -235,21 +236,33 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
             raise ConfigError(f"{value:g}", f"{where}.{given[signal.quantity]}", right)
 
 
-def _with_sync(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
-    """Return the drives.
+def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
+    """Return the drives, and let one CiA 402 drive per bus make the host send SYNC and its heartbeat.
 
-    On each bus without SYNC, set the option ``sync`` of the last CiA 402 drive.
+    All CiA 402 drives on a bus receive the same heartbeat and the same SYNC. The last of these
+    drives is chosen, so that the SYNC frame comes after all commands. The host sends the heartbeat
+    at the shortest period that a drive of the bus needs.
 
     A bus already has SYNC frames if the sensor node uses the identifier 0x080, or if a drive has
-    the option in the hand file. The last drive is chosen so that the SYNC frame comes after all
-    commands.
+    the option ``sync`` in the hand file.
     """
     with_sync = {sensors.bus} if SYNC in sensors.host_ids else set()
-    with_sync |= {drive.bus for drive in drives if isinstance(drive, Cia402Drive) and drive.sync}
-    last = {drive.bus: n for n, drive in enumerate(drives) if isinstance(drive, Cia402Drive)}
-    senders = {n for bus, n in last.items() if bus not in with_sync}
+    periods_ns = dict[int, list[int]]()
+    last = dict[int, int]()
+    for n, drive in enumerate(drives):
+        if isinstance(drive, Cia402Drive):
+            with_sync |= {drive.bus} if drive.sync else set()
+            periods_ns.setdefault(drive.bus, []).append(drive.heartbeat_period_ns)
+            last[drive.bus] = n
     return tuple(
-        replace(drive, sync=True) if n in senders and isinstance(drive, Cia402Drive) else drive
+        replace(
+            drive,
+            sync=drive.sync or (n == last[drive.bus] and drive.bus not in with_sync),
+            sends_heartbeat=n == last[drive.bus],
+            heartbeat_period_ns=min(periods_ns[drive.bus]),
+        )
+        if isinstance(drive, Cia402Drive)
+        else drive
         for n, drive in enumerate(drives)
     )
 

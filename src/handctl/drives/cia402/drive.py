@@ -30,6 +30,7 @@ from handctl.drives.cia402.progress import (
     state_after_timeout,
 )
 from handctl.drives.contract import (
+    END_OF_TIME_NS,
     NO_STEADY_STATUS,
     DriveFaultCause,
     DrivePhase,
@@ -103,6 +104,8 @@ class Cia402Drive:
         counts: position counts per turn of the shaft.
         steps: objects of the drive, with the values required before arming.
         sync: True if the host sends SYNC after the command of this drive.
+        sends_heartbeat: True if the host sends its heartbeat after the command of this drive. All
+            drives on a bus receive the same heartbeat, so one sender is enough.
         heartbeat_period_ns: period of this host's heartbeat [ns].
         life_sign_timeout_ns: time without a sign of life after which the drive counts as lost [ns].
         command: signal table of RPDO1, built from the fields above.
@@ -119,6 +122,7 @@ class Cia402Drive:
     counts: int
     steps: tuple[setup.SetupStep, ...]
     sync: bool
+    sends_heartbeat: bool
     heartbeat_period_ns: int
     life_sign_timeout_ns: int
     command: SignalTable = field(init=False, repr=False, compare=False)
@@ -201,6 +205,7 @@ class Cia402Drive:
                 mode,
             ),
             sync=sync,
+            sends_heartbeat=True,
             # The host sends three heartbeats per watchdog timeout, so that two may be lost.
             heartbeat_period_ns=watchdog * 1_000_000 // 3,
             life_sign_timeout_ns=round(heartbeat * MAX_MISSED_HEARTBEATS * 1e6),
@@ -214,10 +219,9 @@ class Cia402Drive:
     @property
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
         """Return the frames with rates of their own: heartbeats of drive and host, and SDO read-back while enabled."""
-        beats = (
-            (1, False, MAX_MISSED_HEARTBEATS * 1e9 / self.life_sign_timeout_ns),
-            (1, False, 1e9 / self.heartbeat_period_ns),
-        )
+        beats = [(1, False, MAX_MISSED_HEARTBEATS * 1e9 / self.life_sign_timeout_ns)]
+        if self.sends_heartbeat:
+            beats.append((1, False, 1e9 / self.heartbeat_period_ns))
         return (*beats, *((8, False, readback.RECHECKS_PER_SECOND),) * 2)
 
     @property
@@ -279,6 +283,8 @@ class Cia402Drive:
 
     def due_ns(self, state: DriveState) -> int:
         """Return the time at which this host must send its heartbeat [ns]."""
+        if not self.sends_heartbeat:
+            return END_OF_TIME_NS
         return progress_of(state).heartbeat_sent_ns + self.heartbeat_period_ns
 
     @property
@@ -403,7 +409,7 @@ class Cia402Drive:
             state = state_after_timeout(state)
         state, frames = self._follow_target(state, t_ns, target, command)
         progress = progress_of(state)
-        if t_ns - progress.heartbeat_sent_ns >= self.heartbeat_period_ns:
+        if self.sends_heartbeat and t_ns - progress.heartbeat_sent_ns >= self.heartbeat_period_ns:
             frames = (*frames, Frame(_HOST_HEARTBEAT, bytes((canopen.OPERATIONAL,)), 0, self.bus))
             state = state._replace(private=progress._replace(heartbeat_sent_ns=t_ns))
         return state, (*frames, Frame(canopen.SYNC, b"", 0, self.bus)) if self.sync else frames
