@@ -3,11 +3,15 @@
 The hash function reuses parts of the hash of the last tick, but never for a value that has changed.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from handctl.core.control_law.digit_goal import DigitGoal
 from handctl.core.identity_cache import IdentityCache, SequenceCache
-from handctl.core.plain_values import plain_bytes
+from handctl.core.plain_values import join_field_bytes, plain_bytes
+from handctl.programs.program import ProgramProgress
 
 
 def hashed_bytes(value: object) -> bytes:
@@ -40,3 +44,21 @@ def test_a_sequence_cache_gives_the_same_values_as_its_function(seed: int) -> No
     for _ in range(200):
         sequence = tuple(items[i] for i in draw.integers(0, len(items), draw.integers(0, 5)))
         assert cache(sequence) == [plain_bytes(item) for item in sequence]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_bytes_joined_from_fields_are_those_of_the_whole(seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    digits = int(draw.integers(1, 6))
+    progress = ProgramProgress.initial(digits, "zu früh")
+    cache = IdentityCache[object](plain_bytes)
+    for _ in range(50):
+        goals = (*progress.goals[1:], DigitGoal(rate=float(draw.normal())))
+        progress = replace(
+            progress,
+            since=float(draw.normal()),
+            touching=tuple(draw.integers(0, 1000, digits).tolist()),
+            goals=goals if draw.random() < 0.3 else progress.goals,
+            tare=tuple(draw.normal(size=draw.integers(0, 4)).tolist()),
+        )
+        assert join_field_bytes(progress, cache) == plain_bytes(progress)

@@ -13,7 +13,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.identity_cache import IdentityCache, SequenceCache
-from handctl.core.plain_values import plain_bytes
+from handctl.core.plain_values import join_field_bytes, plain_bytes
 from handctl.core.state_block import STATE_SCHEMA
 from handctl.core.tick_types import HandMode
 from handctl.drives.cia404.amplifier import AmplifierState
@@ -80,9 +80,20 @@ class ControllerDecisions(NamedTuple):
     amplifiers: tuple[AmplifierState, ...] = ()
 
 
+def _part_bytes(part: object) -> bytes:
+    """Return the serialized form of a part of the decisions.
+
+    While a digit closes, the progress changes in every tick, but its goals stay the same objects.
+    """
+    if isinstance(part, ProgramProgress):
+        return join_field_bytes(part, _field_bytes_cache)
+    return plain_bytes(part)
+
+
 # The serialized form of each part is cached by the identity of the part, because most decisions are
 # the same objects in many ticks.
-_plain_bytes_cache = IdentityCache[Any](plain_bytes)
+_field_bytes_cache = IdentityCache[Any](plain_bytes)
+_plain_bytes_cache = IdentityCache[Any](_part_bytes)
 _drives_cache, _goals_cache, _rest_cache = (
     SequenceCache[Any](_plain_bytes_cache) for _ in range(3)
 )

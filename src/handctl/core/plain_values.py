@@ -9,6 +9,7 @@ that no log can create objects of other types.
 import enum
 import functools
 import marshal
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -100,6 +101,29 @@ def to_plain(value: Any) -> Any:
 def plain_bytes(value: Any) -> bytes:
     """Return the plain form of a value as bytes."""
     return marshal.dumps(to_plain(value), MARSHAL_VERSION)
+
+
+@functools.cache
+def _first_bytes(type_: type) -> tuple[bytes, tuple[str, ...]]:
+    """Return the first bytes of the plain form of a dataclass, and the names of the fields that follow."""
+    names = tuple([field.name for field in fields(type_) if field.init])
+    start = b"(" + (1 + len(names)).to_bytes(4, "little")
+    return start + marshal.dumps(plain_name(type_), MARSHAL_VERSION), names
+
+
+def join_field_bytes(value: Any, bytes_of_field: Callable[[Any], bytes]) -> bytes:
+    """Return ``plain_bytes(value)`` of a dataclass, joined from the bytes of its fields.
+
+    If most fields of a value stay the same objects, their bytes can be cached.
+
+    Args:
+        value: object of a dataclass.
+        bytes_of_field: function that returns ``plain_bytes`` of a field.
+    """
+    kind: type = type(value)
+    start, names = _first_bytes(kind)
+    # In this version of the format, a tuple is a mark, the number of items, and the items.
+    return start + b"".join([bytes_of_field(getattr(value, name)) for name in names])
 
 
 def from_plain(value: Any) -> Any:
