@@ -563,9 +563,10 @@ def _target_delays_ms(hand: HandClient, seconds: float) -> list[float]:
     with hand.stream(RATE_HZ, "digit", [STREAMED_DIGIT]) as stream:
         began = time.monotonic()
         while (t := time.monotonic() - began) < seconds:
-            sent_ns = time.monotonic_ns()
+            target = [sine_angle_deg(t + stream.horizon_s)]
             number = stream.sent
-            stream.send([sine_angle_deg(t + stream.horizon_s)])
+            sent_ns = time.monotonic_ns()
+            stream.send(target)
             seen = hand.observe()
             while seen.stream.number < number:
                 seen = hand.observe(wait=True)
