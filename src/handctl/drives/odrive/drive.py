@@ -8,6 +8,7 @@ endpoints of ``settings``. Only a heartbeat reports the state of the drive.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
@@ -16,6 +17,7 @@ from handctl.drives.contract import (
     NO_STEADY_STATUS,
     DriveFaultCause,
     DrivePhase,
+    DriveProperty,
     DriveState,
     DriveTarget,
 )
@@ -197,6 +199,11 @@ class OdriveDrive:
     def unverified_protections(self) -> tuple[str, ...]:
         """Return the protections of the drive that handctl cannot verify, one line each."""
         return endpoints.unverified_protections(self.settings, self.firmware_05)
+
+    @property
+    def unchecked_properties(self) -> Mapping[DriveProperty, str]:
+        """Return the reason for each property that handctl cannot check without further options."""
+        return endpoints.unchecked_properties(self.settings, self.firmware_05)
 
     @property
     def one_reply_per_command(self) -> bool:
