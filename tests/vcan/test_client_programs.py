@@ -53,6 +53,13 @@ CLIENT_PROGRAMS = {
     "openarm_can": ClientProgram(
         "openarm_client", 13, ("mit", "--ids", "1,2,3", "--fd"), "openarm_can==1.4.1"
     ),
+    "can-motor-control": ClientProgram(
+        "rust_client",
+        14,
+        ("mit", "--ids", "1,2,3", "--fd", "--motor-type", "dm4340"),
+        "can-motor-control==0.0.8",
+        ("numpy>=1.26,<3",),
+    ),
     "i2rt": ClientProgram(
         "i2rt_client",
         16,

@@ -88,13 +88,20 @@ def check_mit_mode(checks: CheckList) -> None:
         arm.recv_all(REPLY_TIMEOUT_US)
         return [motor.get_position() for motor in arm.get_arm().get_motors()]
 
+    def torques() -> list[float]:
+        command(0.0, 0.0, start, TORQUE_N_M)
+        return [motor.get_torque() for motor in arm.get_arm().get_motors()]
+
     checks.check_until(
-        "three motors turn by a torque",
+        "three motors report the commanded torque",
+        torques,
+        lambda seen: all(abs(torque - TORQUE_N_M) < 0.01 for torque in seen),
+    )
+    checks.check_until(
+        "they turn by it",
         lambda: command(0.0, 0.0, start, TORQUE_N_M),
         lambda seen: all(a - b > TRAVEL_RAD for a, b in zip(seen, start, strict=True)),
     )
-    torques = [motor.get_torque() for motor in arm.get_arm().get_motors()]
-    checks.check("they report this torque", all(abs(t - TORQUE_N_M) < 0.01 for t in torques))
     goals = [motor.get_position() - TRAVEL_RAD for motor in refresh(arm)]
     checks.check_until(
         "they hold positions",
