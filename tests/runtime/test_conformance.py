@@ -239,6 +239,21 @@ def test_an_odrive_names_the_options_without_which_a_check_is_not_made(given):
             assert all(option in found[FAILED_CHECK[fault]].reason for option in missing)
 
 
+def test_an_odrive_that_confirms_writes_passes_every_check():
+    """Reproduce a defect: handctl counted each confirmation as a frame that it could not decode.
+
+    Firmware 0.6.11 and later confirms writes. The confirmation has no value, so it is 4 bytes long.
+    """
+    options = OPTIONS_BY_PROTOCOL["odrive"]
+    place = VirtualBench("odrive", **options, confirms_writes=True)
+    rig = drive_rig_on(place, "odrive", TORQUE_LIMIT_N_M)
+    found = {
+        check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))
+    }
+    assert failed_checks(found) == []
+    assert not_checked(found) == []
+
+
 def test_an_odrive_whose_watchdog_was_set_over_usb_passes_without_options():
     place = VirtualBench("odrive", usb_watchdog_s=0.1)
     rig = drive_rig_on(place, "odrive", TORQUE_LIMIT_N_M, WITHOUT_ENDPOINTS)

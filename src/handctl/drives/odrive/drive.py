@@ -284,9 +284,9 @@ class OdriveDrive:
             or command not in codec.DRIVE_MESSAGES
         ):
             return state
-        # A TxSdo contains at least one byte of the value. The message Address has 7 bytes before
-        # firmware 0.6.11.
-        shortest = {codec.TX_SDO: 5, codec.ADDRESS: 7}.get(command, 8)
+        # A TxSdo that confirms a write contains no value (firmware 0.6.11 and later). The message
+        # Address has 7 bytes before firmware 0.6.11.
+        shortest = {codec.TX_SDO: 4, codec.ADDRESS: 7}.get(command, 8)
         if not shortest <= len(frame.data) <= 8:
             return state._replace(misread=state.misread + 1)
         if command == codec.HEARTBEAT:
