@@ -160,11 +160,21 @@ def check_watchdog(checks: CheckList) -> None:
     finally:
         client.close()
     # The client clears an error three times and reads one of the replies. The other replies would be
-    # taken for replies to later commands, so the client gets a new socket.
+    # taken for replies to later commands, so the client gets a new socket. A late reply may still
+    # arrive there, so the state is read until it is the expected one.
     client = DMSingleMotorCanInterface(channel=CHANNEL, bustype="socketcan")
+
+    def state() -> str:
+        try:
+            return str(command().error_message)
+        except RuntimeError as error:
+            return str(error)
+
     try:
         client.motor_off(motor)
-        checks.check_raises("the motor is disabled at the end", command, "disabled")
+        checks.check_until(
+            "the motor is disabled at the end", state, lambda text: "disabled" in text
+        )
     finally:
         client.close()
 
