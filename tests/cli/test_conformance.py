@@ -13,6 +13,7 @@ from handctl.drives.mit.codec import MotorRanges, command_message
 from handctl.drives.signals import SignalTable
 from handctl.runtime.buses.local import LocalBus
 from handctl.runtime.mailbox import Mailbox
+from handctl.session.exit_codes import ExitCode
 from tests.drives.bench_process import run_simulated_drives
 from tests.runtime.processes import run_handctl
 
@@ -115,13 +116,40 @@ def test_a_new_robstride_motor_in_mit_mode_needs_no_host_number():
     words = ["--protocol", "robstride_mit", "--node", "1", "--option", "motor_type=rs05", "--yes"]
     with run_simulated_drives("local:c", "robstride_mit", "--ids", "1"):
         done = run_handctl(*CONFORMANCE_OPTIONS, *words, "--json")
-    failed = {
-        check["name"] for check in json.loads(done.stdout)["checks"] if check["verdict"] != "passed"
-    }
-    assert failed == {
-        "disables itself when the host falls silent, and stays off",
-        "is cut at once, and cleared on command only",
-    }
+    verdicts = {check["name"]: check["verdict"] for check in json.loads(done.stdout)["checks"]}
+    assert {name: text for name, text in verdicts.items() if text != "passed"} == dict.fromkeys(
+        (
+            "identifies itself, takes its settings and reads them back",
+            "disables itself when the host falls silent, and stays off",
+            "is cut at once, and cleared on command only",
+        ),
+        "not checked",
+    )
+    assert done.returncode == ExitCode.NOT_CHECKED
+
+
+@pytest.mark.realtime
+def test_an_odrive_without_endpoint_options_is_not_checked_and_names_them():
+    """Reproduce a defect: the check of the watchdog failed on this good drive."""
+    with run_simulated_drives("local:c", "odrive", "--ids", "3"):
+        done = run_handctl(*CONFORMANCE_OPTIONS, "--protocol", "odrive", "--node", "3", "--yes")
+    assert done.returncode == ExitCode.NOT_CHECKED
+    lines = done.stdout.splitlines()
+    unchecked = [line for line in lines if line.startswith("not checked")]
+    assert len(unchecked) == 2
+    assert all("endpoint_enable_watchdog, endpoint_watchdog_timeout" in line for line in unchecked)
+    assert lines[-1] == "10 passed, 0 failed, 2 not checked"
+
+
+@pytest.mark.nightly
+@pytest.mark.realtime
+def test_a_drive_that_never_answers_is_not_called_off():
+    """Reproduce a defect: a CubeMars motor that was never heard was reported as off."""
+    words = ["--protocol", "cubemars", "--node", "1", "--option", "motor_type=ak80-6", "--yes"]
+    with run_simulated_drives("local:c", "cubemars", "--ids", "1", "--broken", "mute"):
+        done = run_handctl(*CONFORMANCE_OPTIONS, *words, "--json")
+    assert done.returncode == ExitCode.REMOVE_POWER
+    assert json.loads(done.stdout)["confirmed_off"] is False
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,16 @@ def test_an_mit_motor_has_the_manufacturers_ranges_and_no_watchdog(kind: str) ->
         assert read_register(bench, node, 35) == b"\4\0\0\0"
 
 
+@pytest.mark.parametrize(
+    ("kind", "ratio"),
+    [("dm3507", 7), ("dm4310", 10), ("dm4310v", 10), ("dm4340", 40), ("dm6248", 48), ("dm8009", 9)],
+)
+def test_an_mit_motor_reads_the_gear_ratio_of_its_type(kind: str, ratio: int) -> None:
+    """Reproduce a defect: each motor type reported the ratio 16, so the client i2rt refused all of them."""
+    bench = SimulatedDriveBench([drive_spec("mit", 2, kind)])
+    assert struct.unpack("<f", read_register(bench, 2, 20)) == (ratio,)
+
+
 def test_a_motor_set_to_fd_reports_it_and_answers_in_fd() -> None:
     bench = SimulatedDriveBench([drive_spec("mit", 1, fd=True)])
     assert read_register(bench, 1, 35)[0] == 9

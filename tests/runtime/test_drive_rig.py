@@ -47,6 +47,40 @@ def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed: 
     assert rig.missed_ticks == 0
 
 
+@pytest.mark.parametrize("protocol", OPTIONS_BY_PROTOCOL)
+def test_a_drive_that_was_never_heard_is_not_confirmed_off(protocol: str) -> None:
+    """Reproduce a defect: a drive that another host had enabled, and whose replies are lost, counted as off."""
+    place = VirtualBench(protocol, "mute")
+    rig = drive_rig_on(place, protocol, 0.1)
+    rig.run_for(DriveTarget.POLL, 0.5)
+    assert not rig.confirm_off(0.05)
+
+
+@pytest.mark.parametrize("protocol", OPTIONS_BY_PROTOCOL)
+@pytest.mark.parametrize("ticks", [0, 1, 3, 60])
+def test_a_drive_whose_replies_end_after_the_enable_command_is_not_confirmed_off(
+    protocol: str, ticks: int
+) -> None:
+    place = VirtualBench(protocol)
+    rig = drive_rig_on(place, protocol, 0.1)
+    assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0)
+    for _ in range(ticks):
+        rig.run_tick(DriveTarget.ENABLE)
+    place.drain = list  # type: ignore[method-assign]
+    place.send = len  # type: ignore[method-assign]
+    rig.run_tick(DriveTarget.ENABLE)
+    assert not rig.confirm_off(0.05)
+
+
+@pytest.mark.parametrize("protocol", OPTIONS_BY_PROTOCOL)
+@pytest.mark.parametrize("ticks", [0, 1, 2, 5, 20, 60, 200])
+def test_a_good_drive_is_confirmed_off_at_any_time_of_its_setup(protocol: str, ticks: int) -> None:
+    rig = drive_rig_on(VirtualBench(protocol), protocol, 0.1)
+    for _ in range(ticks):
+        rig.run_tick(DriveTarget.POLL)
+    assert rig.confirm_off(0.05)
+
+
 @pytest.mark.parametrize("missed", [0, 6, 20])
 @pytest.mark.parametrize("delay_ticks", [0, 1])
 def test_the_velocity_after_missed_ticks_is_that_of_the_shaft(

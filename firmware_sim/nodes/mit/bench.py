@@ -79,6 +79,29 @@ MOTOR_RATINGS = {
     "dm10010": MotorRating(150.0, 75.0, 2.59875, 0.125),
 }
 """Published ratings by motor type. Source: wiki of Seeed Studio, table in "Damiao Series"."""
+GEAR_RATIOS = {
+    "dm3507": 7.0,
+    "dm4310": 10.0,
+    "dm4310-48v": 10.0,
+    "dm4310v": 10.0,
+    "dm4340": 40.0,
+    "dm4340-48v": 40.0,
+    "dm6006": 6.0,
+    "dm6248": 48.0,
+    "dm8006": 6.0,
+    "dm8009": 9.0,
+    "dm10010l": 10.0,
+    "dm10010": 10.0,
+    "dmh3510": 1.0,
+    "dmh6215": 1.0,
+    "dmg6220": 1.0,
+}
+"""Value of the register gear ratio of each motor type.
+
+The client i2rt 1.3.6 refuses a motor whose register differs from its own table, which has DM3507,
+DM4310, DM4310V, DM4340, DM6248 and DM8009. The other values are assumptions: the last two digits of
+the type, and 1 for motors without a gear.
+"""
 STALL_FACTOR = 2.0
 """Stall torque divided by TMAX, for motor types without a published rating.
 
@@ -109,7 +132,8 @@ def shaft_of_mit_motor(motor_type: str, **options: object) -> ShaftSpec:
     else:
         rating = MOTOR_RATINGS[motor_type]
         limits = rating.peak, rating.top_speed, rating.stall_torque
-    return ShaftSpec(peak, inertia, 1.0, position, velocity, dict(options), *limits)
+    options = {"gear_ratio": GEAR_RATIOS[motor_type], **options}
+    return ShaftSpec(peak, inertia, 1.0, position, velocity, options, *limits)
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:

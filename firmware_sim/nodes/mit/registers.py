@@ -28,6 +28,8 @@ TIMEOUT = 9
 """Register: timeout of the watchdog in units of 50 us, 0 to switch the watchdog off."""
 CTRL_MODE = 10
 """Register: control mode."""
+GEAR_RATIO = 20
+"""Register: ratio of the gear, revolutions of the motor per revolution of the output shaft."""
 PMAX = 21
 """Register: largest position in frames [rad]."""
 VMAX = 22
@@ -45,6 +47,8 @@ MOTOR_POSITION = 80
 OUTPUT_POSITION = 81
 """Register: measured angle of the output shaft [rad]."""
 
+DM4310_GEAR_RATIO = 10.0
+"""Gear ratio of a DM-J4310: the motors of a hand, whose hand file does not name their type."""
 _UINT_REGISTERS = {7, 8, 9, 10, 13, 14, 15, 16, 35, 36}
 """Registers of type uint32. All other registers are float32."""
 _READ_ONLY_REGISTERS = {
@@ -151,7 +155,7 @@ def _factory_values(spec: MotorSpec) -> dict[int, float]:
     values.update(
         {
             17: 0.6,
-            20: 16.0,
+            GEAR_RATIO: spec.options.get("gear_ratio", DM4310_GEAR_RATIO),
             PMAX: spec.position_range,
             VMAX: spec.velocity_range,
             TMAX: spec.torque_max,

@@ -37,6 +37,8 @@ Choices where the fact sheet has only an assumption:
 - A setpoint of NaN disarms the axis with the error *missing input*.
 - A disarm reason stays until Clear_Errors. With a disarm reason, the axis refuses closed loop.
 - The hand file gives the numbers of the endpoints.
+- With the option ``confirms_writes``, the axis has firmware 0.6.11, which confirms the write of an
+  endpoint. The confirmation is a TxSdo without a value.
 - A calibration takes ``CALIBRATION_NS`` and moves nothing. With the option ``uncalibrated``, the
   axis refuses closed loop before a calibration.
 - The module ``motion_modes`` has position control, velocity control and their input modes.
@@ -215,6 +217,7 @@ class OdriveNode:
         ):  # A host can make this setting only over USB. No frame can change it.
             self._numbers |= {"enable_watchdog": -1, "watchdog_timeout": -2}
             self.endpoints |= {-1: b"\1", -2: struct.pack("<f", usb)}
+        self._confirms_writes = bool(options.get("confirms_writes", False))
         self.calibrated = not options.get("uncalibrated", False)
         self.busy_until_ns = 0
         self._factory = self._storable_settings()
@@ -294,7 +297,7 @@ class OdriveNode:
         if self.legacy and command not in _LEGACY_ANSWERS:
             return b""
         if command == 0x00:
-            return bytes((2, 4, 4, 58, 0, 6, 10, 0))
+            return bytes((2, 4, 4, 58, 0, 6, 11 if self._confirms_writes else 10, 0))
         if command == 0x03:
             return struct.pack("<II", self.active_errors, self.disarm_reason)
         if command == 0x06:
@@ -427,7 +430,10 @@ class OdriveNode:
         return max(0.0, float(value)) if math.isfinite(value) else 0.0
 
     def _execute_sdo_request(self, data: bytes) -> list[Frame]:
-        """Read or write an endpoint. A write is not answered, as in firmware before 0.6.11."""
+        """Read or write an endpoint.
+
+        Firmware before 0.6.11 does not answer a write. Later firmware confirms it.
+        """
         operation = data[0]
         endpoint = int.from_bytes(data[1:3], "little")
         stored = self.endpoints.get(endpoint)
@@ -437,7 +443,8 @@ class OdriveNode:
             if len(data) - 4 >= len(stored):
                 self.endpoints[endpoint] = data[4 : 4 + len(stored)]
                 self._update_derived()
-            return []
+            confirmation = b"\0" + endpoint.to_bytes(2, "little") + b"\0"
+            return [Frame(self.node_id << 5 | 0x05, confirmation)] if self._confirms_writes else []
         return [
             Frame(self.node_id << 5 | 0x05, b"\0" + endpoint.to_bytes(2, "little") + b"\0" + stored)
         ]

@@ -14,6 +14,7 @@ or a socket.
 
 import enum
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from handctl.drives.frame import Frame
@@ -93,6 +94,14 @@ class DriveFaultCause(enum.IntEnum):
 
     The controller assumes the worst cause.
     """
+
+
+class DriveProperty(enum.Enum):
+    """Property of a drive that handctl can check with some protocols and options only."""
+
+    READBACK = "read-back of settings"
+    WATCHDOG = "watchdog"
+    CUT = "cut of the torque"
 
 
 class DriveState(NamedTuple):
@@ -179,6 +188,8 @@ class Drive(Protocol):
         node_ids: identifiers of frames from the drive.
         unverified_protections: protections of the drive that handctl cannot verify, shown to the
             operator before arming.
+        unchecked_properties: reason for each property that handctl cannot check on this drive. The
+            reason names the missing option, or what the protocol lacks.
         one_reply_per_command: True if the drive sends exactly one feedback frame per command. An
             additional frame is then a duplicate, or comes from a second drive with the same number.
         position_step: resolution of the measured position [rad at the spool], 0 if unknown.
@@ -232,6 +243,11 @@ class Drive(Protocol):
     @property
     def unverified_protections(self) -> tuple[str, ...]:
         """Return one line for each protection of the drive that handctl cannot verify."""
+        ...
+
+    @property
+    def unchecked_properties(self) -> Mapping[DriveProperty, str]:
+        """Return the reason for each property that handctl cannot check on this drive."""
         ...
 
     @property

@@ -15,6 +15,8 @@ class ExitCode(IntEnum):
     """A log was read only in part."""
     NOT_COMPARABLE = 4
     """Two logs, or a log and a hand, do not belong together."""
+    NOT_CHECKED = 5
+    """No check of a drive failed, but at least one could not be made."""
     INTERNAL = 70
     """A bug in handctl. The drives were commanded to disable and confirmed it."""
     REMOVE_POWER = 71

@@ -6,6 +6,7 @@ During the checks, the torque stays below a limit that the user gives.
 import argparse
 import math
 import sys
+from collections import Counter
 from typing import Any
 
 from handctl.cli.console.bench_drive import (
@@ -36,16 +37,17 @@ from handctl.runtime.mailbox import bus_lock
 from handctl.session.exit_codes import ExitCode
 
 VERDICT_WORDS = {
-    CheckVerdict.PASSED: "passed",
-    CheckVerdict.FAILED: "FAILED",
-    CheckVerdict.NOT_APPLICABLE: "n/a   ",
+    CheckVerdict.PASSED: "passed     ",
+    CheckVerdict.FAILED: "FAILED     ",
+    CheckVerdict.NOT_CHECKED: "not checked",
 }
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the checks of a drive, and return the exit code.
 
-    The exit code is 1 if a check failed, and 71 if the drive does not confirm that it is disabled.
+    The exit code is 1 if a check failed, 5 if none failed and at least one could not be made, and
+    71 if the drive does not confirm that it is disabled.
     """
     options = parse_options(args.option)
     if not (math.isfinite(args.limit) and MIN_TORQUE_LIMIT_N_M <= args.limit <= MAX_TORQUE_N_M):
@@ -62,17 +64,18 @@ def run(args: argparse.Namespace) -> int:
         node = find_drive(args)
         drive = describe_drive(args, options, node)
         results, off = _run_checks(args, drive, with_torque_range(drive, node))
-    failed = sum(check.verdict is CheckVerdict.FAILED for check in results)
+    counts = Counter(check.verdict for check in results)
     if args.json:
         print_json(_result_fields(args, node, results, off))
     else:
-        passed = sum(check.verdict is CheckVerdict.PASSED for check in results)
         print("the drive keeps the watchdog and limits of this check until it is switched off")
-        print(f"{passed} passed, {failed} failed, {len(results) - passed - failed} not applicable")
+        print(", ".join(f"{counts[verdict]} {verdict.value}" for verdict in CheckVerdict))
     if not off:
         _print_error(NOT_OFF_WARNING)
         return ExitCode.REMOVE_POWER
-    return ExitCode.FAILED if failed else ExitCode.DONE
+    if counts[CheckVerdict.FAILED]:
+        return ExitCode.FAILED
+    return ExitCode.NOT_CHECKED if counts[CheckVerdict.NOT_CHECKED] else ExitCode.DONE
 
 
 def _dry_run(args: argparse.Namespace) -> int:

@@ -18,6 +18,7 @@ CubeMars AK Series Actuator Driver Manual V1.0.8, section 5.3.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -26,6 +27,7 @@ from handctl.drives.contract import (
     NO_STEADY_STATUS,
     DriveFaultCause,
     DrivePhase,
+    DriveProperty,
     DriveState,
     DriveTarget,
 )
@@ -103,6 +105,12 @@ UNVERIFIED_PROTECTIONS = (
     "ranges cannot be read back; motor_type must be right",
 )
 """Protections of a CubeMars motor that handctl cannot verify, one line each."""
+UNCHECKED_PROPERTIES = {
+    DriveProperty.READBACK: "the protocol has no settings that can be read back",
+    DriveProperty.WATCHDOG: "the protocol has no watchdog",
+    DriveProperty.CUT: "the protocol has no report of the drive's state",
+}
+"""Reason for each property of a CubeMars motor that handctl cannot check."""
 
 
 class CubemarsProgress(NamedTuple):
@@ -261,6 +269,11 @@ class CubemarsDrive:
     def unverified_protections(self) -> tuple[str, ...]:
         """Return the protections that handctl cannot verify, one line each."""
         return UNVERIFIED_PROTECTIONS
+
+    @property
+    def unchecked_properties(self) -> Mapping[DriveProperty, str]:
+        """Return the reason for each property that handctl cannot check."""
+        return UNCHECKED_PROPERTIES
 
     @property
     def one_reply_per_command(self) -> bool:

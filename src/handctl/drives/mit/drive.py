@@ -17,6 +17,7 @@ from handctl.drives.contract import (
     NO_STEADY_STATUS,
     DriveFaultCause,
     DrivePhase,
+    DriveProperty,
     DriveState,
     DriveTarget,
 )
@@ -174,6 +175,11 @@ class MitDrive:
     def unverified_protections(self) -> tuple[str, ...]:
         """Return an empty tuple, because every setting is read back."""
         return ()
+
+    @property
+    def unchecked_properties(self) -> Mapping[DriveProperty, str]:
+        """Return an empty mapping, because handctl can check every property."""
+        return {}
 
     @property
     def one_reply_per_command(self) -> bool:

@@ -9,6 +9,7 @@ This host keeps the fault until the operator clears it.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
@@ -16,6 +17,7 @@ from handctl.drives.contract import (
     NO_STEADY_STATUS,
     DriveFaultCause,
     DrivePhase,
+    DriveProperty,
     DriveState,
     DriveTarget,
 )
@@ -173,6 +175,11 @@ class MoteusDrive:
     def unverified_protections(self) -> tuple[str, ...]:
         """Return an empty tuple, because every setting is read back."""
         return ()
+
+    @property
+    def unchecked_properties(self) -> Mapping[DriveProperty, str]:
+        """Return an empty mapping, because handctl can check every property."""
+        return {}
 
     @property
     def one_reply_per_command(self) -> bool:

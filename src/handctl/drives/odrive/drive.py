@@ -8,6 +8,7 @@ endpoints of ``settings``. Only a heartbeat reports the state of the drive.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
@@ -16,6 +17,7 @@ from handctl.drives.contract import (
     NO_STEADY_STATUS,
     DriveFaultCause,
     DrivePhase,
+    DriveProperty,
     DriveState,
     DriveTarget,
 )
@@ -199,6 +201,11 @@ class OdriveDrive:
         return endpoints.unverified_protections(self.settings, self.firmware_05)
 
     @property
+    def unchecked_properties(self) -> Mapping[DriveProperty, str]:
+        """Return the reason for each property that handctl cannot check without further options."""
+        return endpoints.unchecked_properties(self.settings, self.firmware_05)
+
+    @property
     def one_reply_per_command(self) -> bool:
         """Return False, because the drive also sends messages without a command."""
         return False
@@ -277,9 +284,9 @@ class OdriveDrive:
             or command not in codec.DRIVE_MESSAGES
         ):
             return state
-        # A TxSdo contains at least one byte of the value. The message Address has 7 bytes before
-        # firmware 0.6.11.
-        shortest = {codec.TX_SDO: 5, codec.ADDRESS: 7}.get(command, 8)
+        # A TxSdo that confirms a write contains no value (firmware 0.6.11 and later). The message
+        # Address has 7 bytes before firmware 0.6.11.
+        shortest = {codec.TX_SDO: 4, codec.ADDRESS: 7}.get(command, 8)
         if not shortest <= len(frame.data) <= 8:
             return state._replace(misread=state.misread + 1)
         if command == codec.HEARTBEAT:

@@ -12,6 +12,7 @@ from collections.abc import MutableMapping
 from typing import Any, NamedTuple
 
 from handctl.drives import readback
+from handctl.drives.contract import DriveProperty
 from handctl.drives.odrive import codec
 from handctl.drives.readback import ReadbackCursor
 from handctl.errors import ConfigError
@@ -25,6 +26,8 @@ ENDPOINT_KEYS = (
     "endpoint_torque_min",
 )
 """Names of the options whose value is an endpoint number."""
+WATCHDOG_KEYS = ENDPOINT_KEYS[:2]
+"""Names of the options with the endpoints of the watchdog."""
 
 
 class OdriveSetting(NamedTuple):
@@ -97,6 +100,27 @@ def unverified_protections(
             f"the drive's own torque limit is not verified: CANSimple cannot read it; {remedy}"
         )
     return tuple(guards)
+
+
+def unchecked_properties(
+    settings: tuple[OdriveSetting, ...], firmware_05: bool
+) -> dict[DriveProperty, str]:
+    """Return the reason for each property that handctl cannot check, with the missing options.
+
+    The watchdog of firmware 0.5 can be checked, because it is set over USB before the check.
+    """
+    if firmware_05:
+        return {DriveProperty.READBACK: "firmware 0.5 has no message that reads its settings"}
+    names = {setting.name for setting in settings}
+    missing = [key for key in ENDPOINT_KEYS if key.removeprefix("endpoint_") not in names]
+    reasons = {}
+    if missing:
+        reasons[DriveProperty.READBACK] = f"missing options {', '.join(missing)}"
+    if set(WATCHDOG_KEYS) & set(missing):
+        reasons[DriveProperty.WATCHDOG] = (
+            f"handctl cannot switch the watchdog on: missing options {', '.join(WATCHDOG_KEYS)}"
+        )
+    return reasons
 
 
 def on_reply(

@@ -8,6 +8,7 @@ request feedback from a disabled motor, because such a motor answers no other re
 """
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
@@ -16,6 +17,7 @@ from handctl.drives.contract import (
     NO_STEADY_STATUS,
     DriveFaultCause,
     DrivePhase,
+    DriveProperty,
     DriveState,
     DriveTarget,
 )
@@ -182,6 +184,11 @@ class RobstrideDrive:
     def unverified_protections(self) -> tuple[str, ...]:
         """Return an empty tuple, because torque limit and watchdog are read back."""
         return ()
+
+    @property
+    def unchecked_properties(self) -> Mapping[DriveProperty, str]:
+        """Return an empty mapping, because handctl can check every property."""
+        return {}
 
     @property
     def one_reply_per_command(self) -> bool:

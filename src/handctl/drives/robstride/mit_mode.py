@@ -26,9 +26,16 @@ a scan never sends it.
 Source: docs/facts/robstride.md, section MIT mode.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveState, DriveTarget
+from handctl.drives.contract import (
+    DriveFaultCause,
+    DrivePhase,
+    DriveProperty,
+    DriveState,
+    DriveTarget,
+)
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec as mit
 from handctl.drives.mit.cubemars import (
@@ -81,6 +88,12 @@ UNVERIFIED_PROTECTIONS = (
     "ranges cannot be read back; motor_type must be right",
 )
 """Protections of a RobStride motor in MIT mode that handctl cannot verify, one line each."""
+UNCHECKED_PROPERTIES = {
+    DriveProperty.READBACK: "the protocol has no settings that can be read back",
+    DriveProperty.WATCHDOG: "the protocol has no command that switches the watchdog on",
+    DriveProperty.CUT: "the protocol has no report of the drive's state",
+}
+"""Reason for each property of a RobStride motor in MIT mode that handctl cannot check."""
 OPTIONS = {
     "motor_type": motor_type_option(MOTOR_MODEL_RANGES),
     "host_id": MotorOption(
@@ -167,6 +180,11 @@ class RobstrideMitDrive(CubemarsDrive):
     def unverified_protections(self) -> tuple[str, ...]:
         """Return the protections that handctl cannot verify, one line each."""
         return UNVERIFIED_PROTECTIONS
+
+    @property
+    def unchecked_properties(self) -> Mapping[DriveProperty, str]:
+        """Return the reason for each property that handctl cannot check."""
+        return UNCHECKED_PROPERTIES
 
     def steady_status(self, state: DriveState) -> int:
         """Return the status in feedback of an enabled motor, which is only the number of the motor."""

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from enum import Enum
 from typing import NamedTuple
 
-from handctl.drives.contract import Drive, DrivePhase, DriveTarget
+from handctl.drives.contract import Drive, DrivePhase, DriveProperty, DriveTarget
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.diagnostics.torque_step import (
     MAX_REST_VELOCITY_RAD_S,
@@ -41,7 +41,7 @@ class CheckVerdict(Enum):
 
     PASSED = "passed"
     FAILED = "failed"
-    NOT_APPLICABLE = "not applicable"
+    NOT_CHECKED = "not checked"
 
 
 class ConformanceCheck(NamedTuple):
@@ -62,7 +62,7 @@ class CheckFailed(Exception):  # noqa: N818 - a verdict, not an error; never lea
     """Raised if a drive does not meet a requirement. The text describes the observation."""
 
 
-class CheckNotApplicable(Exception):  # noqa: N818
+class CheckNotPossible(Exception):  # noqa: N818
     """Raised if a requirement cannot be checked. The text gives the reason."""
 
 
@@ -83,7 +83,7 @@ class DeviceUnderTest(NamedTuple):
 RequirementCheck = Callable[[DeviceUnderTest], str]
 """Function that checks one requirement of a drive, and returns the observation as text.
 
-If the drive does not pass, the function raises CheckFailed or CheckNotApplicable.
+If the drive does not pass, the function raises CheckFailed or CheckNotPossible.
 """
 
 
@@ -121,7 +121,7 @@ def _omitted_check(
             name, CheckVerdict.FAILED, "stays enabled after the disable command of another check"
         )
     return ConformanceCheck(
-        name, CheckVerdict.NOT_APPLICABLE, "not run, because of what failed before"
+        name, CheckVerdict.NOT_CHECKED, "not run, because of what failed before"
     )
 
 
@@ -133,8 +133,8 @@ def _run_check(
         return ConformanceCheck(name, CheckVerdict.PASSED, requirement(device))
     except CheckFailed as failed:
         return ConformanceCheck(name, CheckVerdict.FAILED, str(failed))
-    except CheckNotApplicable as not_applicable:
-        return ConformanceCheck(name, CheckVerdict.NOT_APPLICABLE, str(not_applicable))
+    except CheckNotPossible as not_possible:
+        return ConformanceCheck(name, CheckVerdict.NOT_CHECKED, str(not_possible))
 
 
 def _check_configures(device: DeviceUnderTest) -> str:
@@ -142,7 +142,18 @@ def _check_configures(device: DeviceUnderTest) -> str:
     rig = device.rig
     if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
         raise CheckFailed(rig.reason_not_ready())
-    return "; ".join(rig.drive.unverified_protections or ("settings read back",))
+    if reason := rig.drive.unchecked_properties.get(DriveProperty.READBACK):
+        raise CheckNotPossible(f"answers; not all settings are read back: {reason}")
+    return "settings read back"
+
+
+def _failure_of(device: DeviceUnderTest, checked: DriveProperty, seen: str) -> Exception:
+    """Return the exception for a drive that does not show a property.
+
+    If handctl cannot check this property on the drive, the drive has not failed.
+    """
+    reason = device.rig.drive.unchecked_properties.get(checked)
+    return CheckNotPossible(f"{reason}; {seen}") if reason else CheckFailed(seen)
 
 
 def _enable_drive(rig: DriveRig) -> None:
@@ -198,7 +209,7 @@ def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
     if rig.state.phase != DrivePhase.READY:
         raise CheckFailed(rig.state.error_text or f"went to {rig.state.phase.name}")
     if math.isfinite(rig.velocity_rad_s) and abs(rig.velocity_rad_s) > MAX_REST_VELOCITY_RAD_S:
-        raise CheckNotApplicable(f"the shaft turns by itself, {rig.velocity_rad_s:.2g} rad/s")
+        raise CheckNotPossible(f"the shaft turns by itself, {rig.velocity_rad_s:.2g} rad/s")
     seen = _check_ignores_torque(device)
     if rig.state.phase != DrivePhase.READY:
         raise CheckFailed(
@@ -273,7 +284,7 @@ def _rotation_check(sign: int) -> RequirementCheck:
         rig = device.rig
         _enable_drive(rig)
         if not brake_shaft(rig, device.torque_limit_N_m):
-            raise CheckNotApplicable(f"the shaft turns by itself, {rig.velocity_rad_s:.2g} rad/s")
+            raise CheckNotPossible(f"the shaft turns by itself, {rig.velocity_rad_s:.2g} rad/s")
         step = apply_torque_step(rig, sign, device.torque_limit_N_m)
         if not step.enabled:
             raise CheckFailed(rig.state.error_text or "was no longer enabled")
@@ -305,7 +316,7 @@ def _explain_no_motion(device: DeviceUnderTest, sign: int, torque: float) -> Exc
         return CheckFailed(
             f"{limit} did not turn it, and the drive reports {sign * reported:+.3f} N m"
         )
-    return CheckNotApplicable(f"did not turn at {limit}: held, or friction is larger")
+    return CheckNotPossible(f"did not turn at {limit}: held, or friction is larger")
 
 
 def _check_torque_limit(device: DeviceUnderTest) -> str:
@@ -349,10 +360,8 @@ def _check_watchdog(device: DeviceUnderTest) -> str:
     silence = max(HOST_SILENCE_S, 3.0 * device.watchdog_s)
     rig.run_for(DriveTarget.LISTEN, silence)
     if not rig.run_until(DriveTarget.ENABLE, lambda state: state.phase != DrivePhase.ENABLED, 0.5):
-        hint = (
-            f" ({rig.drive.unverified_protections[0]})" if rig.drive.unverified_protections else ""
-        )
-        raise CheckFailed(f"still enabled after {silence * 1e3:.0f} ms without a command{hint}")
+        seen = f"still enabled after {silence * 1e3:.0f} ms without a command"
+        raise _failure_of(device, DriveProperty.WATCHDOG, seen)
     text = rig.state.error_text
     rig.run_for(DriveTarget.ENABLE, 0.3)
     if rig.state.phase != DrivePhase.FAULT:
@@ -367,7 +376,7 @@ def _check_clears(device: DeviceUnderTest) -> str:
     rig.cut_torque()
     rig.run_for(DriveTarget.LISTEN, 0.3)
     if not rig.run_until(DriveTarget.ENABLE, lambda state: state.phase != DrivePhase.ENABLED, 0.5):
-        raise CheckFailed("still enabled after the cut")
+        raise _failure_of(device, DriveProperty.CUT, "no sign that the cut has disabled it")
     text = rig.state.error_text
     rig.clear_faults()
     if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 3.0):

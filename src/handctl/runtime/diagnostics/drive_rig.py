@@ -4,13 +4,25 @@ import math
 from collections.abc import Callable, Sequence
 
 from handctl.compiled import compile_kernels
-from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
+from handctl.drives.contract import (
+    Drive,
+    DrivePhase,
+    DriveState,
+    DriveTarget,
+    is_confirmed_off,
+)
 from handctl.drives.frame import Frame
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.clocks.real import TickClock
 
 PERIOD_NS = 5_000_000
 """Period of a tick [ns]."""
+MAX_SHOWN_IDS = 8
+"""Largest number of identifiers in a message. The replies of a RobStride motor have a thousand."""
+MAX_SETUP_S = 3.0
+"""Longest time of the set-up of a drive [s]."""
+UNREPORTED_PHASES = (DrivePhase.SILENT, DrivePhase.CONFIGURING)
+"""Phases in which the drive has not reported whether it makes torque."""
 VELOCITY_TICKS = 4
 """Number of ticks between the two positions from which the velocity is computed."""
 
@@ -130,8 +142,10 @@ class DriveRig:
         if self.state.phase != DrivePhase.SILENT:
             return f"stays in {self.state.phase.name}"
         # Bits 29 to 31 of an identifier are flags of SocketCAN.
-        ids = ", ".join(f"0x{number & 0x1FFFFFFF:03X}" for number in sorted(self.drive.node_ids))
-        return f"no reply; expected frames with the identifier {ids}"
+        ids = sorted(self.drive.node_ids)
+        shown = ", ".join(f"0x{number & 0x1FFFFFFF:03X}" for number in ids[:MAX_SHOWN_IDS])
+        others = f" or {len(ids) - MAX_SHOWN_IDS} others" if len(ids) > MAX_SHOWN_IDS else ""
+        return f"no reply; expected frames with the identifier {shown}{others}"
 
     def clear_faults(self) -> None:
         """Clear the latched faults of the drive."""
@@ -151,18 +165,30 @@ class DriveRig:
         self.run_until(DriveTarget.DISABLE, lambda state: state.phase != DrivePhase.ENABLED, 1.0)
         if self.state.phase == DrivePhase.FAULT:
             self.clear_faults()
-        return self.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 3.0)
+        return self.run_until(
+            DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, MAX_SETUP_S
+        )
 
     def confirm_off(self, watchdog_s: float) -> bool:
         """Disable the drive, and return True if the drive reports that it is off.
 
-        If the drive does not obey, the host sends no frames until the watchdog of the drive has
-        expired. Then it disables the drive again.
+        A drive that was never heard is not off: another host may have enabled it. If the drive does
+        not obey, the host sends no frames until the watchdog of the drive has expired. Then it
+        disables the drive again.
         """
         for silence in (0.0, 3.0 * watchdog_s + 0.2):
             self.run_for(DriveTarget.LISTEN, silence)
-            if self.run_until(
-                DriveTarget.DISABLE, lambda state: state.phase != DrivePhase.ENABLED, 1.0
-            ):
+            if self.run_until(DriveTarget.DISABLE, is_confirmed_off, 1.0):
                 return True
-        return False
+        return self.state.phase in UNREPORTED_PHASES and self._report_after_setup()
+
+    def _report_after_setup(self) -> bool:
+        """Set a drive up from the beginning and disable it. Returns True if it reports that it is off.
+
+        A CiA 402 drive reports its power state in a process data object, whose contents are known
+        after the set-up.
+        """
+        self.replace_drive(self.drive)
+        return self.run_until(
+            DriveTarget.POLL, lambda state: state.phase not in UNREPORTED_PHASES, MAX_SETUP_S
+        ) and self.run_until(DriveTarget.DISABLE, is_confirmed_off, 1.0)

@@ -1,0 +1,22 @@
+"""Run simulated drives on vcan0, and beside them a client program in its own Python environment.
+
+The command is ``python -m tests.vcan.clients.guest PYTHON MODULE DRIVE_WORDS...``. It returns the exit status
+of the client. A test runs it in a virtual machine that has the interface vcan0.
+"""
+
+import subprocess
+import sys
+
+from tests.drives.bench_process import run_simulated_drives
+
+CLIENT_TIMEOUT_S = 240.0
+
+
+def main(client_python: str, module: str, *drive_words: str) -> int:
+    with run_simulated_drives("socketcan:vcan0", *drive_words):
+        command = [client_python, "-m", module]
+        return subprocess.run(command, check=False, timeout=CLIENT_TIMEOUT_S).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

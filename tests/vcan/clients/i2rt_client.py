@@ -1,0 +1,195 @@
+"""Use of the motor chain of i2rt with four simulated DM4310 motors on vcan0.
+
+The program needs an environment with the package ``dreamscale-i2rt``, which installs i2rt.
+"""
+
+import time
+from typing import Any
+
+import numpy as np
+from i2rt.motor_config_tool.dm_motor_registers import (  # type: ignore[import-not-found,unused-ignore]
+    DMRegAddr,
+    read_register,
+    save_register_to_flash,
+    write_register,
+)
+from i2rt.motor_config_tool.utils import (  # type: ignore[import-not-found,unused-ignore]
+    RawCanInterface,
+)
+from i2rt.motor_drivers.dm_driver import (  # type: ignore[import-not-found,unused-ignore]
+    ControlMode,
+    DMChainCanInterface,
+    DMSingleMotorCanInterface,
+)
+from i2rt.motor_drivers.motor_check import (  # type: ignore[import-not-found,unused-ignore]
+    run_startup_checks,
+)
+
+from tests.vcan.clients.check_list import CheckList
+
+CHANNEL = "vcan0"
+MOTOR_IDS = (1, 2, 3, 4)
+MOTORS = [(number, "DM4310") for number in MOTOR_IDS]
+MOTOR_COUNT = len(MOTORS)
+TORQUE_N_M = 0.1
+TRAVEL_RAD = 1.0
+WATCHDOG_UNITS = 8000
+"""Watchdog time that i2rt's tool set_timeout writes, in units of 50 us."""
+
+
+def check_registers(checks: CheckList) -> None:
+    """Let i2rt compare the registers of the motors with the declared motor types."""
+
+    def verify(motors: list[tuple[int, str]], mode: str, repair: bool = False) -> str:
+        run_startup_checks(
+            CHANNEL,
+            motors,
+            check_motor_types=True,
+            check_motor_config=True,
+            control_mode=mode,
+            repair=repair,
+        )
+        return "verified"
+
+    checks.check("types, control mode and ranges are verified", bool(verify(MOTORS, "MIT")))
+    wrong = [(1, "DM4340"), *MOTORS[1:]]
+    checks.check_raises("a wrong type is refused", lambda: verify(wrong, "MIT"), "motor 1 reported")
+    checks.check_raises(
+        "a wrong control mode is reported", lambda: verify(MOTORS, "VEL"), "CTRL_MODE"
+    )
+    checks.check("a wrong control mode is repaired", bool(verify(MOTORS, "VEL", repair=True)))
+    bus = RawCanInterface(channel=CHANNEL, bustype="socketcan")
+    try:
+        modes = [read_register(bus, number, DMRegAddr.CTRL_MODE) for number in MOTOR_IDS]
+    finally:
+        bus.close()
+    checks.check("the repaired control mode is read back", modes == [3] * MOTOR_COUNT, modes)
+
+
+def open_chain(mode: str) -> Any:
+    return DMChainCanInterface(
+        MOTORS, [0] * MOTOR_COUNT, [1] * MOTOR_COUNT, channel=CHANNEL, control_mode=mode
+    )
+
+
+def close_chain(chain: Any) -> None:
+    """Stop the thread of a chain, disable its motors, and close its socket."""
+    chain.running = False
+    time.sleep(0.3)  # the thread ends after its present cycle
+    for number in MOTOR_IDS:
+        chain.motor_interface.motor_off(number)
+    chain.close()
+
+
+def check_velocity_mode(checks: CheckList) -> None:
+    """Let a chain in velocity mode, as in i2rt's Flow Base, turn all motors."""
+    chain = open_chain(ControlMode.VEL)
+
+    def speeds() -> list[float]:
+        states = chain.set_commands(np.zeros(MOTOR_COUNT), vel=np.full(MOTOR_COUNT, 3.0))
+        return [state.vel for state in states]
+
+    checks.check_until(
+        "four motors turn at 3 rad/s in velocity mode",
+        speeds,
+        lambda seen: all(abs(speed - 3.0) < 0.1 for speed in seen),
+    )
+    chain.set_commands(np.zeros(MOTOR_COUNT))
+    time.sleep(0.5)
+    close_chain(chain)
+
+
+def check_mit_mode(checks: CheckList) -> None:
+    """Let a chain in MIT mode, as in i2rt's arm YAM, pull and then hold positions."""
+    chain = open_chain(ControlMode.MIT)
+    start = np.array([state.pos for state in chain.read_states()])
+
+    def travel() -> Any:
+        states = chain.set_commands(np.full(MOTOR_COUNT, TORQUE_N_M))
+        return np.array([state.pos for state in states]) - start
+
+    checks.check_until(
+        "four motors turn by a torque", travel, lambda seen: bool(np.all(seen > TRAVEL_RAD))
+    )
+    torques = [state.eff for state in chain.read_states()]
+    checks.check(
+        "they report this torque", bool(np.allclose(torques, TORQUE_N_M, atol=0.01)), torques
+    )
+    goal = np.array([state.pos for state in chain.read_states()]) - TRAVEL_RAD
+
+    def errors() -> Any:
+        states = chain.set_commands(
+            np.zeros(MOTOR_COUNT),
+            pos=goal,
+            kp=np.full(MOTOR_COUNT, 20.0),
+            kd=np.full(MOTOR_COUNT, 1.0),
+        )
+        return np.array([state.pos for state in states]) - goal
+
+    checks.check_until(
+        "they hold positions", errors, lambda seen: bool(np.all(np.abs(seen) < 0.02))
+    )
+    checks.check("the control loop has met no error", bool(chain.running))
+    close_chain(chain)
+
+
+def check_watchdog(checks: CheckList) -> None:
+    """Set the watchdog of a motor, let it fire, and let i2rt clear and enable the motor again."""
+    motor = MOTOR_IDS[0]
+    bus = RawCanInterface(channel=CHANNEL, bustype="socketcan")
+    try:
+        write_register(bus, motor, DMRegAddr.TIMEOUT, WATCHDOG_UNITS)
+        save_register_to_flash(bus, motor, DMRegAddr.TIMEOUT)
+        stored = read_register(bus, motor, DMRegAddr.TIMEOUT)
+    finally:
+        bus.close()
+    checks.check("the watchdog time is stored", stored == WATCHDOG_UNITS, stored)
+    client = DMSingleMotorCanInterface(channel=CHANNEL, bustype="socketcan")
+
+    def command() -> Any:
+        return client.set_control(motor, "DM4310", 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    try:
+        checks.check_raises("a disabled motor says so", command, "disabled")
+        client.motor_on(motor, "DM4310")
+        checks.check("an enabled motor says so", command().error_code == "0x1")
+        time.sleep(1.0)  # longer than the 0.4 s of the watchdog
+        checks.check_raises("the watchdog fires", command, "loss communication")
+        cleared = client.motor_on(motor, "DM4310")
+        checks.check("a motor in error is cleared and enabled", cleared.error_code == "0x1")
+    finally:
+        client.close()
+    # The client clears an error three times and reads one of the replies. The other replies would be
+    # taken for replies to later commands, so the client gets a new socket. A late reply may still
+    # arrive there, so the state is read until it is the expected one.
+    client = DMSingleMotorCanInterface(channel=CHANNEL, bustype="socketcan")
+
+    def state() -> str:
+        try:
+            return str(command().error_message)
+        except RuntimeError as error:
+            return str(error)
+
+    try:
+        client.motor_off(motor)
+        checks.check_until(
+            "the motor is disabled at the end", state, lambda text: "disabled" in text
+        )
+    finally:
+        client.close()
+
+
+def main() -> None:
+    checks = CheckList()
+    check_registers(checks)
+    check_velocity_mode(checks)
+    run_startup_checks(
+        CHANNEL, MOTORS, check_motor_types=True, check_motor_config=True, control_mode="MIT"
+    )
+    check_mit_mode(checks)
+    check_watchdog(checks)
+    checks.end()
+
+
+if __name__ == "__main__":
+    main()

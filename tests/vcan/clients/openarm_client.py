@@ -1,0 +1,141 @@
+"""Use of openarm_can, the C++ library of the arm OpenArm, with three simulated DM4310 motors on vcan0.
+
+The program needs an environment with the package ``openarm_can``. The motors answer in CAN FD, as
+those of an OpenArm do.
+"""
+
+from typing import Any
+
+import openarm_can  # type: ignore[import-not-found,unused-ignore]
+
+from tests.vcan.clients.check_list import CheckList
+
+CHANNEL = "vcan0"
+SEND_IDS = [1, 2, 3]
+REPLY_IDS = [0x11, 0x12, 0x13]
+MOTOR_COUNT = len(SEND_IDS)
+TORQUE_N_M = 0.1
+TRAVEL_RAD = 1.0
+REPLY_TIMEOUT_US = 20_000
+"""Time that the client waits for the first reply [us].
+
+The client's default of 500 us is too short for a simulated motor in another process.
+"""
+
+
+def refresh(arm: Any) -> list[Any]:
+    """Request the feedback of all motors, and return the motors."""
+    arm.refresh_all()
+    arm.recv_all(REPLY_TIMEOUT_US)
+    return list(arm.get_arm().get_motors())
+
+
+def open_arm(mode: Any) -> Any:
+    """Open the bus, write the control mode, and enable the motors."""
+    arm = openarm_can.OpenArm(CHANNEL, True)
+    types = [openarm_can.MotorType.DM4310] * MOTOR_COUNT
+    arm.init_arm_motors(types, SEND_IDS, REPLY_IDS, [mode] * MOTOR_COUNT)
+    arm.recv_all(REPLY_TIMEOUT_US)
+    arm.set_callback_mode_all(openarm_can.CallbackMode.STATE)
+    arm.enable_all()
+    arm.recv_all(REPLY_TIMEOUT_US)
+    return arm
+
+
+def close_arm(arm: Any, checks: CheckList, mode: str) -> None:
+    arm.disable_all()
+    arm.recv_all(REPLY_TIMEOUT_US)
+    checks.check_until(
+        f"three motors are disabled ({mode})",
+        lambda: [motor.is_enabled() for motor in refresh(arm)],
+        [False] * MOTOR_COUNT,
+    )
+
+
+def check_registers(checks: CheckList) -> None:
+    """Read the ranges of the motors and compare them with the table of the library."""
+    arm = openarm_can.OpenArm(CHANNEL, True)
+    arm.init_arm_motors([openarm_can.MotorType.DM4310] * MOTOR_COUNT, SEND_IDS, REPLY_IDS)
+    arm.set_callback_mode_all(openarm_can.CallbackMode.PARAM)
+    limits = openarm_can.Motor.get_limit_param(openarm_can.MotorType.DM4310)
+    variable = openarm_can.MotorVariable
+    expected = {
+        variable.PMAX: limits.pMax,
+        variable.VMAX: limits.vMax,
+        variable.TMAX: limits.tMax,
+        variable.Gr: 10.0,
+    }
+    for number, value in expected.items():
+        arm.query_param_all(number.value)
+        arm.recv_all(REPLY_TIMEOUT_US)
+        seen = [motor.get_param(number.value) for motor in arm.get_arm().get_motors()]
+        checks.check(f"register {number.name}", seen == [value] * MOTOR_COUNT, seen)
+
+
+def check_mit_mode(checks: CheckList) -> None:
+    """Pull with a torque, and then hold positions."""
+    arm = open_arm(openarm_can.ControlMode.MIT)
+    checks.check_until(
+        "three motors are enabled",
+        lambda: [motor.is_enabled() for motor in refresh(arm)],
+        [True] * MOTOR_COUNT,
+    )
+    start = [motor.get_position() for motor in refresh(arm)]
+
+    def command(kp: float, kd: float, goals: list[float], torque: float) -> list[float]:
+        rows = [openarm_can.MITParam(kp, kd, goal, 0.0, torque) for goal in goals]
+        arm.get_arm().mit_control_all(rows)
+        arm.recv_all(REPLY_TIMEOUT_US)
+        return [motor.get_position() for motor in arm.get_arm().get_motors()]
+
+    def torques() -> list[float]:
+        command(0.0, 0.0, start, TORQUE_N_M)
+        return [motor.get_torque() for motor in arm.get_arm().get_motors()]
+
+    checks.check_until(
+        "three motors report the commanded torque",
+        torques,
+        lambda seen: all(abs(torque - TORQUE_N_M) < 0.01 for torque in seen),
+    )
+    checks.check_until(
+        "they turn by it",
+        lambda: command(0.0, 0.0, start, TORQUE_N_M),
+        lambda seen: all(a - b > TRAVEL_RAD for a, b in zip(seen, start, strict=True)),
+    )
+    goals = [motor.get_position() - TRAVEL_RAD for motor in refresh(arm)]
+    checks.check_until(
+        "they hold positions",
+        lambda: command(20.0, 1.0, goals, 0.0),
+        lambda seen: all(abs(a - b) < 0.02 for a, b in zip(seen, goals, strict=True)),
+    )
+    checks.check("no reply has another identifier", not arm.get_unmatched_frames())
+    close_arm(arm, checks, "MIT")
+
+
+def check_velocity_mode(checks: CheckList) -> None:
+    """Command a velocity in velocity mode."""
+    arm = open_arm(openarm_can.ControlMode.VEL)
+
+    def speeds() -> list[float]:
+        arm.get_arm().vel_control_all([openarm_can.VelParam(2.0)] * MOTOR_COUNT)
+        arm.recv_all(REPLY_TIMEOUT_US)
+        return [motor.get_velocity() for motor in arm.get_arm().get_motors()]
+
+    checks.check_until(
+        "three motors turn at 2 rad/s",
+        speeds,
+        lambda seen: all(abs(speed - 2.0) < 0.1 for speed in seen),
+    )
+    close_arm(arm, checks, "velocity")
+
+
+def main() -> None:
+    checks = CheckList()
+    check_registers(checks)
+    check_mit_mode(checks)
+    check_velocity_mode(checks)
+    checks.end()
+
+
+if __name__ == "__main__":
+    main()

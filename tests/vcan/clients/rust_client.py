@@ -1,0 +1,147 @@
+"""Use of can-motor-control, a client in Rust for arms of Damiao motors, with three simulated DM4340 motors on vcan0.
+
+The program needs an environment with the package ``can-motor-control``. The motors use CAN FD. The
+client 0.0.8 decodes the feedback of each motor type with the ranges of a DM4340, so that torque and
+velocity of other types are wrong by a constant factor.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import can_motor_control as client  # type: ignore[import-not-found,unused-ignore]
+import numpy as np
+from can_motor_control import damiao  # type: ignore[import-not-found,unused-ignore]
+
+from tests.vcan.clients.check_list import CheckList
+
+CHANNEL = "vcan0"
+NAMES = ("m1", "m2", "m3")
+MOTOR_COUNT = len(NAMES)
+TORQUE_N_M = 0.5
+TRAVEL_RAD = 1.0
+REPLY_TIMEOUT_US = 20_000
+"""Time that the client waits for replies in a tick [us]."""
+
+
+def make_robot() -> Any:
+    motors = [
+        client.MotorSpec(name, damiao.MotorType.DM4340, number + 1, number + 0x11)
+        for number, name in enumerate(NAMES)
+    ]
+    builder = client.Robot.builder()
+    builder = builder.add_bus("bus", client.SocketCanBus(CHANNEL, fd=True), damiao.DamiaoCodec())
+    return builder.add_arm("arm", bus="bus", motors=motors).build()
+
+
+def command_rows(*columns: Any) -> Any:
+    """Return one row of a command for each motor, from a number or one number per motor for each column."""
+    return np.column_stack([np.broadcast_to(column, MOTOR_COUNT) for column in columns]).astype(
+        float
+    )
+
+
+def check_mode(
+    checks: CheckList,
+    robot: Any,
+    mode: str,
+    use: Callable[[CheckList, Any, Callable[[str], Any]], None],
+) -> None:
+    """Enable the motors in a control mode, use them, and disable them."""
+    arm = robot["arm"]
+
+    def read(quantity: str) -> Any:
+        robot.tick(REPLY_TIMEOUT_US)
+        return getattr(arm, quantity)()
+
+    def states(enabled: bool) -> list[bool]:
+        robot.refresh()
+        robot.tick(REPLY_TIMEOUT_US)
+        return [arm[name].is_enabled is enabled for name in NAMES]
+
+    robot.set_mode(mode)
+    robot.enable()
+    checks.check_until(f"three motors are enabled ({mode})", lambda: states(True), all)
+    use(checks, arm, read)
+    robot.disable()
+    checks.check_until(f"three motors are disabled ({mode})", lambda: states(False), all)
+
+
+def use_mit_mode(checks: CheckList, arm: Any, read: Callable[[str], Any]) -> None:
+    """Pull with a torque, and then hold positions."""
+    start = np.array(read("positions"))
+
+    def pull(quantity: str) -> Any:
+        arm.mit_control(command_rows(0.0, 0.0, 0.0, 0.0, TORQUE_N_M))
+        return read(quantity)
+
+    # At the speed without load, the motor can no longer make this torque.
+    checks.check_until(
+        "three motors report the commanded torque",
+        lambda: pull("torques"),
+        lambda seen: bool(np.allclose(seen, TORQUE_N_M, atol=0.01)),
+    )
+    checks.check_until(
+        "they turn by it",
+        lambda: pull("positions") - start,
+        lambda seen: bool(np.all(seen > TRAVEL_RAD)),
+    )
+    goals = np.array(arm.positions()) - TRAVEL_RAD
+
+    def errors() -> Any:
+        arm.mit_control(command_rows(20.0, 1.0, goals, 0.0, 0.0))
+        return read("positions") - goals
+
+    checks.check_until(
+        "they hold positions", errors, lambda seen: bool(np.all(np.abs(seen) < 0.02))
+    )
+
+
+def use_velocity_mode(checks: CheckList, arm: Any, read: Callable[[str], Any]) -> None:
+    def speeds() -> Any:
+        arm.vel_control(np.full(MOTOR_COUNT, 2.0))
+        return read("velocities")
+
+    checks.check_until(
+        "three motors turn at 2 rad/s", speeds, lambda seen: bool(np.all(np.abs(seen - 2.0) < 0.1))
+    )
+
+
+def use_position_mode(checks: CheckList, arm: Any, read: Callable[[str], Any]) -> None:
+    goals = np.array(read("positions")) + TRAVEL_RAD
+
+    def errors() -> Any:
+        arm.pos_vel_control(command_rows(goals, 4.0))
+        return read("positions") - goals
+
+    checks.check_until(
+        "three motors reach positions", errors, lambda seen: bool(np.all(np.abs(seen) < 0.02))
+    )
+
+
+def use_force_mode(checks: CheckList, arm: Any, read: Callable[[str], Any]) -> None:
+    goals = np.array(read("positions")) - TRAVEL_RAD
+
+    def errors() -> Any:
+        arm.pos_force_control(command_rows(goals, 4.0, 0.05))
+        return read("positions") - goals
+
+    checks.check_until(
+        "three motors reach positions with little torque",
+        errors,
+        lambda seen: bool(np.all(np.abs(seen) < 0.02)),
+    )
+
+
+def main() -> None:
+    checks = CheckList()
+    robot = make_robot()
+    robot.connect()
+    check_mode(checks, robot, "mit", use_mit_mode)
+    check_mode(checks, robot, "vel", use_velocity_mode)
+    check_mode(checks, robot, "pos_vel", use_position_mode)
+    check_mode(checks, robot, "pos_force", use_force_mode)
+    checks.end()
+
+
+if __name__ == "__main__":
+    main()

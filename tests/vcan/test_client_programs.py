@@ -1,0 +1,169 @@
+"""Run motor clients of other authors, each in an environment of its own, with simulated drives on real SocketCAN.
+
+The clients open a SocketCAN interface themselves, so the tests run them in a virtual machine that
+has one. The environments are made before the virtual machine starts, because it has no network.
+
+These tests run only in nightly runs. If pip cannot install a client, its test is skipped with
+pip's reason. ``HANDCTL_CLIENT_ENVIRONMENTS`` names a folder that keeps the environments for the next
+run.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from tests.vcan import uml_guest
+from tests.vcan.clients.check_list import FAILED_WORD, PASSED_WORD
+
+INSTALL_TIMEOUT_S = 900.0
+RUN_TIMEOUT_S = 400.0
+READY_FILE = "handctl-requirements.txt"
+"""File of a complete environment that lists its requirements."""
+
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.realtime,
+    pytest.mark.timeout(INSTALL_TIMEOUT_S + RUN_TIMEOUT_S),
+]
+
+
+class ClientProgram(NamedTuple):
+    """Program that uses a client of another author.
+
+    Attributes:
+        module: module of the program in ``tests.vcan.clients``.
+        check_count: number of checks of the program.
+        drive_words: protocol and options of the simulated drives.
+        package: requirement of the client, installed without its own requirements.
+        requirements: requirements that the used part of the client imports.
+    """
+
+    module: str
+    check_count: int
+    drive_words: tuple[str, ...]
+    package: str
+    requirements: tuple[str, ...] = ()
+
+
+CLIENT_PROGRAMS = {
+    "openarm_can": ClientProgram(
+        "openarm_client", 13, ("mit", "--ids", "1,2,3", "--fd"), "openarm_can==1.4.1"
+    ),
+    "can-motor-control": ClientProgram(
+        "rust_client",
+        14,
+        ("mit", "--ids", "1,2,3", "--fd", "--motor-type", "dm4340"),
+        "can-motor-control==0.0.8",
+        ("numpy>=1.26,<3",),
+    ),
+    "i2rt": ClientProgram(
+        "i2rt_client",
+        16,
+        ("mit", "--ids", "1,2,3,4"),
+        "dreamscale-i2rt==1.3.6.post1",
+        (
+            "python-can==4.6.1",
+            "numpy>=1.26,<3",
+            "tyro>=1,<2",
+            "pydantic>=2,<3",
+            "crcmod-plus>=2.3.1,<3",
+            "packaging",
+            "pyyaml>=6,<7",
+        ),
+    ),
+    "odrive": ClientProgram(
+        "odrive_package",
+        4,
+        ("odrive", "--ids", "0,1"),
+        "odrive==0.6.11.post1",
+        ("aiohttp>=3,<4", "ipython>=8,<10", "setuptools<81", "libusb-package==1.0.30.0"),
+    ),
+}
+
+
+def _install(environment: Path, program: ClientProgram) -> None:
+    """Make an environment, or skip the test if pip cannot install the client."""
+    requirements = "\n".join((program.package, *program.requirements))
+    ready = environment / READY_FILE
+    if ready.exists() and ready.read_text(encoding="utf-8") == requirements:
+        return
+    subprocess.run([sys.executable, "-m", "venv", "--clear", str(environment)], check=True)
+    pip = [str(environment / "bin" / "python"), "-m", "pip", "--disable-pip-version-check"]
+    for words in (program.requirements, ("--no-deps", program.package)):
+        if not words:
+            continue
+        ran = subprocess.run(
+            [*pip, "install", "--quiet", *words],
+            capture_output=True,
+            text=True,
+            timeout=INSTALL_TIMEOUT_S,
+            check=False,
+        )
+        if ran.returncode:
+            pytest.skip(f"pip cannot install {program.package}: {_reason_of_pip(ran.stderr)}")
+    ready.write_text(requirements, encoding="utf-8")
+
+
+def _reason_of_pip(text: str) -> str:
+    """Return the most specific line of an error message of pip."""
+    lines = [line.strip() for line in text.splitlines()]
+    for word in ("fatal:", "ERROR:", "error:"):  # fatal: is the word of git
+        if reasons := [line for line in lines if line.startswith(word)]:
+            return reasons[0]
+    return text[-300:]
+
+
+@pytest.fixture
+def client_python(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """Return the Python of an environment with a client."""
+    name = str(request.node.callspec.params["name"])
+    folder = Path(os.environ.get("HANDCTL_CLIENT_ENVIRONMENTS") or tmp_path) / name
+    _install(folder, CLIENT_PROGRAMS[name])
+    return folder / "bin" / "python"
+
+
+def _client_variables(client_python: Path) -> dict[str, str]:
+    """Return the variables that the client needs. The package odrive loads libusb by its file name."""
+    code = "import libusb_package; print(libusb_package.get_library_path())"
+    ran = subprocess.run(
+        [str(client_python), "-c", code], capture_output=True, text=True, check=False
+    )
+    if ran.returncode:
+        return {}
+    link = client_python.parent / "libusb-1.0.so.0"
+    link.unlink(missing_ok=True)
+    link.symlink_to(ran.stdout.strip())
+    return {"LD_LIBRARY_PATH": str(link.parent)}
+
+
+@pytest.mark.parametrize("name", CLIENT_PROGRAMS)
+def test_a_client_of_another_author_passes_all_its_checks(name: str, client_python: Path) -> None:
+    kind, reason = uml_guest.vcan_access()
+    if not kind:
+        pytest.skip(reason)
+    program = CLIENT_PROGRAMS[name]
+    output: list[str] = []
+    status = uml_guest.run_with_vcan(
+        [
+            sys.executable,
+            "-m",
+            "tests.vcan.clients.guest",
+            str(client_python),
+            f"tests.vcan.clients.{program.module}",
+            *program.drive_words,
+        ],
+        _client_variables(client_python),
+        RUN_TIMEOUT_S,
+        output.append,
+    )
+    passed = [line for line in output if line.startswith(PASSED_WORD)]
+    failed = [line for line in output if line.startswith(FAILED_WORD)]
+    print(f"{name}: {len(passed)} of {program.check_count} checks passed")
+    text = "\n".join(output[-40:])
+    assert failed == []
+    assert status == 0, text
+    assert len(passed) == program.check_count, text
