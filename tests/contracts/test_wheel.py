@@ -1,7 +1,9 @@
-"""The wheel runs the demo after it was installed into a new environment outside of the repository.
+"""A wheel of handctl is installed into a new environment outside of the repository.
 
-The packages that the controller needs are installed before the extras. So the test of the
-controller cannot use a package of an extra.
+There, ``handctl demo`` runs.
+
+The controller is tested before the extras are installed. It therefore cannot use a package of an
+extra.
 """
 
 import os

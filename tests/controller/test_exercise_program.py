@@ -11,11 +11,11 @@ from tests.controller.synthetic_states import empty_readings, estimate_under_ten
 from tests.hand.hand_on_wrist import mount_on_wrist
 
 StageRecord = tuple[str, tuple[DigitGoal, ...], tuple[bool, ...]]
-"""Name of a stage, the goals of all digits, and the digits that rest on a stop or an object."""
+"""Name of a stage, the goals of all digits, and a flag for each digit that rests on a stop or an object."""
 
 
 def stages_of_exercise(model: HandModel) -> list[StageRecord]:
-    """Run the exercise with a taut hand at rest, and return its stages in the order of execution."""
+    """Run the exercise program with a taut hand at rest, and return the stages in the order of execution."""
     program, t = ExerciseProgram(), 0.0
     progress = program.initial_progress(model)
     taut, readings = estimate_under_tension(model, 5.0), empty_readings(model)

@@ -1,6 +1,6 @@
 """Test the options of a drive that a hand file may contain.
 
-No accepted value of an option may lead to a failure in the arithmetic of the drive.
+Every accepted option value must give finite numbers in the computations of the drive.
 """
 
 import math
@@ -78,7 +78,8 @@ def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
 def test_position_step_is_reported() -> None:
     """The tension filter needs the resolution of the position that a drive reports.
 
-    An encoder with 1000 counts per turn is coarser than a position report of 16 bits.
+    In this test, the encoder has 1000 counts per turn, which is coarser than the 16 bits of a
+    position report.
     """
     coarse = CIA402_OPTIONS | {"counts_per_turn": 1000, "gear_ratio": 2.0}
     assert make_drive(motor_on_bench("cia402", 1, 0.01, coarse), 0).position_step == pytest.approx(

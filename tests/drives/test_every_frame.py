@@ -39,7 +39,10 @@ def bench(
 
 
 def extended_ids(bench: ProtocolBench, chance: random.Random) -> set[int]:
-    """Return 29-bit identifiers: random ones, some of a drive and its host, and all with one bit changed."""
+    """Return 29-bit identifiers: random ones, and some that a drive and its host use.
+
+    Each also appears with one bit changed.
+    """
     ours = sorted(
         one for one in bench.drives[0].node_ids | bench.drives[0].host_ids if one & EXTENDED_FLAG
     )

@@ -20,7 +20,10 @@ TURN_RAD = 2.0 * math.pi
 
 
 class OneDrive:
-    """A simulated moteus whose shaft is so heavy that its torques hardly move it."""
+    """A simulated moteus drive.
+
+    Its shaft has so much inertia that the motor torque hardly moves it.
+    """
 
     def __init__(self, inertia: float = 1.0, direction: int = 1) -> None:
         """Create a drive in position mode, without torque."""

@@ -32,9 +32,8 @@ MOVE_PHASE = (
 class LossyPeer:
     """Wrapper of a lockstep simulator.
 
-    The wrapper drops one reply in two hundred, and sometimes all replies of two ticks.
-
-    A run continues after such losses.
+    The wrapper drops one reply in two hundred, and sometimes all replies of two ticks. These losses
+    are so small that the run continues.
     """
 
     peer: LockstepSimulator

@@ -55,7 +55,7 @@ def test_a_good_drive_passes_every_conformance_check(protocol):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_good_drive_passes_although_the_host_is_late(protocol, seed, monkeypatch):
-    """In this test, the host misses up to six ticks in a row, on average at every 40th tick.
+    """In this test, the host stalls on average in every 40th tick, and then misses up to six ticks.
 
     Such a stall is shorter than the watchdog time of the drive.
     """
@@ -77,9 +77,9 @@ def test_a_good_drive_passes_although_the_host_is_late(protocol, seed, monkeypat
 
 
 def test_a_good_drive_passes_three_times_running(protocol):
-    """Reproduce a defect: after the checks, ODrives and CiA 402 drives had a latched error.
+    """Reproduce a defect: after the conformance checks, ODrives and CiA 402 drives had a latched error.
 
-    So these drives failed when the checks ran a second time.
+    These drives therefore failed when the checks ran a second time.
     """
     place = VirtualBench(protocol)
     for _ in range(3):
@@ -130,7 +130,7 @@ def test_a_broken_drive_fails_its_check(protocol, fault):
 def test_a_broken_motor_without_guards_fails_its_check(protocol, fault):
     """Reproduce a defect: a CubeMars drive that ignores commands passed all checks.
 
-    The feedback of a CubeMars drive does not report whether it is enabled.
+    Its feedback does not report whether the drive is enabled.
     """
     good, _, _ = check_results(protocol)
     broken, place, _ = check_results(protocol, fault)
@@ -143,7 +143,7 @@ def test_a_broken_motor_without_guards_fails_its_check(protocol, fault):
     ("protocol", "identifier"), [("cubemars", "0x021"), ("robstride_mit", "0x000")]
 )
 def test_a_silent_motor_is_reported_with_the_expected_identifier(protocol, identifier):
-    """Reproduce a defect: the reason was "stays in SILENT", which does not say what handctl waited for."""
+    """Reproduce a defect: the printed reason "stays in SILENT" did not name the identifier for which handctl waited."""
     found, _, _ = check_results(protocol, "mute")
     check = found[FAILED_CHECK["mute"]]
     assert check.reason == f"no reply; expected frames with the identifier {identifier}"
@@ -200,7 +200,7 @@ def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
 def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answers):
     """Reproduce a defect: the host waited for a reply to the clear command.
 
-    Without this reply, the host never regarded the motor as ready.
+    Without such a reply, the motor never became ready.
     """
     place = VirtualBench("mit", clear_answers=answers)
     rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
@@ -215,9 +215,10 @@ def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answer
 
 @pytest.mark.parametrize("watchdog", ["commands", "frames", "always"])
 def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog):
-    """Register requests do not reset the watchdog.
+    """Register requests do not reset the watchdog of a motor.
 
-    Earlier defect: the watchdog of a disabled motor fired, so the motor had a fault before arming.
+    Earlier defect: the watchdog of a disabled motor fired, so the motor had a fault before it was
+    armed.
     """
     place = VirtualBench("mit", watchdog=watchdog)
     rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)

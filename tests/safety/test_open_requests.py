@@ -18,7 +18,7 @@ RequestTicks = tuple[tuple[int, ...], ...]
 
 
 class OpenRequests(SyntheticMonitor):
-    """Motors that have not yet replied to requests of earlier ticks."""
+    """Record of the motors that have not yet replied to requests of earlier ticks."""
 
     def __init__(self, outstanding: RequestTicks) -> None:
         super().__init__(synthetic_limits(len(outstanding)))
