@@ -1,4 +1,4 @@
-"""Ablation of the controller: tracking and a force step, with one more part of the control law in each case.
+"""Measure tracking and a force step with parts of the control law. Each case adds one more part.
 
 ``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--page]``, see
 ``trials.tracking``.
@@ -13,8 +13,8 @@ if __name__ == "__main__":
 
     main()
 else:
-    # Python searches the folder of this script first. ``import control`` would find this script
-    # there, and not the package ``control``.
+    # Python searches the folder of this script first. There, ``import control`` would find this
+    # script instead of the package ``control``.
     sys.path = [place for place in sys.path if Path(place).resolve() != Path(__file__).parent] + [
         str(Path(__file__).parent)
     ]

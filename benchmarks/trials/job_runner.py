@@ -22,7 +22,7 @@ class JobPlan:
     """Options for running jobs.
 
     Attributes:
-        keep: folder for the results of the jobs, as JSON. A job with a stored result is not run
+        keep: folder for the results of the jobs, as JSON. A job whose result is stored is not run
             again. None means that no result is stored.
         minutes: time after which no further job starts [min]. The results of the jobs that have not started are left
             out.
@@ -104,7 +104,7 @@ def _store_result(work: JobFunction, job: Any, result: Any, plan: JobPlan) -> No
 
 
 def _through_json(result: Any) -> Any:
-    """Convert a result to JSON and back, which makes lists of its tuples."""
+    """Convert a result to JSON and back. This converts its tuples to lists."""
     return json.loads(json.dumps(result))
 
 

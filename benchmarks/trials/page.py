@@ -1,4 +1,4 @@
-"""The page ``docs/evidence/control.md``. Each benchmark writes one part of the page."""
+"""Write the page ``docs/evidence/control.md``. Each benchmark writes one part of the page."""
 
 from pathlib import Path
 

@@ -335,7 +335,10 @@ def test_good_reading_restarts_the_count_of_derailed_readings():
 
 
 def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
-    """A first-order filter with a time constant of 0.3 s reaches 3 deg at 0.3 s ln 7 = 0.58 s after a step to 3.5 deg."""
+    """A filter with a time constant of 0.3 s reaches 3 deg at 0.58 s after a step to 3.5 deg.
+
+    The time is 0.3 s ln 7.
+    """
     for every in (1, TICKS_PER_JOINT_READING):
         monitor = monitor_at_20_newton(make_monitor(joint_period=every * PERIOD_S))
         run_ticks(100, monitor, excursion=0.0, read=True)

@@ -18,7 +18,7 @@ COMMAND_TICKS = 1000
 
 
 class ReportingMotors(SyntheticMonitor):
-    """Two motors, and a safety monitor that compares their commanded and reported forces in each tick."""
+    """Two motors, and a safety monitor that compares commanded and reported forces in each tick."""
 
     def __init__(self, torque_step: float = 0.078) -> None:
         super().__init__(synthetic_limits(2), torque_step=torque_step)

@@ -161,7 +161,10 @@ def test_an_ensemble_is_at_least_as_wide_as_its_minimum_spread() -> None:
 
 
 def identification_of_tendon(stiffness: float, half_width: float) -> IdentifiedParameters:
-    """Return identified parameters of one tendon: a stiffness with the half width of its confidence interval, and a delay."""
+    """Return identified parameters of one tendon: a stiffness and a delay.
+
+    ``half_width`` is the half width of the stiffness's confidence interval.
+    """
     return IdentifiedParameters(
         names=("tendon_stiffness", "delay"),
         values=(stiffness, 1e-3),

@@ -1,6 +1,6 @@
-"""Run the tests in the folder inside/ in three guests that have real vcan interfaces.
+"""Run the tests in the folder inside/ in three guest systems that have real vcan interfaces.
 
-Report each test as if it had run in this process.
+Each test is reported as if it had run in this process.
 
 A guest is a virtual machine with user-mode Linux, or a network namespace. In the guest, this file
 writes each report of pytest to the file that HANDCTL_VCAN_REPORTS names. With
@@ -45,7 +45,7 @@ def pytest_itemcollected(item: pytest.Item) -> None:
         if not REPORTS_FILE:
             item.add_marker(
                 pytest.mark.timeout(0), append=False
-            )  # the first test waits until all tests of its guest have run
+            )  # the first test of a guest waits until all tests of this guest have run
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
