@@ -31,7 +31,7 @@ with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:
         # The time comes from the clock of the hand. A time that is computed from the number of
         # targets would lag behind after each delay of this program.
         while (t := hand.observe().t_s - began_s) < DURATION_S:
-            stream.send([sine_deg(t + stream.horizon_s)])  # the hand reaches this angle after the horizon
+            stream.send([sine_deg(t + stream.horizon_s)])  # reached after the horizon
             stream.sleep()
         print(stream.status)
     hand.move(index=0)

@@ -1,4 +1,6 @@
-"""Measure how much the memory of controller and recorder grows over hours of simulated time: ``python -m fuzz.growth --hours 1``.
+"""Measure how the memory of controller and recorder grows: ``python -m fuzz.growth --hours 1``.
+
+The time is simulated.
 
 ``fuzz.soak --calm`` measures the same growth in real time. This module runs the same loop,
 controller and recorder on a simulated clock and a simulated bus. The result is therefore

@@ -165,7 +165,7 @@ class SoakTest:
             return
         if self.controller.poll() is None:
             self.controller.send_signal(signal.SIGTERM)
-        out, err = self.controller.communicate(timeout=600.0)  # the controller checks its log at the end
+        out, err = self.controller.communicate(timeout=600.0)  # includes a check of the log
         code = self.controller.returncode
         path = Path(f"{self.run_number}.mcap")
         self.controller = None

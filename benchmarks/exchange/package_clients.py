@@ -1,4 +1,6 @@
-"""Alternatives to handctl that use client libraries from PyPI, each with the motors and payloads that the library supports.
+"""Alternatives to handctl that use client libraries from PyPI.
+
+Each library is used with motors and payloads that it supports.
 
 This module stops the threads of the clients and does their work itself, so that all clients are
 measured in the same way. A client that needs a particular event loop (moteus: asyncio) runs in this

@@ -30,8 +30,7 @@ def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: f
 
 
 def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
-    """Return a bench whose hand has just started to relax while a load cell reads the upper end of its range.
-    """
+    """Return a bench whose hand has just started to relax while a load cell reads the upper end of its range."""
     run = make_controller_bench(model, LiveProgram())
     run.run_until_mode(HandMode.ACTIVE)
     run.peer.cell_bias[:] = (

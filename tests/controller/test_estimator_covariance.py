@@ -335,8 +335,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
 def test_covariance_grows_over_skipped_ticks(
     model: HandModel, missed: int, predicted_s: float | None
 ) -> None:
-    """In missed ticks, the covariance grows, but at most for the time for which motors hold the last command.
-    """
+    """In missed ticks, the covariance grows, but at most for the time for which motors hold the last command."""
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, none = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
     state = all_in_regime(model, TendonRegime.FREE, x)

@@ -150,7 +150,9 @@ def regimes_after_sample(model: HandModel, state: FilterState, cell: float) -> F
 def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     model: HandModel, hangs_m: float, known: bool, turns: bool
 ) -> None:
-    """The motor encoder shows that a tendon is about to become taut only if the tendon's length is known from an earlier taut state.
+    """The motor encoder alone shows a coming taut state only if the length of the tendon is known.
+
+    It is known if the tendon was taut before.
 
     After the change to taut, the counter of the evidence starts again at zero.
     """

@@ -126,8 +126,7 @@ def with_other_tension(cell: Frame) -> Frame:
 def test_only_replies_in_excess_are_compared_with_the_expected_reply(
     active_bench, outstanding, came, found
 ) -> None:
-    """A late reply to an older request is expected, so its bytes may differ from those of the newest reply.
-    """
+    """A late reply to an older request is expected, so its bytes may differ from those of the newest reply."""
     if outstanding == 2:
         active_bench.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x11]
         active_bench.tick()

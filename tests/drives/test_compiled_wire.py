@@ -141,7 +141,7 @@ def test_compiled_code_and_state_machine_give_equal_results(name: str, seed: int
 
 
 def enabled_now(state: DriveState, node_id: int, t_ns: int) -> DriveState:
-    """Change the times in the state of an enabled drive as if the drive had been enabled at ``t_ns``, and return the state.
+    """Return the state of an enabled drive with its times changed as if it had been enabled at ``t_ns``.
 
     In this state, the next repeated reading of a setting is due within one period.
     """

@@ -132,8 +132,7 @@ def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(
 def test_a_setting_that_is_lost_on_the_wire_is_written_again(
     odrive_bench: ProtocolBench, losses: int
 ) -> None:
-    """An ODrive does not confirm that it has written a setting.
-    """
+    """An ODrive does not confirm that it has written a setting."""
     node = first_odrive_node(odrive_bench)
     lost = lose_first_frames(node, codec.RX_SDO, bytes((codec.SDO_WRITE,)), losses)
     if losses < 3:

@@ -30,8 +30,7 @@ from handctl.hand.hand_loading import load_hand as described
 
 
 def write_edited_jamia(tmp_path: Path, old: str, new: str) -> str:
-    """Copy the hand file of jamia, replace the first occurrence of ``old`` by ``new``, and return the path.
-    """
+    """Copy the hand file of jamia, replace the first occurrence of ``old`` by ``new``, and return the path."""
     text = described("jamia").to_toml()
     assert old in text
     path = tmp_path / "edited.toml"

@@ -34,8 +34,7 @@ def closing_hand(hand: str, native: bool = True, compiled: bool = True) -> Plant
 
 
 def exact_state(plant: Plant) -> list[str]:
-    """Return all numbers that describe the motion as texts, exact to the last bit.
-    """
+    """Return all numbers that describe the motion as texts, exact to the last bit."""
     motors = [(m.theta, m.omega, m.torque, m.velocity, m.heat) for m in plant.motors.values()]
     tendons = [(tendon.tension, tendon.speed, tendon.slope) for tendon, _ in plant.tendons]
     engine = plant.engine

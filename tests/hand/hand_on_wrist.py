@@ -1,5 +1,4 @@
-"""Build packaged hands on a wrist. The digits' tendons pass the axis of this wrist at a distance.
-"""
+"""Build packaged hands on a wrist. The digits' tendons pass the axis of this wrist at a distance."""
 
 import json
 from typing import Any

@@ -317,8 +317,7 @@ def test_logged_transforms_of_a_tree_equal_the_model(random_hand_tree, rng):
 
 
 def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tree, rng):
-    """A digit needs the same static torque in the hand and alone, if the digits that carry it are at angle zero.
-    """
+    """A digit needs the same static torque in the hand and alone, if the digits that carry it are at angle zero."""
     hand, whole = random_hand_tree
     for digit in whole.digits:
         if digit.name in hand.carrier_digits:

@@ -26,8 +26,7 @@ class LoggedMessage(NamedTuple):
 
 
 def read_messages(path: Path) -> list[LoggedMessage]:
-    """Return all messages of a log in the order of their log times, and check all checksums of the file.
-    """
+    """Return all messages of a log in the order of their log times, and check all checksums of the file."""
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         return [

@@ -243,7 +243,7 @@ def test_rms_ignores_nan() -> None:
 
 
 def test_measured_load_equals_a_hand_calculation() -> None:
-    """A classical frame of 8 bytes has 34 + 64 bits that can be followed by stuff bits, at most one for every four of them.
+    """In a classical frame of 8 bytes, 34 + 64 bits may cause stuff bits, at most one for every four bits.
 
     The other 13 bits of the frame get no stuff bits.
     """

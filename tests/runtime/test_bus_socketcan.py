@@ -182,7 +182,9 @@ def overflow_socket(bus: SocketCanBus, far_end: socket.socket) -> None:
 def test_after_a_loss_frames_are_converted_as_batches_again(
     udp_bus: tuple[SocketCanBus, socket.socket], monkeypatch: pytest.MonkeyPatch, fd_flag: int
 ) -> None:
-    """Reproduce a defect: after the first lost frame, handctl converted every frame of the run separately, which is slow.
+    """Reproduce a defect: after the first lost frame, every frame of the run was converted separately.
+
+    This is slow.
 
     Linux adds the counter of lost frames to each frame that follows a loss.
     """

@@ -183,8 +183,7 @@ def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
 
 
 class RecordPeer(RecordingPeer):
-    """A fake simulator for the lockstep clock, which exchanges frames as packed records instead of objects.
-    """
+    """A fake simulator for the lockstep clock, which exchanges frames as packed records instead of objects."""
 
     def exchange(self, t_ns: int, records: RecordArray) -> RecordArray:
         self.steps.append((t_ns, list(Frames(records))))

@@ -38,8 +38,7 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def send_request(name: str, text: str) -> None:
-    """Send a request to the mailbox of a bus without waiting for a reply, as any program of this user can.
-    """
+    """Send a request to the mailbox of a bus without waiting for a reply, as any program of this user can."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.sendto(text.encode(), str(mailbox_path(name)))
 

@@ -62,8 +62,7 @@ def test_a_run_commissions_moves_and_reports_its_result(work_folder, processes, 
 
 
 def start_long(processes, calibrated, *more):
-    """Start a run that stays in its last phase until it is stopped, and wait until it reaches this phase.
-    """
+    """Start a run that stays in its last phase until it is stopped, and wait until it reaches this phase."""
     process = start_handctl(
         "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *more
     )

@@ -247,8 +247,7 @@ class SyntheticMonitor:
         self.latched, self.reported_faults = state.latched, state.decisions.reported_faults
 
     def instance_name(self, kind: str, i: int) -> str:
-        """Return the name of the part that has a fault, or an empty text for a fault of the whole hand.
-        """
+        """Return the name of the part that has a fault, or an empty text for a fault of the whole hand."""
         names = {
             TENDON_INSTANCE: self.limits.tendons,
             MOTOR_INSTANCE: self.limits.motors,

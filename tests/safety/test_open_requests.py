@@ -66,7 +66,7 @@ class OpenRequests(SyntheticMonitor):
 @pytest.mark.parametrize(("outstanding", "able", "after"), [
     (((), ()), (True, True), ((7,), (7,))),
     (((5, 6), ()), (True, True), ((5, 6, 7), (7,))),
-    (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # such a drive must reply at least to the last request
+    (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # this drive need only reply to the last request
     (((), ()), (False, False), ((7,), (7,))),
     ((tuple(range(7)), tuple(range(-1, 7))), (True, True), ((*range(7), 7), tuple(range(8)))),
     (((7 - LOSS_WINDOW_TICKS, 6), (8 - LOSS_WINDOW_TICKS, 6)), (True, True),

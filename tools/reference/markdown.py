@@ -67,8 +67,7 @@ def docstring_markdown(value: object) -> str:
 
 
 def attribute_docstrings(kind: type) -> dict[str, str]:
-    """Return the docstring below each attribute of a class as Markdown prose, by the name of the attribute.
-    """
+    """Return the docstring below each attribute of a class as Markdown prose, by the name of the attribute."""
     body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
     assert isinstance(body, ast.ClassDef)
     texts: dict[str, str] = {}
