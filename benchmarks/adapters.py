@@ -21,11 +21,7 @@ from handctl.cli.runs import demo
 
 
 class AdapterRunOutcome(NamedTuple):
-    """Outcome of a run.
-
-    It contains whether the control rate is possible, the tracking error [deg], the tension error
-    [N], and why the run ended.
-    """
+    """Outcome of a run: is the control rate possible, tracking error [deg], tension error [N], cause of the end."""
 
     held: bool
     tracking_deg: float

@@ -1,11 +1,11 @@
 """Measure the CPU time and the wall time in which handctl and alternatives exchange the frames of one tick.
 
 ``python benchmarks/bus.py [--quick] [--json]``. The benchmark uses four and eleven MIT motors, on
-the local bus and on vcan. It uses vcan in user-mode Linux if the machine's own Linux has no vcan.
-The simulated motors run in the same process, and the benchmark subtracts their time. An exchange
-converts torques to payloads, sends the frames, receives the replies, and converts payloads to
-values. As in a tick of the controller, handctl also updates the state of each drive. Only ratios
-between results of the same run are comparable.
+the local bus and on vcan. If the machine's own Linux has no vcan, the benchmark uses vcan in
+user-mode Linux. The simulated motors run in the same process, and the benchmark subtracts their
+time. An exchange converts torques to payloads, sends the frames, receives the replies, and converts
+payloads to values. As in a tick of the controller, handctl also updates the state of each drive.
+Only ratios between results of the same run are comparable.
 
 The lower bound is the time of a C program that makes the same system calls as handctl and encodes
 the same frames. On the local bus, handctl sends all frames of a tick in one packet. There, the
@@ -213,9 +213,10 @@ def measure_client(client, peer, motors: int, ticks: int) -> dict:
 
 
 def add_ratios(rows: dict) -> dict:
-    """Add two kinds of ratios to each row.
+    """Add ratios to each row.
 
-    They are its wall time divided by that of each C program, and the speed-up over python-can.
+    One kind of ratio is the wall time divided by that of each C program, and the other is the
+    speed-up over python-can.
     """
     reference = rows[REFERENCE_ALTERNATIVE]
     for row in rows.values():

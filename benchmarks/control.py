@@ -1,4 +1,6 @@
-"""Measure tracking and a force step with parts of the control law. Each case adds one more part.
+"""Measure tracking and a force step with parts of the control law.
+
+Each case has one more part of the control law.
 
 ``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--page]``, see
 ``trials.tracking``.

@@ -129,8 +129,8 @@ def _sum_and_count(values: np.ndarray, mask: np.ndarray) -> list[float]:
 def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
     """Return the squared quantities of a regime, each (ticks, N).
 
-    These are the squared error of each estimator and the variance of the reference filter [N^2],
-    the NIS, and the innovations.
+    The quantities are the squared error of each estimator, the variance of the reference filter
+    [N^2], the NIS, and the innovations.
     """
     numbers = record.numbers
     period_ns = int(record.t_ns[1] - record.t_ns[0])

@@ -1,10 +1,10 @@
 """Measure steps per second and reset time of ``handctl.gym``, and of a plain MuJoCo environment.
 
 ``python benchmarks/gym.py [--quick] [--json]``. The MuJoCo environment has the same rigid bodies,
-time step and action rate as ``handctl.gym``. Its actions are joint torques. It has no tendons,
-drives, bus or controller. The actions are random, but change so slowly that the hand has no fault.
-The benchmark measures CPU time for one environment, and wall time for several environments in
-parallel.
+time step and action rate as ``handctl.gym``. An action of the MuJoCo environment consists of joint
+torques. The MuJoCo environment has no tendons, drives, bus or controller. The actions are random,
+but change so slowly that the hand has no fault. The benchmark measures CPU time for one
+environment, and wall time for several environments in parallel.
 """
 
 import argparse

@@ -122,10 +122,7 @@ def cylinder_scene_of(name: str) -> str:
 
 @dataclass
 class SensingRun:
-    """Record of a run.
-
-    It has a row for each tick in which the hand is active, and the reported faults.
-    """
+    """Record of a run, with a row for each tick in which the hand is active, and the reported faults."""
 
     phase: list[str] = field(default_factory=list)
     error: list[np.ndarray] = field(default_factory=list)

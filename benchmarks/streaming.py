@@ -287,7 +287,7 @@ class HandProcess:
     def connect(self) -> HandClient:
         """Return a client that has not connected yet.
 
-        It starts the controller when the caller opens it.
+        The client starts the controller when the caller opens the client.
         """
         return handctl.connect("jamia", self.bus, *self.words)
 

@@ -44,7 +44,7 @@ TRUE_PLANT_FACTORS = {
 }
 """Factors that multiply parameters of the hand file to give those of the true plant.
 
-They were fixed before anything was tuned.
+The factors were fixed before anything was tuned.
 """
 DETUNING_FACTORS = {
     "motion.position_error_m": 3.0,
@@ -56,7 +56,7 @@ DETUNING_FACTORS = {
 }
 """Factors that multiply the packaged gains to give the initial gains.
 
-They were fixed before anything was tuned.
+The factors were fixed before anything was tuned.
 """
 JUDGE_SEED = 1000
 """Seed of the noise in the final comparison. No search uses this seed."""

@@ -80,9 +80,9 @@ with handctl.connect("jamia11", "local:lab", *sys.argv[1:]) as hand:
     with hand.stream(RATE_HZ, "fingertip", list(SEGMENT_FRACTIONS)) as stream:
         began_s = hand.observe().t_s
         for _ in range(round(DURATION_S * RATE_HZ)):
-            # Time at which the hand must reach the target. It comes from the clock of the hand. A
-            # time that is computed from the number of targets would lag behind after each delay of
-            # this program.
+            # Time at which the hand must reach the target. This time comes from the clock of the
+            # hand. A time that is computed from the number of targets would lag behind after each
+            # delay of this program.
             t = hand.observe().t_s - began_s + stream.horizon_s
             stream.send(
                 np.array([retargeted_tip(digits[name], name, t) for name in SEGMENT_FRACTIONS])

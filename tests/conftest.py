@@ -49,11 +49,17 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # takes half of the start-up time of such a program.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
     BYTE_CODE = tempfile.TemporaryDirectory(prefix="handctl-byte-code-", ignore_cleanup_errors=True)
-    """Folder for the byte code of the programs that tests start. It is removed at the end of this process."""
+    """Folder for the byte code of the programs that tests start.
+
+    The folder is removed at the end of this process.
+    """
     os.environ["PYTHONPYCACHEPREFIX"] = BYTE_CODE.name
 if "HANDCTL_RUN_DIR" not in os.environ:
     RUN_DIR = tempfile.TemporaryDirectory(prefix="handctl-", ignore_cleanup_errors=True)
-    """Folder for sockets of buses and truth files of tests. It is removed at the end of this process."""
+    """Folder for sockets of buses and truth files of tests.
+
+    The folder is removed at the end of this process.
+    """
     os.environ["HANDCTL_RUN_DIR"] = RUN_DIR.name
 
 

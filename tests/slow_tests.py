@@ -1,6 +1,6 @@
 """Choose the slow tests by their measured processor time.
 
-`make test` leaves out the slow tests. CI or the nightly run executes them.
+`make test` leaves out the slow tests. CI or the nightly run executes the slow tests.
 
     make test SLOW_S=inf PYTEST_FLAGS=--durations-file=times.jsonl      # writes the time of each test
     python -m tests.slow_tests times.jsonl                                    # writes tests/slow_tests.txt
@@ -12,9 +12,9 @@ A test run leaves out the listed tests whose cost is higher than ``HANDCTL_SLOW_
 sets the value 0. CI sets 3, and a higher value for tests on the real clock. `make nightly` and
 plain pytest run all listed tests. The cost of a test is its processor time. For a test on the real
 clock, the cost is its elapsed time. An incomplete test run still executes the first cases of each
-test function, up to a total cost of ``FUNCTION_BUDGET_S`` or ``REAL_CLOCK_BUDGET_S``. It also
-executes the cheapest test of each file, if that test costs no more than ``FILE_LIMIT_S``. It
-therefore executes at least one test of nearly every file.
+test function, up to a total cost of ``FUNCTION_BUDGET_S`` or ``REAL_CLOCK_BUDGET_S``. Such a run
+also executes the cheapest test of each file, if that test costs no more than ``FILE_LIMIT_S``. At
+least one test of nearly every file is therefore executed.
 """
 
 import json
@@ -68,7 +68,7 @@ class DurationRecorder:
     """
 
     def __init__(self, path: Path) -> None:
-        """Open the file for appending. All processes of pytest-xdist write to it."""
+        """Open the file for appending. All processes of pytest-xdist write to this file."""
         self.path = path
         self._elapsed_s: defaultdict[str, float] = defaultdict(float)
 
@@ -127,8 +127,8 @@ def main(path: Path, add: bool) -> None:
 
     Args:
         path: file with the times of a run.
-        add: True to keep the tests that are already listed. This is necessary if the test run has
-            left out listed tests.
+        add: True to keep the tests that are already listed. This option is necessary if the test
+            run has left out listed tests.
     """
     rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     slow = choose_slow_tests(rows) | (listed_costs() if add else {})

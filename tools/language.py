@@ -1,10 +1,10 @@
 """Count private words and hard phrases in names, docstrings and documents, and compare the counts with limits.
 
-``python tools/language.py`` is a part of ``make lint``. It prints a line for each count above its
-limit and exits 1. ``--table`` prints all counts. ``--places COUNT FOLDER`` prints each place that
-contributes to a count. ``--tighten`` lowers the limits in ``language_limits.toml`` to the current
-counts. No option raises a limit. A private word is one that only this project uses. The word list
-is an indicator. A reader must judge whether a sentence is plain.
+``python tools/language.py`` is a part of ``make lint``. The program prints a line for each count
+above its limit and exits 1. ``--table`` prints all counts. ``--places COUNT FOLDER`` prints each
+place that contributes to a count. ``--tighten`` lowers the limits in ``language_limits.toml`` to
+the current counts. No option raises a limit. A private word is one that only this project uses. The
+word list is an indicator. A reader must judge whether a sentence is plain.
 """
 
 import argparse

@@ -35,7 +35,7 @@ BO_ 17 Feedback: 8 H
 def feedback_frame(motor: int) -> tuple[int, bytes, int]:
     """Return the feedback frame of an enabled Damiao motor.
 
-    Its identifier is the register MST_ID of the motor.
+    The identifier of this frame is the register MST_ID of the motor.
     """
     return 0x10 + motor, bytes((0x10 | motor,)) + FEEDBACK_TAIL, 0
 

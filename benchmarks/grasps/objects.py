@@ -1,6 +1,6 @@
 """Define the objects of the grasp benchmark, with positions and disturbances.
 
-They were fixed before any grasp was tuned.
+The objects were fixed before any grasp was tuned.
 
 The size of the hand determines the sizes of the objects. An object of 42 mm fits between straight
 fingers and thumb, and a fingertip touches the thumb at about 25 mm from the palm. Each object is
@@ -95,7 +95,7 @@ class GraspCase:
 def _power_grasp_case(shape: str, width_mm: float, friction: float, mass: float) -> GraspCase:
     """Return an object for a power grasp.
 
-    It is 2 mm in front of the palm, and midway between fingers and thumb.
+    The object is 2 mm in front of the palm, and midway between fingers and thumb.
     """
     return GraspCase(
         "power", shape, width_mm * 1e-3, friction, mass, (width_mm * 0.5e-3 + 2e-3, 0.0)

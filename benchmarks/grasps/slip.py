@@ -15,7 +15,7 @@ RUN_S = 14.0
 CYLINDER_FRICTION = {"jamia": 0.3, "jamia11": 0.2}
 """Friction coefficient of the cylinder for each hand.
 
-It is so low that a hand with 20 N per tendon loses the cylinder before the largest load.
+The friction is so low that a hand with 20 N per tendon loses the cylinder before the largest load.
 """
 TENSION_N = 20.0
 SLIP_LIMIT_N = 60.0

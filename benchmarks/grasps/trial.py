@@ -51,8 +51,8 @@ class GraspRun:
         external: (ticks, N) external tension that the controller estimates [N].
         excursion: (ticks, N) tendon excursion that the controller reports [m].
         q: (ticks, J) true joint angles [rad].
-        normal: (ticks, D) sum of the normal forces on each digit [N]. It is recorded only in scenes
-            with a load.
+        normal: (ticks, D) sum of the normal forces on each digit [N]. The array exists only in
+            scenes with a load.
         events: every event, with the index of its tick.
         failure: reason for which the controller ended the run.
         dropped_at: time at which the table begins to sink [s], or None.

@@ -1,6 +1,7 @@
 """Run a typical hand-written control loop.
 
-It uses python-can with one frame at a time, one filter per tendon, pinocchio, and a log in JSON.
+The loop uses python-can with one frame at a time, one filter per tendon, pinocchio, and a log in
+JSON.
 """
 
 import json

@@ -102,7 +102,7 @@ def force_trial(hand: str, law: str, seed: int, plant: str) -> LockstepTrial:
 def force_figures(record: TrialRecord) -> dict[str, float]:
     """Return the errors of both force steps, as means over the tendons.
 
-    They are overshoot [N], settling time [s], steady error [N], ripple [N], and RMSE [N].
+    The results are overshoot [N], settling time [s], steady error [N], ripple [N], and RMSE [N].
     """
     tension = record.tension()
     in_contact = record.of_tendons(record.numbers["contact"] > 0)

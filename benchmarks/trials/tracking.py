@@ -1,4 +1,6 @@
-"""Measure tracking and a force step with parts of the control law. Each case adds one more part.
+"""Measure tracking and a force step with parts of the control law.
+
+Each case has one more part of the control law.
 
 ``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--keep FOLDER] [--page]``.
 The digits move from 0 to 60 degrees. The tracking error is computed from the true mean of the joint
@@ -11,8 +13,8 @@ Each control law, PD included, has two LQR weights. For each law, the benchmark 
 ``WEIGHT_CANDIDATES`` with the smallest error in a fast motion of the nominal hand. The results use
 other seeds than this selection. ``--tune`` selects the weights again. The selected weights leave
 hardly any stability margin. The control laws are therefore compared a second time, with the best
-weights that keep the stability margins which handctl requires. These are 6 dB and 45 degrees, on
-random hands near the hand file.
+weights that keep the stability margins which handctl requires. The required margins are 6 dB and 45
+degrees, on random hands near the hand file.
 """
 
 import argparse
@@ -64,8 +66,8 @@ TUNED_FILE = Path(__file__).with_name("tuned.json")
 """File with the results of ``--tune``, for each hand, control law and pair of ``WEIGHT_CANDIDATES``.
 
 For each pair, the file contains the RMSE of the fast motion [deg], or null if this motion did not
-reach its end. It also states whether the motion loop keeps its stability margins with this pair.
-Each run consists of a slow, a medium and a fast motion, because the best weights for a single
+reach its end. The file also states whether the motion loop keeps its stability margins with this
+pair. Each run consists of a slow, a medium and a fast motion, because the best weights for a single
 motion may cause a fault in a run with all three motions.
 """
 PD_LAW, SPRINGS_LAW, BEST_LAW, MISPRINTED_LAW = [list(ABLATION_LAWS)[i] for i in (0, 1, -2, -1)]

@@ -1,6 +1,7 @@
 """Measure all log writers.
 
-Each writer writes the same run, and the program reads each log back. It prints the CPU times.
+Each writer writes the same run, and the program reads each log back. The program prints the CPU
+times.
 """
 
 import argparse

@@ -32,8 +32,8 @@ The last key opens all digits.
 class Leader(Teleoperator):
     """Base class of the teleoperators.
 
-    A teleoperator of handctl commands the joints of a hand. It has neither force feedback nor
-    calibration.
+    A teleoperator of handctl commands the joints of a hand. A teleoperator has neither force
+    feedback nor calibration.
     """
 
     names: tuple[str, ...]

@@ -80,7 +80,7 @@ class HandctlRobot(Robot):
     def connect(self, calibrate: bool = True) -> None:
         """Connect to the controller on the bus.
 
-        If no controller runs there, start one. It commissions and arms the hand.
+        If no controller runs there, start a controller, which commissions and arms the hand.
         """
         if self._hand is not None:
             raise DeviceAlreadyConnectedError(f"{self} is connected")
@@ -134,7 +134,7 @@ class HandctlRobot(Robot):
         return named(self._names, target)
 
     def disconnect(self) -> None:
-        """Close the stream and the client.
+        """Close the stream of targets and the client of the hand.
 
         If this robot has started the controller, the controller then relaxes and disarms the hand.
         """

@@ -1,7 +1,7 @@
 """Test ``handctl bus doctor``.
 
-The command ``bus doctor`` reports findings about a bus and its nodes. With each finding, it prints
-a command that repairs the problem.
+The command ``bus doctor`` reports findings about a bus and its nodes. With each finding, the
+command prints another command that repairs the problem.
 """
 
 import json

@@ -26,7 +26,8 @@ def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) 
     read_again = 4 * 2 * 135e-6 * 2.0
     """Bus load that repeated reading of the drives' settings causes.
 
-    The controller reads a setting of each drive twice a second. Request and reply take 135 us each.
+    The controller reads a setting of each drive twice a second. The request takes 135 us, and so
+    does the reply.
     """
     assert bus["load"] == pytest.approx(bus["tick_us"] * 500e-6 + read_again)
 

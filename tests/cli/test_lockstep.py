@@ -66,7 +66,7 @@ def run_demos(folder, *hands, task=""):
 def equal_demos(tmp_path_factory):
     """Return the folders and the results of two equal demos.
 
-    In an ordinary test run, the demos execute a short motion. In a nightly run, they execute a
+    In an ordinary test run, the demos execute a short motion. In a nightly run, the demos execute a
     grasp.
     """
     return run_demos(

@@ -299,7 +299,7 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
 
 
 def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffness",)):
-    """Return an invented result of the identification of a tendon.
+    """Return an invented result for the identification of a tendon.
 
     ``blocked`` and ``met`` describe what the tendon's digit touched during the excitation.
     """

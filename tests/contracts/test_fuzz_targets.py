@@ -1,6 +1,6 @@
 """Fuzz tests start from valid inputs, which handctl accepts.
 
-If it refuses a changed input, the change is therefore the reason.
+If handctl refuses a changed input, the change is therefore the reason.
 """
 
 import functools

@@ -1,9 +1,9 @@
-"""A wheel of handctl is installed into a new environment outside of the repository.
+"""``handctl demo`` runs after a wheel of handctl was installed into a new environment.
 
-There, ``handctl demo`` runs.
+This environment is outside of the repository.
 
-The controller is tested before the extras are installed. It therefore cannot use a package of an
-extra.
+The controller is tested before the extras are installed. The test of the controller therefore
+cannot use a package of an extra.
 """
 
 import os

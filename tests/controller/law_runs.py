@@ -40,8 +40,7 @@ class LawState(NamedTuple):
             planned rate of change of the tension until the next tick [N/s].
         trim: force that compensates the step of the command at a change of gains [N]. The value is
             None after it has decayed.
-        held: tension limit while the safety monitor holds the hand [N]. None while it does not hold
-            the hand.
+        held: tension limit while the safety monitor holds the hand [N]. None at other times.
         friction_state: friction of each tendon as a fraction of its full amount, from 1 (winding
             up) to -1 (paying out). NaN if the fraction is unknown, and None before the first
             command.
@@ -70,8 +69,8 @@ class LawState(NamedTuple):
 class LawCommand(NamedTuple):
     """Output of the control law.
 
-    A command contains, for each tendon (N,), a motor torque [N m] and a tension goal [N]. It also
-    contains, for each joint (J,), a torque [N m], and goals of the angle [rad] and the rate
+    A command contains, for each tendon (N,), a motor torque [N m] and a tension goal [N]. A command
+    also contains, for each joint (J,), a torque [N m], and goals of the angle [rad] and the rate
     [rad/s].
     """
 

@@ -26,8 +26,8 @@ EXTENSOR_MOMENT_ARMS = np.array(
 )
 """Moment arms of four tendons on three joints [m].
 
-The last tendon opens all joints, with moment arms in the ratio 3:2:1. There is one tendon more than
-joints.
+The last tendon opens all joints, with moment arms in the ratio 3:2:1. The digit has one tendon more
+than joints.
 """
 
 
@@ -66,7 +66,7 @@ def allocation_cost(
 ) -> float:
     """Return the cost function of the allocation.
 
-    The docstring of the allocation module defines it.
+    The docstring of the allocation module defines this cost function.
     """
     r = np.abs(arms).mean()
     return float(

@@ -95,8 +95,8 @@ def test_targets_of_a_stream_are_signs_of_life(jamia: HandModel) -> None:
 def test_a_lease_ends(jamia: HandModel, after: str) -> None:
     """A client's lease ends when this client sends a command without a lease.
 
-    It also ends when the client gives up the right to command, or when another client takes over
-    this right.
+    A lease also ends when the client gives up the right to command, or when another client takes
+    over this right.
     """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)

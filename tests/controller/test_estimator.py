@@ -269,7 +269,7 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
 def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) -> None:
     """Motor encoder and load cell measure only the sum of excursion and stretch offset.
 
-    Joint encoders separate the two.
+    Joint encoders separate the excursion from the stretch offset.
     """
     x, _ = state_at_rest(jamia11, 20.0, 0.7)
     balance = load_statics(jamia11, x, np.zeros(len(x))).resistance

@@ -252,7 +252,7 @@ def test_missing_measurement_is_detected_in_each_regime(
 def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: HandModel) -> None:
     """In a tick without encoder readings, the first digit comes into contact.
 
-    The last digit of the hand stays free.
+    The last digit of the hand stays without contact.
     """
     x, force = state_at_rest(model, 25.0, 0.6)
     state, touched = all_in_regime(model, TendonRegime.FREE, x), (True, *no_contact(model)[1:])
@@ -360,7 +360,7 @@ def test_covariance_grows_over_skipped_ticks(
 def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
     """The second filter of this test computes each tendon with plain loops.
 
-    Its update has no rows for missing measurements.
+    The update of the second filter has no rows for missing measurements.
     """
     rng, n = np.random.default_rng(3), model.tendon_count
     x, force = state_at_rest(model, 25.0, 0.6)

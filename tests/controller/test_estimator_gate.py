@@ -193,7 +193,7 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
 def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
     """Return the filter state of half-closed digits whose rotors turn, and the forces that balance them [N].
 
-    The tension of all tendons is 20 N.
+    All tendons have a tension of 20 N.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)

@@ -152,7 +152,7 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
 ) -> None:
     """The motor encoder alone shows a coming taut state only if the length of the tendon is known.
 
-    It is known if the tendon was taut before.
+    The length is known if the tendon was taut before.
 
     After the change to taut, the counter of the evidence starts again at zero.
     """

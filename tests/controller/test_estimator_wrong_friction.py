@@ -66,7 +66,7 @@ def run_with_friction(hand: str, friction: float, seed: int, folder: Path) -> Pl
 def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
     """Return the tension RMSE [N] of the estimate and of the raw load cell.
 
-    It includes only taut tendons, and only the time while the hand moves.
+    The RMSE includes only taut tendons, and only the time while the hand moves.
     """
     real, later = np.array(run.true_tension), np.array(run.time_s) > EVALUATED_AFTER_S
     raw = np.array(run.measured_tension)
@@ -138,8 +138,8 @@ def averages_and_doubts(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return two results of one tick (N,).
 
-    The first is the filter's average of the normalised innovation squared. The second is the time
-    for which the filter still doubts its model [s].
+    One result is the filter's average of the normalised innovation squared. The other result is the
+    time for which the filter still doubts its model [s].
     """
     state, n = active_state(model), model.tendon_count
     state.view("nis_lately")[...], state.view("wary")[...] = lately, wary

@@ -98,7 +98,7 @@ def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(
 def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:
     """After a quick motion, the filtered target lags behind the motor.
 
-    It must not continue to move after the motor has come to rest at its goal.
+    The filtered target must not continue to move after the motor has come to rest at its goal.
     """
     arms = arms_of(jamia)
     at_goal, lagging = arms * 0.4, hand_with_equal_readings(jamia, arms * 0.2, 0)

@@ -81,7 +81,7 @@ def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) ->
 def test_slow_rates_are_stable_too(model: HandModel, rate_hz: float) -> None:
     """Both control loops stay stable at a control rate near the natural frequency of a tendon.
 
-    There, they do not have the stability margins of an LQR.
+    At such a rate, the loops do not have the stability margins of an LQR.
     """
     for F, G, K in control_loops(model, Gains(), 1.0 / rate_hz):
         assert spectral_radius(F - G @ K) < 1.0

@@ -109,8 +109,8 @@ def test_a_digit_follows_while_the_wrist_turns(name: str, seed: int) -> None:
 def test_the_wrist_bears_the_tendons_that_pass_it() -> None:
     """The controller includes the torque that tendons of the fingers exert on the wrist.
 
-    If it neglected this torque, the tension of bent fingers would look like an object that pushes
-    the wrist.
+    If the controller neglected this torque, the tension of bent fingers would look like an object
+    that pushes the wrist.
     """
     hand = mount_on_wrist("jamia")
     aware = simulate_control_errors(hand, hand, 0)

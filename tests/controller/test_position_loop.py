@@ -104,7 +104,7 @@ def begin_to_and_fro(
 ) -> Iterator[SimulatedRun]:
     """Yield the run of a simulated hand that moves to and fro.
 
-    When it is yielded, the run has just reached the start of the first move.
+    The yielded run has just reached the start of the first move.
     """
     controller = make_controller(
         hand,

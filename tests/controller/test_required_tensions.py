@@ -23,7 +23,10 @@ def motion_goals(
 def test_a_motion_depends_on_the_time_since_its_start_only(
     hand: str, durations: tuple[float, ...], request: pytest.FixtureRequest
 ) -> None:
-    """In one case, all digits move for the same duration. In another case, the durations differ."""
+    """In one case, all digits move for the same duration.
+
+    In another case, the durations of the digits differ.
+    """
     model: HandModel = request.getfixturevalue(hand)
     first, later = (motion_goals(model, since, durations) for since in (0.0, 2.0))
     motion = joint_motion_at(model, first, 0.1)

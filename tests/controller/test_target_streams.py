@@ -373,8 +373,8 @@ def test_a_text_that_is_no_target_is_counted(text: str) -> None:
 def test_a_target_survives_the_log(value: float) -> None:
     """A run receives decoded targets.
 
-    A re-execution of the run decodes the same targets from the texts in the log. Both targets must
-    be equal to the last bit.
+    A re-execution of the run decodes the targets from the texts in the log. A target must be equal
+    in both runs, to the last bit.
     """
     target = StreamTarget("17-3", 2**62, -(2**40), (value, 1.0 / 3.0))
     again = parse_target(target_request_text(target))

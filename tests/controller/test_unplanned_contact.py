@@ -66,7 +66,7 @@ def test_only_digits_blocked_on_their_way_are_restrained(model: HandModel) -> No
 def run_against_palm(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[str, PlantRun]:
-    """Return a hand and its run.
+    """Return the name of a hand and the record of a run of this hand.
 
     In this run, the index finger moves towards 100 degrees, but touches the palm on the way.
     """

@@ -169,7 +169,8 @@ def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
 def test_arms_by_angle_track_better_than_constant_arms(name: str, seed: int) -> None:
     """The moment arms in the simulator vary by 30 % with the joint angle.
 
-    The controller for comparison uses the mean moment arms R. It computes the excursions as R q.
+    The controller for comparison uses the mean moment arms R. This controller computes the
+    excursions as R q.
     """
     hand = with_varying_arms(name, 0.3, encoders=False)
     constant = with_varying_arms(name, 0.0, encoders=False)

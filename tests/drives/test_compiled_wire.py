@@ -1,6 +1,7 @@
 """Test the compiled code that receives and sends frames.
 
-For any input, it gives the same values and the same frames as the Python code of each drive.
+For any input, compiled code gives the same values and the same frames as the Python code of each
+drive.
 """
 
 import math

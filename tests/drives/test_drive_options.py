@@ -134,7 +134,8 @@ def test_a_declared_option_is_known(protocol: str, key: str) -> None:
 
 def test_every_option_that_a_drive_reads_is_declared() -> None:
     folder = Path(__file__).parents[2] / "src" / "handctl" / "drives"
-    # The options for drive modes are options of ``handctl jog``. A hand file must not contain them.
+    # The options for drive modes are options of ``handctl jog``. A hand file must not contain
+    # options of ``handctl jog``.
     files = [path for path in folder.glob("*/*.py") if path.name != "modes.py"]
     read = {
         key for path in files for key in re.findall(r'options\.pop\(\s*"(\w+)"', path.read_text())

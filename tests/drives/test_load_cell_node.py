@@ -162,7 +162,10 @@ class FirmwareBench:
         ]
 
     def initialize_firmware(self) -> bool:
-        """Initialize the firmware with its settings. Return whether it has accepted them."""
+        """Initialize the firmware with its settings.
+
+        Return True if the firmware has accepted the settings.
+        """
         return bool(
             self.library.node_init(
                 ctypes.byref(self.node), ctypes.byref(self.settings), ctypes.byref(self.board)

@@ -147,7 +147,7 @@ def test_sensor_frames_are_decoded_to_known_values() -> None:
     """The codes in this test were computed by hand.
 
     0 N has the code 96 = 0x060, 10 N has 256 = 0x100, the upper end of the range has 0xFFF, and 0
-    rad has 0x800. The counter is 7.
+    rad has 0x800. The counter in these frames is 7.
     """
     node = SensorNode.from_description(
         SensorNodeSection(tendons=TENDON_NAMES[:3], joints=("j4",)), 0, TENDON_NAMES, JOINT_NAMES

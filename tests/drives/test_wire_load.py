@@ -22,7 +22,7 @@ PERIOD_NS = 4_000_000
 def planned_tick_s(path: Path, period_ns: int = PERIOD_NS) -> list[float]:
     """Return the planned bus time per tick on each bus [s].
 
-    It includes the frames that nodes send by a timer.
+    This time includes the frames that nodes send by a timer.
     """
     return [
         load.load_at(1e9 / period_ns) * period_ns * 1e-9 for load in bus_loads(load_hand(str(path)))

@@ -126,7 +126,7 @@ class WiredDrives:
             first += 1
 
     def store_drive_state(self, i: int, known: DriveState) -> None:
-        """Store the state of drive i. Its values go into the block."""
+        """Store the state of drive i. The values of the drive go into the state block."""
         drive, whole, table = (
             self.drives[i],
             *(self.layout.table(self.block, name) for name in ("tendon_int", "tendon")),

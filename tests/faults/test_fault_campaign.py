@@ -378,7 +378,7 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     The torque limit of the drive and the momentum of the rotor bound the tension. The drive pulls
     with at most the force F. Seen at the tendon, the rotor has the mass m and the initial speed v.
     The tendon has the stiffness k and the initial tension T. Without friction, the tension then
-    rises to F + sqrt((F - T)^2 + k m v^2). This follows from the conservation of energy. The
+    rises to F + sqrt((F - T)^2 + k m v^2). This bound follows from the conservation of energy. The
     reaction of the host can only lower this tension.
     """
     hand = hand_with_protocol("jamia", "mit")

@@ -1,7 +1,7 @@
 """A hand that relaxes never raises a tension.
 
-The tests choose hands, simulated parameters, faults, and times of the faults at random. They check
-the true tensions in the simulator.
+The tests choose hands, simulated parameters, faults, and times of the faults at random. The tests
+check the true tensions in the simulator.
 """
 
 import math

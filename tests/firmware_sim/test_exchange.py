@@ -1,7 +1,7 @@
 """Test the compiled kernel that processes all frames of a tick in one call, as packed records.
 
-It gives the same result as the Python code of the simulated nodes, which process one frame after
-the other.
+The kernel gives the same result as the Python code of the simulated nodes, which process one frame
+after the other.
 """
 
 import random
@@ -116,7 +116,7 @@ def frames_of_tick(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
 def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
     """Return the frames that arrive after one frame was sent.
 
-    In rare cases, the frame is lost, repeated or changed. Otherwise it arrives unchanged.
+    In rare cases, the frame is lost, repeated or changed. Otherwise, the frame arrives unchanged.
     """
     can_id, data, flags, bus, t_ns = frame
     other = [

@@ -58,7 +58,7 @@ def test_the_springs_hold_the_free_hand_open() -> None:
 def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
     """Without friction, each joint obeys r f = k (q + q0).
 
-    All joints have the same values, so all angles q are equal.
+    r, k and q0 are the same for all joints, so all angles q are equal.
 
     Gravity has no effect, because it is parallel to the hinges.
     """
@@ -228,7 +228,7 @@ def closing_hand(
 def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tendons, friction and rotors are integrated with a first-order method.
 
-    Its error is small, and becomes smaller with a smaller time step.
+    The error of this method is small, and becomes smaller with a smaller time step.
     """
     exact = closing_hand(monkeypatch, 0.05e-3)
     errors = [
@@ -241,7 +241,10 @@ def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 COUPLED_FINGERS = ("index", "middle", "ring", "pinky")
-"""Digits of ``orca_like`` whose joints a test couples. Each has three joints and three spool pairs."""
+"""Digits of ``orca_like`` whose joints a test couples.
+
+Each of these digits has three joints and three spool pairs.
+"""
 
 
 def hand_with_coupled_fingers(coupling: list[list[float]], path: Path) -> Hand:

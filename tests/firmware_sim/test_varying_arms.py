@@ -19,8 +19,8 @@ STEP_S = 0.5e-3
 def test_the_joints_get_the_work_that_the_tendons_do(name: str, tmp_path: Path) -> None:
     """The power of the tendons equals that of the joints.
 
-    The former is tension times tendon speed, and the latter torque times joint rate. The simulated
-    hand of this test has no friction and no damping.
+    The power of a tendon is tension times tendon speed, and that of a joint is torque times joint
+    rate. The simulated hand of this test has no friction and no damping.
     """
     path = tmp_path / "hand.toml"
     path.write_text(with_varying_arms(name, 0.3).to_toml())

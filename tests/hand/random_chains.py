@@ -85,8 +85,8 @@ def random_digit(rng: np.random.Generator, name: str, count: int) -> dict[str, A
     com: list[Any] = rng.uniform(-0.004, 0.004, (count, 3)).tolist()
     inertia: list[Any] = []
     for i in range(count):
-        # Compute the inertia from a body of random mass points. It therefore satisfies the
-        # inequalities of every real inertia tensor.
+        # Compute the inertia from a body of random mass points, so that it satisfies the
+        # inequalities of a real inertia tensor.
         points = rng.normal(size=(6, 3)) * 0.3 * np.maximum(length[i] / 3, radius / 2)
         moments = mass[i] / 6 * ((points**2).sum() * np.eye(3) - points.T @ points)
         inertia.append(moments[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)].tolist())

@@ -49,7 +49,7 @@ def test_a_point_in_reach_is_reached_within_the_limits(hand: str) -> None:
 def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
     """The expected distance comes from scipy's bounded least squares.
 
-    Its start is the middle of the joint ranges.
+    The search of scipy starts in the middle of the joint ranges.
     """
     worse = 0
     for digit in palm_digits(hand):

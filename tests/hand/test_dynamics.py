@@ -19,7 +19,7 @@ RELATIVE_TOLERANCE = 1e-9
 def random_motions(rng, n, samples=SAMPLE_COUNT):
     """Return random angles, rates and accelerations (q, dq, ddq).
 
-    They are so large that every term of the dynamics has a measurable effect.
+    The motions are so fast that every term of the dynamics has a measurable effect.
     """
     return zip(
         *(scale * rng.normal(size=(samples, n)) for scale in (1.5, 15.0, 400.0)), strict=True

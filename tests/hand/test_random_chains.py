@@ -190,7 +190,7 @@ def frames_in_log(hand: Hand, q: np.ndarray) -> dict[str, tuple[np.ndarray, tupl
 def test_transforms_of_the_log_are_those_of_the_model(random_hand_and_digits, rng):
     """The transforms in the log are computed only from the text of the hand file.
 
-    Combined along each digit, they equal the transforms of the hand model.
+    Combined along each digit, the transforms in the log equal those of the hand model.
     """
     hand, digits = random_hand_and_digits
     q = rng.uniform(-2.0, 2.0, len(hand.joints))

@@ -134,6 +134,6 @@ def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(robot_options, wor
         ]
         goal = np.degrees(np.nanmax(log.field("q_goal")[:, :9]))
         # In this test, the leader hand closes its fingers on an object. All coupled joints of a
-        # finger of the follower hand get the same angle. It is the angle nearest to the angles of
-        # these joints in the leader hand.
+        # finger of the follower hand get the same angle. This common angle is the one nearest to
+        # the angles of these joints in the leader hand.
         assert 20.0 < goal < np.degrees(leader.field("q").max()) + 1.0

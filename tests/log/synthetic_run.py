@@ -3,7 +3,7 @@
 Command: `python tests/log/synthetic_run.py OUT.mcap [--hand jamia|jamia11] [--seconds 10] [--rate 500]`.
 
 Three fingers and the thumb tighten their tendons, close, and touch an object one after the other.
-They hold the object at a rising tension, release it, and open. The run contains a drive that
+The digits hold the object at a rising tension, release it, and open. The run contains a drive that
 becomes warm, a bus error, a change of a gain, and a late frame.
 """
 

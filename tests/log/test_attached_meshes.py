@@ -1,7 +1,7 @@
 """Test meshes in a log.
 
-A log contains the meshes of its hand, up to a maximum total size. A reader of the log needs no hand
-file to show them. Meshes that are missing in the log are named.
+A log contains the meshes of its hand, up to a maximum total size. A program that shows these meshes
+needs only the log, and no hand file. Meshes that are missing in the log are named.
 """
 
 from pathlib import Path

@@ -39,8 +39,8 @@ def test_each_digest_is_that_of_the_tick_s_bytes_and_the_digest_before(small_log
 def test_a_step_of_the_wall_clock_shows_in_the_pairs(tmp_path: Path) -> None:
     """The log of this test lasts half a minute.
 
-    It contains readings of the wall clock and of the monotonic clock at the same moments. After the
-    second of these moments, the wall clock is set forward by an hour.
+    The log contains readings of the wall clock and of the monotonic clock at the same moments.
+    After the second such moment, the wall clock is set forward by an hour.
     """
     start, hour = 1_800_000_000_000_000_000, 3_600_000_000_000
     clocks = [(start + n * 10**10 + (hour if n > 1 else 0), 5 + n * 10**10) for n in range(4)]

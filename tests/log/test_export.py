@@ -147,8 +147,8 @@ def test_time_stamps_of_the_candump_rise(
 ) -> None:
     """On a local bus, the time stamp of a frame is the time at which the frame is read.
 
-    This may be after the start of the tick. The frames that the tick sends follow in the file, with
-    later time stamps.
+    The time of reading may be after the start of the tick. The frames that the tick sends follow in
+    the file, with later time stamps.
     """
     path = tmp_path / "x.log"
     ticks = [tick for tick, _ in zip(golden_log.ticks(), range(500), strict=False)]

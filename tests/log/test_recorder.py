@@ -39,7 +39,7 @@ def start_recorder(
 ) -> Iterator[Callable[..., Recorder]]:
     """Yield a function that starts a recorder.
 
-    Its pipe has the largest size that Linux permits without special rights.
+    The pipe of the recorder has the largest size that Linux permits without special rights.
 
     After the test, end all recorders.
     """

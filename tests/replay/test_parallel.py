@@ -35,7 +35,8 @@ ExecuteBothWays = Callable[..., tuple[LogExecution, LogExecution]]
 def execute_both_ways(fresh_log: Path, monkeypatch: pytest.MonkeyPatch) -> ExecuteBothWays:
     """Return a function that executes a log with one process and with three processes.
 
-    Its argument is a function that makes a number in the controller's state wrong.
+    The argument of the returned function is another function, which makes a number in the
+    controller's state wrong.
     """
 
     def run(change: StateChange | None = None) -> tuple[LogExecution, LogExecution]:

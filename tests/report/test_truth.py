@@ -116,7 +116,7 @@ def test_a_copy_has_the_rows_between_two_times(
 ) -> None:
     """Reproduce a defect: each run copied and read all truth rows since the start of the simulator.
 
-    The simulator writes 1.6 GB of them per hour.
+    The simulator writes 1.6 GB of truth rows per hour.
     """
     truth = zero_truth(JAMIA, 96)
     values = np.arange(truth.values.size, dtype=np.float64).reshape(truth.values.shape)

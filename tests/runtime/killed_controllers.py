@@ -289,7 +289,7 @@ class SyncListener:
 
 
 def wait_for_end(child: int, listener: SyncListener) -> None:
-    """Wait for the end of a controller process. If it does not end, terminate it."""
+    """Wait for the end of a controller process. If the process does not end, terminate it."""
     until = time.monotonic() + 3.0
     while os.waitpid(child, os.WNOHANG) == (0, 0):
         if time.monotonic() > until:

@@ -294,7 +294,7 @@ def test_a_hub_accepts_only_its_own_user(shared_tmp):
 class AnsweringController:
     """A thread that serves the mailbox of a bus like a controller.
 
-    It sends the same event texts as a controller.
+    The thread sends the same event texts as a controller.
     """
 
     def __init__(self, end_with: str = "DISARM -> DONE", deaf_after: str = "") -> None:

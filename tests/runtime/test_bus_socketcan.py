@@ -18,7 +18,7 @@ FD_FRAME_STRUCT = struct.Struct("=IBB2x64s")
 
 @pytest.fixture
 def udp_bus() -> Iterator[tuple[SocketCanBus, socket.socket]]:
-    """Yield a bus, and the socket at its other end. Both are connected over UDP.
+    """Yield a bus, and the socket at its other end. Bus and socket are connected over UDP.
 
     Like CAN sockets, UDP sockets have time stamps and count dropped datagrams.
     """
@@ -184,7 +184,7 @@ def test_after_a_loss_frames_are_converted_as_batches_again(
 ) -> None:
     """Reproduce a defect: after the first lost frame, every frame of the run was converted separately.
 
-    This is slow.
+    Such a conversion is slow.
 
     Linux adds the counter of lost frames to each frame that follows a loss.
     """

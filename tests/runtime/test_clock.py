@@ -118,7 +118,7 @@ def test_the_granted_priority_is_described() -> None:
 class RecordingPeer:
     """A fake simulator for the lockstep clock, which records its steps.
 
-    It replies to each frame with an identifier that is larger by 0x10.
+    The simulator replies to each frame with an identifier that is larger by 0x10.
     """
 
     def __init__(self, fail: str = "") -> None:

@@ -130,7 +130,7 @@ def test_a_broken_drive_fails_its_check(protocol, fault):
 def test_a_broken_motor_without_guards_fails_its_check(protocol, fault):
     """Reproduce a defect: a CubeMars drive that ignores commands passed all checks.
 
-    Its feedback does not report whether the drive is enabled.
+    The feedback of such a drive does not report whether the drive is enabled.
     """
     good, _, _ = check_results(protocol)
     broken, place, _ = check_results(protocol, fault)

@@ -49,7 +49,7 @@ class TickInput(NamedTuple):
     """Input of the safety monitor for one tick.
 
     The input contains, by field and index, the values of the state that differ from a hand at rest.
-    It also contains events of the buses and of the host.
+    The input also contains events of the buses and of the host.
     """
 
     rows: Mapping[str, dict[object, float]] = MappingProxyType({})
@@ -83,8 +83,8 @@ class FaultCase(NamedTuple):
 def state_rows(**cells: object) -> TickInput:
     """Return an input with values of the state.
 
-    For a field of the whole run, the value is one number. For other fields, it has one number by
-    index.
+    For a field of the whole run, the value is one number. For other fields, the value has one
+    number by index.
     """
     return TickInput({name: c if isinstance(c, dict) else {...: c} for name, c in cells.items()})  # type: ignore[misc]
 

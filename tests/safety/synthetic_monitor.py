@@ -227,7 +227,7 @@ class SyntheticMonitor:
     ) -> TickVerdict:
         """Return the verdict of the safety monitor on one tick.
 
-        It depends on the findings, the latched faults, and events of buses and host.
+        The verdict depends on the findings, the latched faults, and events of buses and host.
         """
         self.tick(rows)
         return self.conclude(self.demanded_action, reports)
@@ -285,8 +285,8 @@ def _uncompiled(function: Any) -> Any:
 def call_interpreted(function: Any, *arguments: Any) -> Any:
     """Run a kernel helper as Python code, without compiling it.
 
-    A kernel helper is a function that only kernels call. It may call other kernel helpers of its
-    module.
+    A kernel helper is a function that only kernels call. A kernel helper may call other kernel
+    helpers of its module.
     """
     with np.errstate(all="ignore"):
         return _uncompiled(function)(*arguments)

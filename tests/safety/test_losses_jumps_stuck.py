@@ -159,7 +159,7 @@ def test_the_count_of_unknown_frames_decays_in_a_second():
 def refusal_counter(rate: float) -> Any:
     """Return a function that is told how many targets were refused in tick k.
 
-    It returns the ticks of all refusals that are recent enough to count.
+    The function returns the ticks of all refusals that are recent enough to count.
     """
     window = LossWindows()
     state = ControllerState(window.layout, window.block, ControllerDecisions((), None))  # type: ignore[arg-type]
@@ -284,10 +284,9 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
     (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),
 ])  # fmt: skip
 def test_allowed_step_grows_over_skipped_ticks(missed, steps, allowed_steps):
-    """The test has two runs.
+    """In one run of this test, the position of the second motor is known.
 
-    In one run, the position of the second motor is known. In the other run, the second motor has
-    never been read.
+    In another run, the second motor has never been read.
     """
     for other in (0.0, NAN):
         positions, at, seen = ScreenedPositions([1.0] * 2, accepted=[0.0, other]), 0.0, []

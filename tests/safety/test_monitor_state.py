@@ -180,8 +180,8 @@ def unexplained_tensions(monitor: SyntheticMonitor) -> list[float]:
 def test_lasting_residual_is_a_fault(tension, residual):
     """The residual is the measured tension minus the tension that the model explains.
 
-    In this test, friction may cause 3 N of it, and the tolerance of the torque constant a tenth of
-    20 N.
+    In this test, friction may cause 3 N of the residual, and the tolerance of the torque constant a
+    tenth of 20 N.
     """
     monitor, found = run_ticks(1200, tension=tension)
     assert unexplained_tensions(monitor) == pytest.approx([residual] * 2, abs=0.05)
@@ -479,7 +479,8 @@ def test_constant_load_cell_is_stuck_while_the_torque_moves(number, force, tensi
 def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
     """After a gap of missing readings, one reading contains the motion of five ticks.
 
-    It arrives in the first tick after the gap, or in the second if the reply is late by a tick.
+    This reading arrives in the first tick after the gap, or in the second if the reply is late by a
+    tick.
     """
 
     def run_over_gap(missed):

@@ -134,8 +134,8 @@ def test_additional_faults_never_weaken_the_action(
 ) -> None:
     """Two runs have the same requests to clear faults.
 
-    The second run has additional faults in some ticks. Its action is never weaker than the action
-    of the first run.
+    The second run has additional faults in some ticks. The action in the second run is never weaker
+    than in the first run.
     """
     less, more = rested_monitor(), rested_monitor()
     for tick_input, extra, cleared in ticks:

@@ -177,7 +177,7 @@ def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading(
 def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, found):
     """The detector compares a tendon's tension with the tension before the motors were disabled.
 
-    Without an earlier reading, it compares with the first reading.
+    Without an earlier reading, the detector compares with the first reading.
     """
     tendons = FilteredTendons(2, cut_ticks=ticks - 1, cut_from=[0.0, before], cut_bears=NAN)
     reported = tendons.run_tick_after_cut([0.0, now])
@@ -235,8 +235,8 @@ def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(group, before
 def test_a_step_of_a_coarse_torque_report_is_no_pull(step, found):
     """Reproduce a defect.
 
-    A CubeMars AK70-10 has no code for zero torque. After it was disabled, it reports a torque that
-    corresponds to 1.2 N. This caused the fault N16 (a drive does not release).
+    A CubeMars AK70-10 has no code for zero torque. After such a motor was disabled, it reports a
+    torque that corresponds to 1.2 N. This caused the fault N16 (a drive does not release).
     """
     tendons = FilteredTendons(1)
     tendons.set_constants(torque_step=step)

@@ -98,7 +98,7 @@ def test_a_tendon_at_rest_leaves_no_residual(held):
 def test_inertia_friction_and_damping_are_explained():
     """In this test, the tendon speed oscillates by 10 mm/s at 2 Hz.
 
-    The friction equals the friction in the hand file.
+    The simulated friction equals the friction in the hand file.
     """
     w, a = 2 * np.pi * 2.0, 0.01
 

@@ -60,7 +60,7 @@ def motors_after(
 def noisy_commands(seed: int, size: float = 0.1) -> np.ndarray:
     """Return noisy commands (COMMAND_TICKS, 2) [N] for two motors that hold 90 N.
 
-    They are rounded to 12 bits, as in a frame to a drive.
+    The commands are rounded to 12 bits, as in a frame to a drive.
     """
     return 90.0 + size * np.random.default_rng(seed).standard_normal((COMMAND_TICKS, 2))
 

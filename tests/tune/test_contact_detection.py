@@ -1,7 +1,7 @@
 """Test the detection of contact during the sweeps of a digit.
 
-The identification notices the contact because the model of a free digit does not fit the data. It
-does not store parameters that depend on the contact.
+The identification notices the contact because the model of a free digit does not fit the data.
+Parameters that depend on the contact are not stored.
 """
 
 from pathlib import Path
@@ -128,7 +128,7 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
 def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> ResidualRamp | None:
     """Fit a straight line to generated data, and return the steepest ramp in the residuals.
 
-    The data are noise in two sweeps. Beyond the angle ``begin``, they also rise by ``kink`` per
+    The data are noise in two sweeps. Beyond the angle ``begin``, the data also rise by ``kink`` per
     unit of angle.
     """
     random = np.random.default_rng(seed)

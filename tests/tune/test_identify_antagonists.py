@@ -35,7 +35,7 @@ MIN_COVERED = 0.9
 The expected fraction is 0.95.
 """
 MIN_COVERED_OF_EACH = 0.8
-"""The same fraction for each single parameter. It must be reached by every parameter.
+"""For each single parameter, at least this fraction of the true values must lie inside the intervals.
 
 The limit is lower, because a parameter has only 40 to 70 values in this test.
 """

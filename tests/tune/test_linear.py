@@ -86,7 +86,7 @@ def test_the_gain_margin_is_where_the_loop_becomes_unstable(
 ) -> None:
     """The loop is unstable if the torque is multiplied by slightly more than the gain margin.
 
-    It is stable if the factor is slightly smaller than the gain margin.
+    The loop is stable if the factor is slightly smaller than the gain margin.
     """
     margin = 10.0 ** (margins_of_loop(open_loop(jamia, 0, kind)).gain_db / 20.0)
     assert margins_of_loop(

@@ -1,6 +1,6 @@
 """Test the jackknife method, which computes the confidence intervals of a fit.
 
-It leaves out one block of time after the other.
+The method leaves out one block of time after the other.
 
 A damaged log may have all its rows in one block.
 """

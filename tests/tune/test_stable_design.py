@@ -263,7 +263,7 @@ def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
 def rest_test_of(model: HandModel) -> RestTest:
     """Return a test whether simulated hands come to rest.
 
-    It uses the nominal hand, and an ensemble of hands with changed parameters.
+    The test uses the nominal hand, and an ensemble of hands with changed parameters.
     """
     factors = draw_ensemble(2, 0)
     return RestTest(model.hand, factors, tuple(linear_factors(one) for one in factors), 0)

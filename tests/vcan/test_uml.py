@@ -1,6 +1,7 @@
 """Test the program that runs guest systems.
 
-It returns the exit status of a command, however the command ends, and leaves no process behind.
+The program returns the exit status of a command, however the command ends, and leaves no process
+behind.
 """
 
 import contextlib

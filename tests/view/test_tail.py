@@ -18,8 +18,8 @@ from handctl.view.scene.topic_converters import TopicConverters
 def grow_file(whole: bytes, seed: int) -> list[int]:
     """Return the file sizes at which a growing log is read, in order.
 
-    The first is the size of the header, the last that of the whole log. The sizes between are
-    random.
+    The first size is that of the header, and the last size is that of the whole log. The sizes
+    between are random.
     """
     source = random.Random(seed)
     first = 64 << 10

@@ -60,7 +60,7 @@ def write_gif(folder: Path, path: Path) -> None:
 
 
 def picture_sheet(pictures: list[Any]) -> Any:
-    """Join all pictures, one below the other, to compute one palette for the colours of all."""
+    """Join all pictures, one below the other, to compute one palette with the colours of all pictures."""
     from PIL import Image
 
     made = Image.new("RGB", (PICTURE_SIZE_PX[0], PICTURE_SIZE_PX[1] * len(pictures)))
