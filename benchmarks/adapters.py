@@ -1,8 +1,8 @@
 """Measure the control rates that each class of CAN adapter permits, with a simulated hand in simulated time.
 
 Each run is `handctl demo`: commission the hand, grasp an object, hold it and release it. A control
-rate is possible if the run ends without a fault. The result does not depend on the machine, because
-the time is simulated. The computation of one run takes 20 s to several minutes.
+rate is possible if the run ends without a fault. The possible rates do not depend on the machine,
+because the time is simulated. The computation of one run takes 20 s to several minutes.
 
     python benchmarks/adapters.py --hand jamia --adapters usb-fs --rates 250 333 500 --seeds 1
 """

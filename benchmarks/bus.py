@@ -8,9 +8,9 @@ payloads to values. As in a tick of the controller, handctl also updates the sta
 Only ratios between results of the same run are comparable.
 
 The lower bound is the time of a C program that makes the same system calls as handctl and encodes
-the same frames. On the local bus, handctl sends all frames of a tick in one packet. There, the
-lower bound hardly grows with the number of motors. A second C program sends one packet per frame
-(sendmmsg, recvmmsg), as a CAN socket does.
+the same frames. On the local bus, handctl sends all frames of a tick in one packet. On the local
+bus, the lower bound therefore hardly grows with the number of motors. A second C program sends one
+packet per frame (sendmmsg, recvmmsg), as a CAN socket does.
 """
 
 import argparse

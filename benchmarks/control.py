@@ -15,8 +15,8 @@ if __name__ == "__main__":
 
     main()
 else:
-    # Python searches the folder of this script first. There, ``import control`` would find this
-    # script instead of the package ``control``.
+    # Python searches the folder of this script first. In this folder, ``import control`` would find
+    # this script instead of the package ``control``.
     sys.path = [place for place in sys.path if Path(place).resolve() != Path(__file__).parent] + [
         str(Path(__file__).parent)
     ]

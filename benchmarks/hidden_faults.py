@@ -1,7 +1,7 @@
 """Inject faults that are hard to detect.
 
-The benchmark measures which of them are reported, the delay of the reaction, and the largest true
-tension.
+For each fault, the benchmark measures whether the controller reports the fault, the delay of the
+reaction, and the largest true tension.
 
 Each fault is injected into the first finger of a hand in lockstep. At this moment, the hand moves
 freely, holds an object at 24 N, raises the tension, or holds an object at 90 N. If the controller
@@ -98,8 +98,8 @@ def is_at_stage(stage: str, out: Any, first: int) -> bool:
 def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
     """Inject a fault, and continue the run to its end.
 
-    The result has the identifiers of the reported faults, the delay of the reaction [ms], and the
-    largest true tension [N].
+    Return the identifiers of the reported faults, the delay of the reaction [ms], and the largest
+    true tension [N].
     """
     simulation.simulated_hand.inject(text)
     start = simulation.k

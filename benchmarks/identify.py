@@ -1,11 +1,11 @@
 """Measure how accurately ``handctl identify`` finds the true parameters of simulated hands.
 
-Each seed gives a random hand. Its parameters differ from the hand file by up to 30 %, and the gains
-of its controller differ from the packaged gains by up to a factor of 3. A digit without springs is
-moved with the packaged gains, and its moment arms differ from the hand file by up to 10 %. One
-digit of the hand is moved in lockstep, and the parameters of this digit are fitted to the log. The
-true parameters are used only to calculate the errors of the fit, and whether the confidence
-intervals contain them.
+Each seed gives a random hand. The parameters of this hand differ from the hand file by up to 30 %,
+and the gains of its controller differ from the packaged gains by up to a factor of 3. A digit
+without springs is moved with the packaged gains, and its moment arms differ from the hand file by
+up to 10 %. One digit of the hand is moved in lockstep, and the parameters of this digit are fitted
+to the log. The true parameters are used only to calculate the errors of the fit, and whether the
+confidence intervals contain them.
 
     python benchmarks/identify.py                                  # four seeds
     python benchmarks/identify.py --seeds 100 --into rows.jsonl    # continues an interrupted run
@@ -223,7 +223,7 @@ def compare_parameter(name: str, tendon: str, real: float, result: TendonResult)
 def summarise_results(rows: list[ResultRow]) -> ResultRow:
     """Count, for every parameter, the accurate fits and the confidence intervals that contain the true value.
 
-    Also summarise the errors.
+    Also summarise the errors of the fits.
     """
     good = [row["parameters"] for row in rows if "failure" not in row]
     result: ResultRow = {

@@ -3,7 +3,7 @@
 ``python benchmarks/logging.py [--quick] [--json]``. Each library writes the same messages of a run
 of the hand jamia11 at 1 kHz. The messages include the raw frames. Only ratios between results of
 the same run are comparable. The control loop of handctl passes each record to another process, and
-this process writes the log. The other libraries write within the control loop.
+this process writes the log. The other log libraries write within the control loop.
 """
 
 import sys

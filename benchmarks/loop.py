@@ -151,8 +151,8 @@ def percentiles_us(times_ns: list[int]) -> dict:
 def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
     """Measure how late the controller's clock ends a wait, without the work of a tick.
 
-    The clock sleeps until shortly before a deadline. With real-time priority, it then polls until
-    the deadline.
+    The clock sleeps until shortly before a deadline. With real-time priority, the clock then polls
+    until the deadline.
     """
     from handctl.runtime.clocks.priority import request_priority
     from handctl.runtime.clocks.real import RealClock

@@ -31,7 +31,7 @@ WALK_STEP = 0.125
 
 
 def draw_action(random: np.random.Generator, last: Array, step: int) -> Array:
-    """Return a random action that does not depend on the last one."""
+    """Return a random action that does not depend on the last action."""
     return random.uniform(-1.0, 1.0, len(last))
 
 

@@ -64,8 +64,9 @@ def measure_log(path: Path, passes: int) -> dict:
 def execute_once(log: RunLog, controller: Controller) -> dict:
     """Re-execute a log once.
 
-    The result contains three CPU times [s]: for reading the log, for each tick, and for comparing
-    the outputs. A fourth entry is the number of ticks whose outputs equal those in the log.
+    The returned dictionary contains three CPU times [s]: for reading the log, for each tick, and
+    for comparing the outputs. A fourth entry is the number of ticks whose outputs equal those in
+    the log.
     """
     cpu = time.process_time
     began = cpu()

@@ -99,7 +99,7 @@ def failure_reason(figures: dict[str, Any], run_result: dict[str, Any]) -> str:
 def results_table(results: list[dict[str, Any]]) -> str:
     """Make a Markdown table with a row for each hand and protocol.
 
-    Below it, write a line for each run that does not pass.
+    Below the table, write a line for each run that does not pass.
     """
     rows = [
         "| hand | protocol | seeds passed | tracking error [deg] | tension error [N] | object motion [mm] |",

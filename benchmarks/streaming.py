@@ -48,8 +48,8 @@ Errors of the first second are not counted.
 KNOT_S = 0.04
 """A task repeats the streamed motion by a spline through given angles.
 
-This is the time from one given angle to the next [s]. The spline differs from the streamed sine by
-less than 0.001 deg.
+``KNOT_S`` is the time from one given angle to the next [s]. The spline differs from the streamed
+sine by less than 0.001 deg.
 """
 AFTER_KILL_S = 2.0
 """Time that a hand gets to relax after its client was killed, on the clock of the simulated hand [s]."""
@@ -413,8 +413,9 @@ def _run_one_client(
 def run_start_ns(hand: HandClient | None, scale: float) -> int:
     """Return the start time of the run (t = 0) on the clock of the simulated hand [ns].
 
-    An observation is published only at the end of a tick. The result is therefore too late by the
-    duration of a tick. The function uses the shortest of many ticks, which lasts about 0.1 ms.
+    An observation is published only at the end of a tick. A start time from an observation is
+    therefore too late by the duration of a tick. The function uses the shortest of many ticks,
+    which lasts about 0.1 ms.
     """
     assert hand is not None
     seen = [hand.observe(wait=True) for _ in range(50)]
@@ -454,8 +455,8 @@ def measure_tracking(
 ) -> dict[str, Any]:
     """Compare the tracking error of a streamed sine with that of the same motion in a task.
 
-    An error is the RMS of the true minus the intended angle [deg]. The result also states how late
-    the ticks were, because this shows how busy the machine was.
+    An error is the RMS of the true minus the intended angle [deg]. The returned dictionary also
+    states how late the ticks were, because late ticks show that the machine was busy.
     """
     began_ns: dict[str, int] = {}
     with hand_process(bus, scale, homed) as place:

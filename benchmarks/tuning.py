@@ -1,11 +1,11 @@
 """Measure the benefit of tuning if the real hand differs from its hand file.
 
-A simulated hand takes the place of the real hand (the true plant). Its parameters differ from the
-hand file by up to 30 %, and the initial gains are wrong by a factor of 3. One search scores gains
-on an ensemble of hands near the hand file. Another search scores gains on the true plant. With
-``--fit``, a third search scores gains on a hand with the identified parameters. The gains of all
-searches are then tried on the true plant. The ratio of their costs shows the loss that results from
-not knowing the true parameters.
+A simulated hand takes the place of the real hand (the true plant). The parameters of this simulated
+hand differ from the hand file by up to 30 %, and the initial gains are wrong by a factor of 3. One
+search scores gains on an ensemble of hands near the hand file. Another search scores gains on the
+true plant. With ``--fit``, a third search scores gains on a hand with the identified parameters.
+The gains of all searches are then tried on the true plant. The ratio of their costs shows the loss
+that results from not knowing the true parameters.
 
     python benchmarks/tuning.py [--quick] [--json] [--trials N] [--plants N] [--workers N]
     python benchmarks/tuning.py --trials 96 --into studies    # continues an interrupted run, or adds trials

@@ -3,7 +3,7 @@
 The time is simulated.
 
 ``fuzz.soak --calm`` measures the same growth in real time. This module runs the same loop,
-controller and recorder on a simulated clock and a simulated bus. The result is therefore
+controller and recorder on a simulated clock and a simulated bus. The measured growth is therefore
 independent of the load of the machine.
 """
 

@@ -113,7 +113,7 @@ class SoakTest:
         self.controller: subprocess.Popen[str] | None = None
 
     def start_simulator(self) -> None:
-        """Start a new simulated hand without faults, in place of the old one."""
+        """Start a new simulated hand without faults, in place of the old simulated hand."""
         if self.simulator:
             end_process(self.simulator)
         words = ("--bus", LOCAL_BUS, "--homed", "--hand", "jamia", "--time-scale", self.scale)

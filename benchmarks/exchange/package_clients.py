@@ -88,7 +88,8 @@ class TMotorClient:
     """Client TMotorCANControl for a CubeMars AK80-9.
 
     The class calls the functions that the client's notifier thread would call. The client supports
-    only the interface can0. Its command ``sudo ip link set can0`` is left out.
+    only the interface can0. The benchmark leaves out the client's command ``sudo ip link set
+    can0``.
     """
 
     def __init__(self, interface, channel, motors):

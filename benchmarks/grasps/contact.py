@@ -86,8 +86,8 @@ def _detection_latencies(run: GraspRun, digits: tuple[str, ...]) -> list[float]:
 def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
     """Measure false contact events in free motion, for a hand, a time [s] and a seed.
 
-    The result is the number of false contact events, and the simulated time in which the digits
-    moved [min].
+    Return the number of false contact events, and the simulated time in which the digits moved
+    [min].
     """
     hand, seconds, seed = job
     chance = random.Random(f"free {seed}")

@@ -2,8 +2,8 @@
 
 In a hold phase with ``tip_force_N``, the digits press on a wall that touches only their last links.
 For `jamia11`, which has joint encoders, the controller computes the tensions from the Jacobian. For
-`jamia`, it uses an approximation for digits with one tendon. handctl refuses a task file that
-commands a tip force for `jamia`, and this benchmark shows the reason.
+`jamia`, the controller uses an approximation for digits with one tendon. handctl refuses a task
+file that commands a tip force for `jamia`, and this benchmark shows the reason.
 """
 
 import random

@@ -40,7 +40,8 @@ def collect_results(work: JobFunction, jobs: list[Any], plan: JobPlan) -> dict[A
     Results are read from the folder, or computed as long as the time limit permits.
 
     Args:
-        work: top-level function that computes one job. Its result consists of JSON values.
+        work: top-level function that computes one job. The result of this function consists of JSON
+            values.
         jobs: arguments of each job, as tuples.
         plan: see ``JobPlan``.
     """
@@ -104,7 +105,10 @@ def _store_result(work: JobFunction, job: Any, result: Any, plan: JobPlan) -> No
 
 
 def _through_json(result: Any) -> Any:
-    """Convert a result to JSON and back. This converts its tuples to lists."""
+    """Convert a result to JSON and back.
+
+    This conversion makes lists of the tuples in the result.
+    """
     return json.loads(json.dumps(result))
 
 

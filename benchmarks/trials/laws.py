@@ -63,9 +63,9 @@ def misprinted_torque(
     """Return the joint torque of the paper's Eq. 10 to 12, with their misprints.
 
     The torques in these equations belong to absolute angles of the links. This function converts
-    them to joint torques, and adds the torques of springs and damping. The paper describes neither
-    this conversion nor springs and damping. For a digit with fewer links, the terms of the missing
-    links are left out.
+    these torques to joint torques, and adds the torques of springs and damping. The paper describes
+    neither this conversion nor springs and damping. For a digit with fewer links, the terms of the
+    missing links are left out.
     """
     names = {}
     for order, values in (("", q), ("d", dq), ("dd", ddq)):

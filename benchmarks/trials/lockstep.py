@@ -49,7 +49,7 @@ class LockstepTrial:
         seed: seed of noise, drift and encoder offsets.
         scene: scene of the simulator, or None for a hand without an object.
         perturb: factors that multiply parameters of the simulated hand. The controller does not
-            know them.
+            know these factors.
         gains: gains of the controller.
         rate_hz: control rate [Hz]. Zero means the default rate of the hand.
         limit_s: longest time of the trial [s].

@@ -46,8 +46,8 @@ def reference_sigma(
         model: hand and control rate.
         i: index of the tendon.
         is_held: True if the digit presses on an object.
-        encoder: True if the filter uses both the encoder of the motor and the load cell. False if it uses only the load
-            cell.
+        encoder: True if the filter uses both the encoder of the motor and the load cell. False if
+            the filter uses only the load cell.
     """
     space = model.space
     arm = float(np.abs(model.hand.moment_arms[i]).sum())

@@ -279,7 +279,7 @@ def measure_tracking(
 def _over_seeds(rows: list[dict]) -> dict:
     """Return the mean of each error and the range of the RMSE, over the runs that reached their end.
 
-    The result also contains how many runs ended early, and for which reasons.
+    The returned dictionary also contains how many runs ended early, and for which reasons.
     """
     whys = sorted({row["why"] for row in rows if "why" in row})
     good = [row for row in rows if np.isfinite(row["rmse_deg"])]

@@ -36,7 +36,7 @@ ALWAYS_WRONG = {
     "text": "12",
     "list": [[1.0]],
 }
-"""Values that are wrong for every number in an input file."""
+"""Values that no number in an input file may have."""
 POSSIBLY_VALID = {
     "-0.0": lambda x: -0.0,
     "negative": lambda x: -abs(x),

@@ -292,7 +292,7 @@ def test_unrequested_frames_of_an_odrive_are_no_other_host():
 def test_no_scan_request_enables_torque():
     """Send every request of a scan to drives that are enabled with zero torque.
 
-    Afterwards, no drive makes torque.
+    No drive makes torque after the scan requests.
     """
     bench = SimulatedDriveBench(
         [drive_spec("mit", node) for node in (1, 2)]

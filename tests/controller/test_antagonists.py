@@ -41,7 +41,7 @@ def n_plus_1_hand() -> Hand:
 
 @cache
 def hand_without_encoders() -> Hand:
-    """Return the hand without joint encoders. Its motor zeros refer to the lower joint limits."""
+    """Return the hand without joint encoders. The motor zeros refer to the lower joint limits."""
     content = hand_content("n_plus_1")
     return hand_from_content(
         content | {"sensor_node": content["sensor_node"] | {"joints": []}}, "no encoders"

@@ -224,8 +224,8 @@ def test_crosstalk_is_found_while_load_cells_drift(fifteen_motor_model: HandMode
 def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandModel) -> None:
     """In this test, the tension of a tendon falls slowly, by 2 N/s, after its own pull.
 
-    Its load cell still reads 1.4 N just before the pull of the next tendon, and 0 N during that
-    pull.
+    The load cell of this tendon still reads 1.4 N just before the pull of the next tendon, and 0 N
+    during that pull.
     """
     held = np.zeros(jamia.tendon_count)
 

@@ -37,7 +37,7 @@ from tests.controller.synthetic_states import (
 def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(gain: float | None) -> None:
     """In the control law, the torque limit is divided by the spool radius and the gain.
 
-    The result is later multiplied by both.
+    A later step multiplies the quotient by the spool radius and the gain.
 
     Without a correction, rounding could make the commanded torque exceed the limit by one bit.
     """

@@ -320,7 +320,7 @@ def test_a_motor_that_keeps_its_torque_needs_its_power_removed_at_once(
 ) -> None:
     """The motor still reports a torque 0.1 s after it was disabled.
 
-    This is the fault N16 (a drive does not release).
+    A torque after the disable command is the fault N16 (a drive does not release).
     """
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.peer.motors[3].ignored_commands.add(0xFD)

@@ -170,7 +170,7 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
 ) -> None:
     """Over skipped ticks, the filter predicts with a constant motor force for up to 50 ms.
 
-    It applies the planned change of the tension for only one period.
+    The filter applies the planned change of the tension for only one period.
     """
     state, force = winding_state(model)
     rate, nowhere = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)

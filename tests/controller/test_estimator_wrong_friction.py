@@ -138,8 +138,8 @@ def averages_and_doubts(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return two results of one tick (N,).
 
-    One result is the filter's average of the normalised innovation squared. The other result is the
-    time for which the filter still doubts its model [s].
+    One result is the average of the normalised innovation squared, which the filter computes. The
+    other result is the time for which the filter still assumes additional noise [s].
     """
     state, n = active_state(model), model.tendon_count
     state.view("nis_lately")[...], state.view("wary")[...] = lately, wary

@@ -33,8 +33,8 @@ def stages_of_exercise(model: HandModel) -> list[StageRecord]:
 def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(name: str) -> None:
     """Reproduce a defect: in the exercise, a wrist made the fast moves, and then closed with a constant tension.
 
-    The heavy wrist moved by 9 deg in 0.1 s. This ended the step test of `tune design` with fault
-    T01 (a tendon snapped).
+    The heavy wrist moved by 9 deg in 0.1 s. This motion ended the step test of `tune design` with
+    fault T01 (a tendon snapped).
     """
     hand = load_hand(name) if name == "orca_like" else mount_on_wrist(name)
     model = HandModel.from_hand(hand, packaged_gains(name), 400.0)

@@ -224,8 +224,8 @@ def test_a_position_command_makes_the_predicted_torque() -> None:
                     + given.kd * (given.velocity - v)
                     + given.torque
                 )
-                # The tolerance is the sum of three torques. They correspond to the resolutions of
-                # position, velocity and torque in the command.
+                # The tolerance is the sum of three torques. The three torques correspond to the
+                # resolutions of position, velocity and torque in the command.
                 assert torque == pytest.approx(run.state.view("torque")[n], abs=2.0e-3)
                 sent += given.kp > 0.0
                 assert given.kp == pytest.approx(run.state.view("servo_kp")[n], abs=1e-9)
@@ -389,7 +389,8 @@ EXPECTED_FAULTS = {
     "stuck encoder=index_motor": {"N04"},
     "swap node=index_motor with=thumb_motor": {"N05b", "N14", "N17"},
     "cross node=index_motor with=thumb_motor": {"N14", "N17", "N04", "T04b", "N05b"},
-    # In this case, old replies of a moteus drive arrive again, in addition to the present replies.
+    # With the fault "replay", old replies of a moteus drive arrive again, in addition to the
+    # present replies.
     "replay node=index_motor size=16": {"N05b", "N14", "N17", "N04", "B06", "N13"},
     "disobey node=index_motor size=0.4": {"N14", "N17"},
     "offset encoder=index_motor size=-0.5": {"N05b", "T02a", "T03", "N14"},

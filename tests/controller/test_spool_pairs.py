@@ -170,7 +170,7 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
             for row in calibration.tendon.values()
         )
         # Without load cells and joint encoders, friction makes each motor zero uncertain by 0.1 mm
-        # of tendon. This corresponds to half a degree of joint angle.
+        # of tendon. An error of 0.1 mm corresponds to half a degree of joint angle.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         wound = [tendon.extra_length + hand.tendon[i].pretension_N / hand.tendon[i].stiffness_N_per_m
                  for i, (tendon, _) in enumerate(plant.tendons[: len(hand.tendon)])]  # fmt: skip

@@ -383,7 +383,7 @@ def changed_goals() -> Iterator[tuple[str, DigitGoal]]:
 def changed_progresses(before: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
     """For each part of a program's progress, yield a copy of the progress in which only this part is changed.
 
-    The goals are changed one by one.
+    The test changes the goals one by one.
     """
     grip = GripState(np.full(4, 20.0), np.full(4, np.nan), 1.0)
     values: dict[str, list[Any]] = {

@@ -16,7 +16,7 @@ INTEGER_REGISTERS = {9: 0, 10: 1, 15: 0x1234}
 class ScriptedMotor:
     """A motor with a state, registers, and faults that a test sets.
 
-    Its position, velocity and torque are integer codes, as in a frame.
+    Position, velocity and torque of the motor are integer codes, as in a frame.
 
     Attributes:
         unanswered_registers: numbers of registers. The motor does not answer requests for these

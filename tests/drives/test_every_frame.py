@@ -39,7 +39,7 @@ def bench(
 
 
 def extended_ids(bench: ProtocolBench, chance: random.Random) -> set[int]:
-    """Return 29-bit identifiers: random ones, and some that a drive and its host use.
+    """Return random 29-bit identifiers, and some 29-bit identifiers that a drive and its host use.
 
     Each identifier also appears with one bit changed.
     """

@@ -67,7 +67,7 @@ CORRECT_REGISTERS = {codec.TIMEOUT: 1000, codec.TMAX: 0.8}
 def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
     """A reply that contains a register is not decoded as feedback.
 
-    Its first byte may look like that of the feedback of an enabled motor.
+    The first byte of such a reply may equal the first byte of the feedback of an enabled motor.
     """
     drive, state = enabled_mit_drive(node_id)
     state, asked = run_drive(drive, state, 2001, CORRECT_REGISTERS)

@@ -19,8 +19,8 @@ from firmware_sim.truth_file import read_truth
 def closing_hand(hand: str, native: bool = True, compiled: bool = True) -> Plant:
     """Build a simulated hand that closes on a cylinder.
 
-    At the start, the tendons are slack. They become taut while the hand closes. Each motor follows
-    a torque, a position, or a moving position.
+    At the start, the tendons are slack. The tendons become taut while the hand closes. Each motor
+    follows a torque, a position, or a moving position.
     """
     plant = Plant(load_hand(hand), load_scene("cylinder"), seed=3, compiled=compiled)
     if not native:
@@ -132,7 +132,7 @@ def test_the_world_steps_in_blocks_between_events() -> None:
 def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
     """A simulation step may be divided so that a sensor is read at an exact time.
 
-    This changes the motion only slightly.
+    The division of a step changes the motion only slightly.
     """
     whole, divided = (Plant(load_hand("jamia"), load_scene(None), homed=True) for _ in range(2))
     for plant in (whole, divided):

@@ -116,7 +116,8 @@ def frames_of_tick(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
 def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
     """Return the frames that arrive after one frame was sent.
 
-    In rare cases, the frame is lost, repeated or changed. Otherwise, the frame arrives unchanged.
+    In rare cases, the frame is lost, repeated or changed. In most cases, the frame arrives
+    unchanged.
     """
     can_id, data, flags, bus, t_ns = frame
     other = [

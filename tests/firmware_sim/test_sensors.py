@@ -1,7 +1,7 @@
 """Test the simulated sensor node.
 
-The bits of its frames must equal bits that were written by hand, and its noise must have the right
-statistics.
+The bits of the simulated frames must equal bits that were written by hand, and the simulated noise
+must have the right statistics.
 """
 
 import math

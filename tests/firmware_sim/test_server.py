@@ -141,7 +141,8 @@ def test_progress_is_reported_to_a_controller_on_the_same_clock(bench: ServerBen
 def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
     """The server reports a tick as answered only if no frame is waiting.
 
-    A frame that arrives while the server processes others gets its reply afterwards.
+    If a frame arrives while the server processes other frames, the server replies to this frame
+    afterwards.
     """
     port = HubPort("t", 0)
     clock = ManualClock(START_NS)

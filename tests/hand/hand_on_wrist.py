@@ -9,7 +9,7 @@ from handctl.hand.hand_loading import hand_from_content, load_hand
 WRIST_MOMENT_ARM_M = 0.005
 """Distance at which the digits' tendons pass the axis of the wrist [m].
 
-The wrist's own tendon has a larger distance.
+The tendon that moves the wrist has a larger distance from this axis.
 """
 
 

@@ -43,7 +43,7 @@ from tests.hand.test_dynamics import (
 EXAMPLE_HAND = str(Path(__file__).parents[2] / "examples" / "hands" / "shadow_like.toml")
 """Hand file of an example with 24 joints.
 
-Its wrist carries the base of the thumb, and this base carries the thumb.
+The wrist carries the base of the thumb, and this base carries the thumb.
 """
 
 

@@ -41,7 +41,7 @@ class LossyPeer:
     silent: int = 0
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Step the wrapped simulator, and return its replies without the dropped ones."""
+        """Step the wrapped simulator, and return its replies without the dropped replies."""
         replies = self.peer.step(t_ns, frames)
         if self.chance.random() < 0.002:
             self.silent = 2

@@ -1,7 +1,7 @@
 """Test snapshots of the state in a log.
 
-A log can be executed in several parts at the same time, each from a snapshot. The result is the
-same as in one execution from start to end.
+A log can be executed in several parts at the same time, each from a snapshot. The parts together
+give the same outputs as one execution of the whole log.
 """
 
 from collections.abc import Callable

@@ -22,7 +22,7 @@ SINK_START_TICK, SINK_END_TICK = 200, 350
 def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[InventedLog, TruthRecord]:
     """Create a log and a truth record in which table and object sink linearly.
 
-    They sink from SINK_START_TICK to SINK_END_TICK.
+    Table and object sink from SINK_START_TICK to SINK_END_TICK.
     """
     log = InventedLog(JAMIA, TICK_COUNT, {0: "close", 100: "carry", SINK_END_TICK: "release"})
     truth = zero_truth(JAMIA, TICK_COUNT)

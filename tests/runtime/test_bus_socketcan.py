@@ -101,7 +101,7 @@ def test_batches_beyond_the_buffers_keep_their_order(
 KERNEL_STAMPS_S = 0.3
 """Time from the first request for time stamps until Linux adds time stamps [s].
 
-Before that, Linux must patch its own code.
+For the first request, Linux has to patch the code of its kernel.
 """
 
 

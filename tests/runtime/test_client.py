@@ -57,8 +57,8 @@ def test_every_numeric_type_is_accepted(unserved_client, number, monkeypatch):
 def test_an_invalid_angle_is_refused_before_it_is_sent(unserved_client, number):
     """The client refuses an invalid angle before it sends a request.
 
-    Otherwise, the controller would refuse the request, and relax the hand after three refused
-    requests within a second.
+    Without this check in the client, the controller would refuse the request, and relax the hand
+    after three refused requests within a second.
     """
     with pytest.raises(ConfigError, match=r"move: angle_deg.index: .*; expected"):
         unserved_client.move(index=number)

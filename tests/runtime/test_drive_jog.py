@@ -219,8 +219,8 @@ def stall_host(place, rig, after_s, missed):
 
     def wait_and_stall(k):
         if stalls and commands and (k * PERIOD_NS - commands[0][0]) * 1e-9 >= after_s:
-            # During the stall, the test sends commands to the drive. Otherwise its watchdog would
-            # end the jog.
+            # During the stall, the test sends commands to the drive. Without these commands, the
+            # watchdog of the drive would end the jog.
             for n in range(stalls.pop()):
                 wait(k + n)
                 command = commands[-1][1]

@@ -1,6 +1,7 @@
 """Kill or stop controllers at random times.
 
-Afterwards the drives remove the torque within their watchdog time, and all logs are complete.
+After the end of a controller, the drives remove the torque within their watchdog time, and all logs
+are complete.
 """
 
 import multiprocessing

@@ -239,7 +239,7 @@ def test_targets_arrive_in_order_with_the_time_of_the_run() -> None:
 
 
 def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
-    """If targets flood the stream socket, the tick gets the newest ones.
+    """If targets flood the stream socket, the tick gets the newest targets.
 
     Requests such as a stop use another socket and are not delayed.
     """

@@ -99,7 +99,7 @@ def test_the_clock_pauses_for_a_late_controller(clock_pair, late_ms) -> None:
 def test_ticks_of_a_controller_that_was_stopped_are_missed(clock_pair) -> None:
     """The shared clock does not pause if a user stops the controller process.
 
-    Then the watchdogs of the drives must fire.
+    When the controller process is stopped, the watchdogs of the drives must fire.
     """
     clock = clock_pair.controller
     clock.start()

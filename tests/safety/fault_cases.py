@@ -186,7 +186,7 @@ def slack_tendon(before: int, tendon: int = 3) -> TickInput:
 def derailed_tendon(tendon: int, deg: float) -> TickInput:
     """Return an input in which the angles of a tendon's joint and spool disagree by ``deg`` [deg].
 
-    They disagree in the third reading in a row.
+    The two angles disagree in the third reading in a row.
     """
     excursion = -20.0 / 1e5 - 0.02 * np.radians(deg)
     return state_rows(joints_read=1, taut_s={tendon: 1.0}, slip_from={tendon: 0.0}, derailed={tendon: 2.0},

@@ -268,7 +268,7 @@ class SyntheticMonitor:
 def _uncompiled(function: Any) -> Any:
     """Return an uncompiled copy of a function that only kernels call.
 
-    It calls uncompiled copies of the other functions of this kind.
+    The copy calls uncompiled copies of the other functions that only kernels call.
     """
     if not hasattr(function, "py_func"):
         return function

@@ -323,7 +323,7 @@ def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
     """If the declaration of a fault is changed by one step in one place, the test cases of this fault fail.
 
-    This shows that the test cases notice wrong declarations.
+    The failure shows that the test cases notice wrong declarations.
     """
     fault = FAULT_BY_ID[id_]
     other = ENDED_BY_ITSELF if fault.latched else ENDED_BY_OPERATOR

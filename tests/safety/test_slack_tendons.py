@@ -20,7 +20,7 @@ TensionList = list[float]
 
 
 class FilteredTendons(SyntheticMonitor):
-    """Tendons with a safety monitor. The test sets their filtered tensions."""
+    """Tendons with a safety monitor. The test sets the filtered tensions of these tendons."""
 
     def __init__(self, count: int, **rows: Any) -> None:
         super().__init__(synthetic_limits(count), residual_fraction=0.0)
@@ -108,7 +108,7 @@ def test_slack_is_reported_by_name_and_in_seconds():
 def test_a_snapped_tendon_is_detected(ago, cell, goal, speed, found):
     """In this test, one tendon is neither slack nor taut, so the count of ticks since it was taut continues.
 
-    The other tendon is taut.
+    The other tendon of this digit is taut.
     """
     tendons = FilteredTendons(2, taut_ago=[0, ago - 1 if ago > 0 else ago])
     taut = 20.0 if ago == 0 else 2.2
@@ -207,7 +207,7 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
 
 @pytest.mark.parametrize(("before", "now", "found"), [
     # Columns: reported force [N] in the last tick before the motor was disabled, and 100 ms later.
-    # In this case, the force is less than springs and weight can cause at a load cell.
+    # A force of 8.5 N is less than springs and weight can cause at a load cell.
     (8.5, 8.5, True),
     (-1.4, -1.4, True),      # a motor with two tendons that pulls the second one
     (8.5, 0.05, False),
@@ -236,7 +236,8 @@ def test_a_step_of_a_coarse_torque_report_is_no_pull(step, found):
     """Reproduce a defect.
 
     A CubeMars AK70-10 has no code for zero torque. After such a motor was disabled, it reports a
-    torque that corresponds to 1.2 N. This caused the fault N16 (a drive does not release).
+    torque that corresponds to 1.2 N. The reported torque caused the fault N16 (a drive does not
+    release).
     """
     tendons = FilteredTendons(1)
     tendons.set_constants(torque_step=step)

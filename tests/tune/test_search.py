@@ -195,9 +195,10 @@ def long_search(
 def test_search_resumes_from_a_truncated_journal(
     long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, fraction: float
 ) -> None:
-    """In this test, the journal is cut in the middle of a line.
+    """In this test, the journal of a search is cut in the middle of a line.
 
-    Some cuts are in the part after the random trials, in which the sampler chooses the trials.
+    Some cuts are in the part of the journal after the random trials. In this part, the sampler
+    chooses the trials.
     """
     longer, found, journal = long_search
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)

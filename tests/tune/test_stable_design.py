@@ -405,7 +405,7 @@ def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(
 ) -> None:
     """The controller of a coupled digit is linearised at joint angles that obey the coupling.
 
-    The angles are inside the joint ranges.
+    These joint angles are inside the joint limits.
     """
     hand = load_hand("jamia")
     content = {**hand.content, "digit": [dict(one) for one in hand.content["digit"]]}

@@ -154,7 +154,7 @@ def test_the_tracking_limit_holds_for_prismatic_joints(
 def test_a_lag_of_a_prismatic_joint_counts_like_an_angle(
     file: str, lags: list[float], tracking_deg: float
 ) -> None:
-    """Reproduce a defect: the score took metres for rad, so that 1 mm counted 0.06 deg. It counts 0.1 rad."""
+    """Reproduce a defect: the score took metres for rad, so that 1 mm counted 0.06 deg. 1 mm counts 0.1 rad."""
     hand = load_hand(GRIPPER_FOLDER / file)
     goal = np.zeros((2, len(hand.joints)))
     reached = goal - np.array(lags)

@@ -28,7 +28,7 @@ GUEST_FILES = (
     ("test_run.py", "test_drive.py", "test_bus_doctor.py"),
     ("test_protocols.py", "test_foreign_clients.py", "test_python_can.py"),
 )
-"""Test files that two of the guests run. All other files run in a third guest.
+"""Test files that two of the guests run. All other test files run in a third guest.
 
 The three groups take about the same time. A guest has one core and uses less than half of the
 core's time, because hands run in slowed time.

@@ -1,8 +1,8 @@
 """Run a command where the SocketCAN interfaces vcan0 and vcan1 exist: ``python tests/vcan/uml_guest.py -- COMMAND...``.
 
-If the kernel has vcan, the command runs in a network namespace. Otherwise it runs in a guest of
-user-mode Linux (Debian package user-mode-linux), which needs no special rights. All files of the
-guest are on the disk of the host, except those in /dev/shm.
+If the kernel has vcan, the command runs in a network namespace. Without vcan, the command runs in a
+guest of user-mode Linux (Debian package user-mode-linux), which needs no special rights. All files
+of the guest are on the disk of the host, except those in /dev/shm.
 """
 
 import argparse

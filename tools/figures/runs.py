@@ -50,7 +50,7 @@ position_m = [0.045, -0.001, 0.0]
 [support]
 drop_when = "never"
 """
-"""Scene with a heavy block. Only the last link of each digit can reach it."""
+"""Scene with a heavy block. Only the last link of each digit can reach the block."""
 
 
 @dataclass

@@ -21,7 +21,10 @@ system call.
 """
 READY_TIMEOUT_S, EXIT_TIMEOUT_S = 60.0, 20.0
 STALL_FAULTS = ("H03", "B02", "N02", "B17", "N08")
-"""Faults that are right if the host or the simulator does not run for a while. They end the run."""
+"""Faults that are right if the host or the simulator does not run for a while.
+
+Each of these faults ends the run.
+"""
 
 
 SIMULATOR_CODE = """

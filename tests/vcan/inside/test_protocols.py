@@ -169,7 +169,8 @@ def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) ->
 def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
     """In this test, the whole controller runs, with its recorder.
 
-    The drives of this hand use two protocols. The module ``test_run`` uses neither of them.
+    The drives of this hand use two protocols. The module ``test_run`` covers neither of these two
+    protocols.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402", "cia402", "odrive"]))
     outcome, truth = run_pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)

@@ -1,6 +1,7 @@
 """Test that python-can receives the frames of a hand.
 
-If python-can receives them, programs such as candump and BUSMASTER can receive them as well.
+If python-can receives a frame, programs such as candump and BUSMASTER can receive the frame as
+well.
 """
 
 import can
