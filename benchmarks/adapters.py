@@ -1,8 +1,8 @@
-"""Measurement of the control rates that each class of CAN adapter permits, with a simulated hand in simulated time.
+"""Measure the control rates that each class of CAN adapter permits, with a simulated hand in simulated time.
 
-Each run is `handctl demo`: commission the hand, grasp an object, hold it and release it. A rate is
-possible if the run ends without a fault. The result does not depend on the machine, because the
-time is simulated. The computation of one run takes 20 s to several minutes.
+Each run is `handctl demo`: commission the hand, grasp an object, hold it and release it. A control
+rate is possible if the run ends without a fault. The possible rates do not depend on the machine,
+because the time is simulated. The computation of one run takes 20 s to several minutes.
 
     python benchmarks/adapters.py --hand jamia --adapters usb-fs --rates 250 333 500 --seeds 1
 """
@@ -21,7 +21,7 @@ from handctl.cli.runs import demo
 
 
 class AdapterRunOutcome(NamedTuple):
-    """Outcome of a run: whether the rate is possible, tracking error [deg], tension error [N], and cause of the end."""
+    """Outcome of a run: is the control rate possible, tracking error [deg], tension error [N], cause of the end."""
 
     held: bool
     tracking_deg: float
@@ -30,7 +30,7 @@ class AdapterRunOutcome(NamedTuple):
 
 
 def run_demo_with_adapter(hand: str, adapter: str, rate: float, seed: int) -> AdapterRunOutcome:
-    """Run the demo of a hand behind an adapter at a control rate [Hz]."""
+    """Run the demo of a hand through a simulated adapter at a control rate [Hz]."""
     run = demo.run
 
     def at_rate(args: argparse.Namespace) -> int:

@@ -1,16 +1,16 @@
-"""CPU time and wall time that handctl and alternatives need to exchange the commands and replies of one tick.
+"""Measure the CPU time and the wall time in which handctl and alternatives exchange the frames of one tick.
 
 ``python benchmarks/bus.py [--quick] [--json]``. The benchmark uses four and eleven MIT motors, on
-the local bus and on vcan (in user-mode Linux if the kernel has no vcan). The simulated motors run
-in the same process. The benchmark subtracts their time. An exchange converts torques to payloads,
-sends the frames, receives the replies, and converts payloads to values. As in a tick of the
-controller, handctl also updates the state of each drive. Only ratios between results of the same
-run are comparable.
+the local bus and on vcan. If the machine's own Linux has no vcan, the benchmark uses vcan in
+user-mode Linux. The simulated motors run in the same process, and the benchmark subtracts their
+time. An exchange converts torques to payloads, sends the frames, receives the replies, and converts
+payloads to values. As in a tick of the controller, handctl also updates the state of each drive.
+Only ratios between results of the same run are comparable.
 
-The lower bound is the time of a C program that makes the same system calls as handctl and uses the
-same codec. On the local bus, handctl sends all frames of a tick in one packet, so this lower bound
-hardly grows with the number of motors. A second C program sends one packet per frame (sendmmsg,
-recvmmsg), as a CAN socket does.
+The lower bound is the time of a C program that makes the same system calls as handctl and encodes
+the same frames. On the local bus, handctl sends all frames of a tick in one packet. On the local
+bus, the lower bound therefore hardly grows with the number of motors. A second C program sends one
+packet per frame (sendmmsg, recvmmsg), as a CAN socket does.
 """
 
 import argparse
@@ -54,10 +54,8 @@ def main() -> None:
 def use_one_core() -> str:
     """Bind this process to one core, with real-time priority if the system allows it.
 
-    Return a description of core and priority.
-
-    In user-mode Linux, the kernel and the programs are processes of the host. On two cores these
-    processes would wait for each other.
+    Return a text that describes core and priority. The kernel of user-mode Linux and the programs
+    in it are processes of the host. On two cores, these processes would wait for each other.
     """
     if sys.platform != "linux":
         return "any core, ordinary priority"
@@ -71,7 +69,10 @@ def use_one_core() -> str:
 
 
 def measure_both_buses(ticks: int) -> dict:
-    """Measure the exchange on both buses. If a bus is not available, its result is the reason."""
+    """Measure the exchange on both buses.
+
+    For a bus that is not available, the result contains the reason.
+    """
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         os.environ["HANDCTL_RUN_DIR"] = short
         floor = compile_reference(Path(short))
@@ -113,11 +114,11 @@ def measure_vcan(floor: str, ticks: int) -> dict:
 def measure_bus(medium: str, floor: str, ticks: int) -> dict:
     """Measure wall time and CPU time of each alternative, for each number of motors [us].
 
-    If an alternative cannot run, its result is the reason.
+    For an alternative that cannot run, the result contains the reason.
 
-    Each round measures all alternatives, because other work on the machine disturbs some rounds more than others. The
-    result is the wall time of the fastest round. The CPU time is the mean of all rounds, because user-mode Linux counts
-    CPU time in steps of 10 ms.
+    Each round measures all alternatives, because other work on the machine disturbs some rounds
+    more than others. The reported wall time is that of the fastest round. The reported CPU time is
+    the mean of all rounds, because user-mode Linux counts CPU time in steps of 10 ms.
     """
     result: dict = {}
     for motors in MOTOR_COUNTS:
@@ -177,13 +178,16 @@ def measure_c_program(floor: str, medium: str, channel: str, motors: int, ticks:
 
 
 def measure_client(client, peer, motors: int, ticks: int) -> dict:
-    """Measure sending and receiving in a tick [us]: median wall time and mean CPU time, without garbage collection."""
+    """Measure how long sending and receiving take in a tick [us].
+
+    Return the median wall time and the mean CPU time. Python's garbage collection is off.
+    """
     torques = [0.01 * i for i in range(motors)]
 
     def measure_ticks(clock, count: int) -> list[int]:
-        """Measure the time of each of ``count`` ticks, without the time that reading the clock takes.
+        """Measure the time of each of ``count`` ticks, minus the time for reading the clock.
 
-        In user-mode Linux, reading the clock takes as long as sending a frame.
+        In user-mode Linux, a reading of the clock takes as long as sending a frame.
         """
         times = []
         looking = statistics.median(-clock() + clock() for _ in range(100))
@@ -209,7 +213,11 @@ def measure_client(client, peer, motors: int, ticks: int) -> dict:
 
 
 def add_ratios(rows: dict) -> dict:
-    """Add ratios to each row: its wall time divided by that of each C program, and the speed-up over python-can."""
+    """Add ratios to each row.
+
+    One kind of ratio is the wall time divided by that of each C program, and the other is the
+    speed-up over python-can.
+    """
     reference = rows[REFERENCE_ALTERNATIVE]
     for row in rows.values():
         if "skipped" not in row:

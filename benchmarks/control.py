@@ -1,4 +1,6 @@
-"""Ablation of the controller: tracking and a force step, with one more part of the control law in each case.
+"""Measure tracking and a force step with parts of the control law.
+
+Each case has one more part of the control law.
 
 ``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--page]``, see
 ``trials.tracking``.
@@ -13,8 +15,8 @@ if __name__ == "__main__":
 
     main()
 else:
-    # Python searches the folder of this script first. ``import control`` would find this script
-    # there, and not the package ``control``.
+    # Python searches the folder of this script first. In this folder, ``import control`` would find
+    # this script instead of the package ``control``.
     sys.path = [place for place in sys.path if Path(place).resolve() != Path(__file__).parent] + [
         str(Path(__file__).parent)
     ]

@@ -1,4 +1,4 @@
-"""Profile of a run: the fraction of CPU time that each part of the program takes.
+"""Measure which fraction of a run's CPU time each part of the program takes.
 
 The time in a library counts for the part that called the library.
 """
@@ -25,13 +25,12 @@ PART_MARKS = {
     "reading a log": ("handctl/log/", "handctl/replay/"),
     "lockstep clock and bus, this script": ("handctl/runtime/", "benchmarks/"),
 }  # fmt: skip
-"""Parts of the program. Each part has substrings of the paths or names of its functions.
+"""Parts of the program, each with substrings of function paths or names.
 
-A function belongs to the first part that has a matching substring.
-
-The profiler does not see compiled functions: their time belongs to the Python function that calls
-them. Each stage of the tick is therefore recognised by the method that runs it. The compiled step
-of tendons and rotors calls ``mj_step``. The part ``mj_step`` therefore includes the time of tendons
+A function belongs to the first part whose substring is in the function's path or name. The profiler
+does not see compiled functions, and counts their time for the Python function that calls them. Each
+stage of the tick is therefore recognised by the method that runs this stage. The compiled step of
+tendons and rotors calls ``mj_step``. The part ``mj_step`` therefore includes the time of tendons
 and rotors.
 """
 
@@ -41,8 +40,8 @@ ProfiledFunction = tuple[str, int, str]
 def cpu_time_fractions(work: Callable[[], None]) -> dict[str, float]:
     """Measure the fraction of CPU time that each part of the program takes.
 
-    The profiler slows down Python calls but not compiled code. The fraction of compiled code is
-    therefore too small.
+    The profiler slows down Python calls, but not compiled code. The measured fraction of compiled
+    code is therefore too small.
     """
     profile = cProfile.Profile()
     profile.runcall(work)
@@ -60,7 +59,7 @@ def _parts_of_function(
 ) -> Iterator[tuple[str, float]]:
     """Yield each part to which a function belongs, with the fraction of the function's time for this part.
 
-    If the function matches no part, its time is divided among the parts of its callers, in
+    The time of a function that matches no part is divided among the parts of the callers, in
     proportion to their times.
     """
     name = f"{function[0]}/{function[2]}"

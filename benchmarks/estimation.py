@@ -1,16 +1,14 @@
-"""Error of the tension estimate, compared with the raw load cell, simpler filters, and a reference filter.
+"""Measure the error of the tension estimate, and those of the raw load cell, simpler filters and a reference filter.
 
 ``python benchmarks/estimation.py [--quick] [--json] [--seeds N] [--keep FOLDER] [--page]``. Two
 simulated hands move freely, grasp a cylinder and slacken their tendons. Hands and controller run in
 lockstep over a simulated bus. The hand `jamia_bench` also pulls above the knee, the tension at
-which the stiffness of its tendons changes. The plant has the effects of the hand files and of
-firmware_sim: capstan and motor friction, tendon damping, current loop, encoder and load-cell
-resolution, noise, drift, one period of bus delay. The factors in this module change the parameters
-of the plant. The controller does not know these factors.
-
-A sample is one control period old when the filter receives it. The filter and the raw load cell are
-compared with the true tension at two instants: the instant of the sample, and the present. The
-control loop uses the estimate for the present.
+which the stiffness of its tendons changes. The simulation includes capstan and motor friction,
+tendon damping, the current loop, encoder and load-cell resolution, noise, drift, and one period of
+bus delay. The factors in this module change parameters of the simulated hand. The controller does
+not know these factors. A load-cell reading is one control period old when the filter receives it.
+The filter and the raw load cell are compared with the true tension at two times: the time of the
+reading, and the present. The control loop uses the estimate of the present tension.
 """
 
 import argparse
@@ -87,7 +85,7 @@ RATIO_COLUMNS = (
 
 
 def trials_of_seed(hand: str, plant: str, seed: int) -> list[LockstepTrial]:
-    """Return the trials of one hand, with one set of plant parameters and one seed."""
+    """Return the trials of one hand, with one set of simulated parameters and one seed."""
     if hand == "jamia_bench":
         return [
             LockstepTrial(hand, _task_program(STRONG_GRASP), seed, SCENE_NAME, TRIED_PLANTS[plant])
@@ -104,7 +102,10 @@ def _task_program(content: dict) -> TaskProgram:
 
 
 def squared_error_sums(job: tuple[str, str, int]) -> dict[str, dict[str, list[float]]]:
-    """Sum the squared errors of each estimator and of the reference over the trials of one seed, for each regime."""
+    """Sum the squared errors of each estimator over the trials of one seed, for each tendon regime.
+
+    The errors of the reference filter are included.
+    """
     sums: dict[str, dict[str, list[float]]] = {}
     for trial in trials_of_seed(*job):
         record = run_trial(trial)
@@ -119,7 +120,7 @@ def squared_error_sums(job: tuple[str, str, int]) -> dict[str, dict[str, list[fl
 
 
 def _sum_and_count(values: np.ndarray, mask: np.ndarray) -> list[float]:
-    """Return the sum and the number of those values under the mask that are not NaN."""
+    """Return the sum and the number of the values that ``mask`` selects, without NaN."""
     values_in_regime = values[mask]
     values_in_regime = values_in_regime[~np.isnan(values_in_regime)]
     return [float(values_in_regime.sum()), float(len(values_in_regime))]
@@ -128,8 +129,8 @@ def _sum_and_count(values: np.ndarray, mask: np.ndarray) -> list[float]:
 def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
     """Return the squared quantities of a regime, each (ticks, N).
 
-    These are the squared error of each estimator and the variance of the reference filter [N^2],
-    the NIS, and the innovations.
+    The quantities are the squared error of each estimator, the variance of the reference filter
+    [N^2], the NIS, and the innovations.
     """
     numbers = record.numbers
     period_ns = int(record.t_ns[1] - record.t_ns[0])
@@ -167,10 +168,10 @@ def _reference_sigmas(hand: str, is_held: bool) -> np.ndarray:
 
 
 def tabulate_regimes(results: list[dict]) -> dict[str, dict[str, float]]:
-    """Make a table of the figures of each regime.
+    """Make a table of the results for each tendon regime.
 
-    The figures are the RMSE of each estimator [N], the spread of the RMSE of the estimate over the
-    seeds, ratios of RMSEs, NIS, and whiteness.
+    The results are the RMSE of each estimator [N], the range of the estimate's RMSE over the seeds,
+    ratios of RMSEs, NIS, and whiteness.
     """
     table = {}
     for regime in REGIME_NAMES:
@@ -205,7 +206,10 @@ def tabulate_regimes(results: list[dict]) -> dict[str, dict[str, float]]:
 
 
 def _means_of_quantities(sums: dict[str, list[float]]) -> dict[str, float]:
-    """Return the mean of each quantity. Each list is [sum, count, sum, count, ..]."""
+    """Return the mean of each quantity.
+
+    Each list in ``sums`` has the form [sum, count, sum, count, ..].
+    """
     return {name: sum(parts[::2]) / max(sum(parts[1::2]), 1.0) for name, parts in sums.items()}
 
 
@@ -218,8 +222,8 @@ def measure_estimators(seeds: int, wrong_seeds: int, plants: list[str], plan: Jo
     cases = [(hand, plant) for plant in plants for hand in MEASURED_HANDS]
     cases.insert(len(MEASURED_HANDS), ("jamia_bench", "as known"))
     counts = [seeds if case[1] == "as known" else wrong_seeds for case in cases]
-    # The jobs are in the order of their seeds, so that a stopped benchmark has results for the same
-    # number of seeds in each case.
+    # Sort the jobs by seed. A benchmark that is stopped early then has results for the same number
+    # of seeds in each case.
     jobs = [
         (*case, k)
         for k in range(max(counts))

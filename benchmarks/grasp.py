@@ -1,10 +1,10 @@
-"""Measurement of grasps: success with turned hand and pushed object, payload at 6 N per finger, contact, slip.
+"""Measure grasps: success with turned hand and pushed object, payload at 6 N per finger, contact, slip.
 
-``python benchmarks/grasp.py [--quick | --full] [--json] [--seeds N] [--keep FOLDER] [--page]``. The
-controller exchanges frames with the simulated hand in lockstep, and the results are true values of
-the plant. ``grasps/objects.py`` contains the objects and disturbances, which were fixed before any
-tuning. With ``--full``, every object is grasped. ``--page`` writes docs/evidence/control-grasps.md
-and its picture.
+``python benchmarks/grasp.py [--quick | --full] [--json] [--seeds N] [--keep FOLDER] [--page]``.
+Controller and simulated hand run in lockstep, and the results are true values from the simulator.
+``grasps/objects.py`` contains the objects and disturbances, which were fixed before any tuning.
+With ``--full``, every object is grasped. ``--page`` writes docs/evidence/control-grasps.md and its
+picture.
 """
 
 import argparse
@@ -21,7 +21,7 @@ QUICK_OBJECTS = (1,)
 DEFAULT_OBJECTS = (1, 6, 8, 11, 16)
 """Numbers of the objects in a run without ``--full``.
 
-``QUICK_OBJECTS`` are those of a run with ``--quick``.
+``QUICK_OBJECTS`` has the numbers for a run with ``--quick``.
 """
 FREE_RUN_S = 30.0
 """Simulated time of a run of free motion [s]."""
@@ -118,8 +118,8 @@ def _measure_contact_detection(
 ) -> list[dict[str, Any]]:
     """Measure contacts with walls and false contacts in free motion, for each hand.
 
-    In a run of free motion the digits rest between motions. Only the time in which they move
-    counts.
+    In a run of free motion, the digits also rest between motions. The reported time includes only
+    the time in which they move.
     """
     results = collect_results(
         contact.find_contacts, [(hand, seed) for seed in range(walls) for hand in hands], plan
@@ -144,7 +144,7 @@ def _measure_contact_detection(
 def _summarise_contacts(
     hand: str, walls: list[list[float]], rows: list[dict[str, float]]
 ) -> dict[str, Any]:
-    """Compute the figures of one hand from the delays of contact events and the counts of false contacts."""
+    """Compute the results of one hand from the delays of contact events and the counts of false contacts."""
     latency = np.array([value for values in walls for value in values])
     if not len(latency) or not rows:
         return {"hand": hand, "contacts": 0}

@@ -1,10 +1,12 @@
-"""Benefit of gravity compensation for a hand that lies on its side, so that gravity acts on its joints.
+"""Measure the benefit of gravity compensation for a hand that lies on its side.
 
-``python benchmarks/gravity.py [--json] [--seeds N] [--page]``. The packaged hands stand upright:
-gravity points along the hinges and has no torque about them. In this benchmark the hands lie on
-their side, and their fingertips are ten times as heavy as in the hand files. There are two pairs of
-control laws. The laws of a pair differ only in gravity compensation. Both laws move every digit as
-in the tracking benchmark, with the same weights.
+In this position, gravity acts on the joints.
+
+``python benchmarks/gravity.py [--json] [--seeds N] [--page]``. The packaged hands stand upright, so
+gravity is parallel to the joint axes and causes no joint torque. In this benchmark, the hands lie
+on their side, and the fingertips are ten times as heavy as in the hand files. The benchmark
+compares two pairs of control laws. The laws of a pair differ only in gravity compensation. Both
+move every digit as in the tracking benchmark, with the same LQR weights.
 """
 
 import argparse
@@ -21,18 +23,19 @@ from trials.lockstep import RATES_HZ, LockstepTrial, run_trial
 WEIGHTS_LAW = dict(
     zip(GRAVITY_LAWS, ("+ gravity and springs",) * 2 + ("+ full computed torque",) * 2, strict=True)
 )
-"""For each control law of this benchmark, the law of the tracking benchmark from which it takes its weights.
+"""For each control law of this benchmark, a control law of the tracking benchmark with the same LQR weights.
 
-The tracking benchmark has selected these weights to keep the stability margins.
+The tracking benchmark has selected these weights so that the control loops keep their stability
+margins.
 """
 MEASURED_SPEEDS = ("slow", "fast")
 FIGURE_LABELS = {"rmse_deg": "RMSE", "steady_deg": "steady"}
 
 
 def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
-    """Run one trial and return its figures for each speed.
+    """Run one trial and return its results for each speed.
 
-    If the trial ended early, all figures are NaN.
+    If the trial ended early, all results are NaN.
     """
     hand, law, seed = job
     gains = GRAVITY_LAWS[law].gains(
@@ -54,9 +57,9 @@ def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
 
 
 def measure_gravity_compensation(seeds: int, plan: JobPlan) -> dict:
-    """Measure all figures for each hand, control law and speed.
+    """Measure the tracking errors for each hand, control law and speed.
 
-    Return mean and spread over the seeds.
+    Return their mean and their range over the seeds.
     """
     jobs = [
         (hand, law, k)

@@ -1,10 +1,10 @@
-"""Steps per second and time of a reset of ``handctl.gym``, compared with a MuJoCo environment of the same rigid bodies.
+"""Measure steps per second and reset time of ``handctl.gym``, and of a plain MuJoCo environment.
 
 ``python benchmarks/gym.py [--quick] [--json]``. The MuJoCo environment has the same rigid bodies,
-time step and rate of actions. The actions of the MuJoCo environment are joint torques. It has no
-tendons, drives, bus or controller. The actions are random, but change so slowly that the hand has
-no fault. The benchmark measures CPU time for one environment, and wall time for several
-environments in parallel.
+time step and action rate as ``handctl.gym``. An action of the MuJoCo environment consists of joint
+torques. The MuJoCo environment has no tendons, drives, bus or controller. The actions are random,
+but change so slowly that the hand has no fault. The benchmark measures CPU time for one
+environment, and wall time for several environments in parallel.
 """
 
 import argparse
@@ -56,7 +56,7 @@ class BareEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return self._observation(), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
-        """Apply the joint torques of an action for the time of one action."""
+        """Apply the joint torques of an action for one action period."""
         self.engine.applied[:] = TORQUE_N_M * action
         mujoco.mj_step(self.engine._model, self.engine._data, nstep=self.count)
         return self._observation(), 0.0, False, False, {}
@@ -116,7 +116,7 @@ def random_action(space: gymnasium.spaces.Box, rng: np.random.Generator) -> np.n
 
 
 def step_cpu_s(env: gymnasium.Env, steps: int) -> float:
-    """Return the CPU time of a step without the time of resets [s]."""
+    """Return the CPU time of a step [s]. The time of resets is not included."""
     rng = np.random.default_rng(0)
     env.reset(seed=0)
     took = 0.0
@@ -141,7 +141,7 @@ def reset_cpu_s(env: gymnasium.Env) -> float:
 
 
 def vector_steps_per_s(vector: AsyncVectorEnv, steps: int) -> float:
-    """Measure the steps of all processes together per second of wall time.
+    """Measure how many steps all processes together make per second of wall time.
 
     The time of resets is included.
     """

@@ -1,11 +1,11 @@
-"""Benchmark of faults that are hard to detect.
+"""Inject faults that are hard to detect.
 
-The benchmark measures which faults are reported, the delay of the reaction, and the largest true
-tension.
+For each fault, the benchmark measures whether the controller reports the fault, the delay of the
+reaction, and the largest true tension.
 
-Each fault is injected into the first finger of a hand in lockstep. The stage of the task at this
-moment is free motion, a hold at 24 N, a rise of the tension, or a hold at 90 N. After 2 s without a
-reaction of the controller, the benchmark requests a stop, as an operator would.
+Each fault is injected into the first finger of a hand in lockstep. At this moment, the hand moves
+freely, holds an object at 24 N, raises the tension, or holds an object at 90 N. If the controller
+does not react within 2 s, the benchmark requests a stop, as an operator would.
 
     python benchmarks/hidden_faults.py --hand jamia --protocol mit --seeds 20
 """
@@ -83,7 +83,7 @@ def rising_hold_task() -> dict[str, Any]:
 def is_at_stage(stage: str, out: Any, first: int) -> bool:
     """Return True if a run has reached a stage.
 
-    ``first`` is the number of ticks of the free phase so far.
+    ``first`` is the number of ticks of the free motion so far.
     """
     tension = float(out.telemetry.tension.max())
     if stage == FREE_STAGE:
@@ -98,8 +98,8 @@ def is_at_stage(stage: str, out: Any, first: int) -> bool:
 def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
     """Inject a fault, and continue the run to its end.
 
-    The result has the identifiers of the reported faults, the delay of the reaction [ms], and the
-    largest true tension [N].
+    Return the identifiers of the reported faults, the delay of the reaction [ms], and the largest
+    true tension [N].
     """
     simulation.simulated_hand.inject(text)
     start = simulation.k
@@ -186,8 +186,8 @@ def fault_rows(
 def results_table(results: list[dict[str, Any]]) -> str:
     """Make a table with a row for each fault and stage.
 
-    The columns are the number of runs in which the controller relaxed or cut, the reported faults,
-    the longest delay of a reaction, and the largest true tensions.
+    The columns are the number of runs in which the controller relaxed the hand or disabled the
+    motors, the reported faults, the longest delay of a reaction, and the largest true tensions.
     """
     lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip

@@ -1,12 +1,11 @@
-"""Accuracy of ``handctl identify`` on simulated hands that differ from their file: errors and coverage of intervals.
+"""Measure how accurately ``handctl identify`` finds the true parameters of simulated hands.
 
-Each seed gives a random hand. The parameters of a random hand differ from the hand file by up to 30
-%, and the gains of its controller differ from the packaged gains by up to a factor of 3. A digit
+Each seed gives a random hand. The parameters of this hand differ from the hand file by up to 30 %,
+and the gains of its controller differ from the packaged gains by up to a factor of 3. A digit
 without springs is moved with the packaged gains, and its moment arms differ from the hand file by
-up to 10 %. The packaged gains of a hand with spool pairs give its controller less authority.
-
-One digit of the hand is moved in lockstep, and its parameters are fitted to the log. The true
-parameters are used only to calculate the errors.
+up to 10 %. One digit of the hand is moved in lockstep, and the parameters of this digit are fitted
+to the log. The true parameters are used only to calculate the errors of the fit, and whether the
+confidence intervals contain them.
 
     python benchmarks/identify.py                                  # four seeds
     python benchmarks/identify.py --seeds 100 --into rows.jsonl    # continues an interrupted run
@@ -62,15 +61,15 @@ DETUNED_GAIN_KEYS = ("motion.position_error_m", "motion.speed_error_m_s", "motio
 
 
 def gains_for(hand: Hand, digit: str, seed: int) -> Gains:
-    """Return the gains that move a digit: random gains if it has springs, otherwise the packaged gains."""
+    """Return random gains for a digit with springs, and the packaged gains for other digits."""
     packaged = packaged_gains(hand.name)
     return draw_gains(packaged, seed) if has_springs(hand, digit) else packaged
 
 
 def draw_plant(seed: int, sprung: bool = True) -> dict[str, float]:
-    """Draw random factors on the parameters of a plant.
+    """Draw random factors that multiply the parameters of a simulated hand.
 
-    For digits without springs, also draw a factor on the moment arms.
+    For digits without springs, also draw a factor for the moment arms.
     """
     chance = random.Random(f"plant {seed}")
     factors = {
@@ -122,15 +121,16 @@ def true_parameters(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[
 def excite_and_fit(
     hand_name: str, digit: str, seed: int, factors: dict[str, float], gains: Gains, folder: Path
 ) -> tuple[dict[str, TendonResult], ResultRow]:
-    """Move one digit of a simulated hand and fit its parameters.
+    """Move one digit of a simulated hand and fit the parameters of this digit.
 
-    Return the fit, and a row with the CPU time or the failure.
+    Return the fit, and a row with the CPU time or the reason for a failure.
 
     Args:
-        hand_name: name of a packaged hand or path of a hand file, for controller and plant.
+        hand_name: name of a packaged hand or path of a hand file. Controller and simulator use the
+            same file.
         digit: name of the digit.
-        seed: seed of noise, slack and offsets of the plant.
-        factors: factors on the parameters of the plant.
+        seed: seed of the simulated noise, slack and offsets. factors: factors that multiply
+            parameters of the simulated hand.
         gains: gains of the controller.
         folder: folder for the log.
     """
@@ -162,10 +162,10 @@ def excite_and_fit(
 
 
 def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> ResultRow:
-    """Move one digit of a random hand and fit its parameters.
+    """Move one digit of a random hand and fit the parameters of this digit.
 
-    Return a row with the error and the interval of every parameter, or with the reason for a
-    failure.
+    Return a row with the error and the confidence interval of every parameter, or with the reason
+    for a failure.
     """
     hand = load_hand(hand_name)
     sprung = has_springs(hand, digit)
@@ -201,7 +201,7 @@ def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia")
 def compare_parameter(name: str, tendon: str, real: float, result: TendonResult) -> ResultRow:
     """Compare an identified parameter with its true value.
 
-    The error and the half widths of its intervals are fractions of the true value.
+    The returned error and half widths of confidence intervals are fractions of the true value.
     """
     identified = name in result.identifiability.names
     error = result.fit.parameter_values[name] / real - 1.0
@@ -221,9 +221,9 @@ def compare_parameter(name: str, tendon: str, real: float, result: TendonResult)
 
 
 def summarise_results(rows: list[ResultRow]) -> ResultRow:
-    """Count accurate fits, and intervals with the true value, for every parameter.
+    """Count, for every parameter, the accurate fits and the confidence intervals that contain the true value.
 
-    Also summarise the errors.
+    Also summarise the errors of the fits.
     """
     good = [row["parameters"] for row in rows if "failure" not in row]
     result: ResultRow = {

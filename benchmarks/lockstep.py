@@ -1,12 +1,12 @@
-"""Speed and profile of the whole stack in lockstep.
+"""Measure the speed of controller and simulator in lockstep, and profile them.
 
-The reference is ``mj_step`` alone with the same motion.
+For comparison, the benchmark runs MuJoCo's ``mj_step`` alone with the same motion.
 
-``python benchmarks/lockstep.py [--quick] [--json]``. A first run of the whole stack records the
-torques on the joints in each step. ``mj_step`` alone is then called with these torques, and must
-end at bit-identical positions. Several further runs are timed, and one further run is profiled. All
-runs are bit-identical. The benchmark uses the shortest time of each tick and of each step. Other
-load on the core and its caches affects this time least.
+``python benchmarks/lockstep.py [--quick] [--json]``. A first run of controller and simulator
+records the torques on the joints in each simulation step. ``mj_step`` alone is then called with
+these torques, and must end at bit-identical positions. Several further runs are timed, and one
+further run is profiled. All runs are bit-identical. The benchmark uses the shortest time of each
+tick and of each step. Other load on the processor core affects the shortest time least.
 """
 
 import argparse
@@ -25,14 +25,14 @@ RUNS_PER_CASE = 4
 
 
 class BodyRollout(NamedTuple):
-    """Forces on the rigid bodies in each step of a run, and their positions at the end of the run.
+    """Record of the forces on the rigid bodies in each simulation step of a run, and of the final joint angles.
 
     Attributes:
         torque: (steps, joints) torque that tendons apply to each joint [N m].
         damping: (steps, tendons) damping of each tendon [N s/m].
         table: (steps, bodies, 3) position of the table [m].
         end: (joints,) joint angles after the last step [rad].
-        contacts: mean number of contacts in a step.
+        contacts: mean number of contacts in a simulation step.
     """
 
     torque: np.ndarray
@@ -95,7 +95,7 @@ def measure_lockstep_speed(hand: str, rate_hz: float, scene: str, seconds: float
 
 
 def sum_of_shortest(runs: Iterable[list[float]]) -> float:
-    """Find the shortest time of each tick or step among the runs.
+    """Find the shortest time of each tick or step among several equal runs.
 
     Return the sum of these times [s].
     """
@@ -103,7 +103,7 @@ def sum_of_shortest(runs: Iterable[list[float]]) -> float:
 
 
 def record_rollout(stack: LockstepStack, seconds: float) -> BodyRollout:
-    """Run the stack and record the forces on the bodies."""
+    """Run controller and simulator, and record the forces on the bodies."""
     engine = stack.engine
     plant = stack.peer.world.plant
     advance = plant.advance

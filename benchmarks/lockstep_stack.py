@@ -1,4 +1,7 @@
-"""The whole stack without a recorder, for ``lockstep.py``: controller, codec, simulated drives, plant."""
+"""Controller and simulated hand in lockstep, without a recorder.
+
+The script ``lockstep.py`` measures their speed.
+"""
 
 import time
 from contextlib import ExitStack
@@ -48,7 +51,9 @@ class GraspSetup:
 
 
 class LockstepStack:
-    """A simulated hand with homed motors, and its controller. Both run tick by tick.
+    """A simulated hand with known motor zeros, and a controller of this hand.
+
+    Both run tick by tick.
 
     Attributes:
         engine: rigid bodies and contact.
@@ -88,7 +93,7 @@ class LockstepStack:
     def simulator_tick_times(self, seconds: float) -> list[float]:
         """Run for a simulated time [s].
 
-        Return the CPU time of the simulator in each tick, including the plant [s].
+        Return the CPU time of the simulator in each tick, including MuJoCo [s].
         """
         clock = self.simulation._clock
         took = []

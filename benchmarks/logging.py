@@ -1,9 +1,9 @@
-"""Comparison of the log writer of handctl with mcap-ros2-support, rosbags, JSON and the Foxglove SDK.
+"""Compare the log writer of handctl with mcap-ros2-support, rosbags, JSON and the Foxglove SDK.
 
 ``python benchmarks/logging.py [--quick] [--json]``. Each library writes the same messages of a run
 of the hand jamia11 at 1 kHz. The messages include the raw frames. Only ratios between results of
-the same run are comparable. The control loop of handctl passes each record to another process,
-which writes it. The other libraries write in the control loop.
+the same run are comparable. The control loop of handctl passes each record to another process, and
+this process writes the log. The other log libraries write within the control loop.
 """
 
 import sys

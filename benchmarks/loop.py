@@ -1,8 +1,8 @@
-"""Comparison of the control loop with a hand-written loop: lateness of ticks, and highest rate with 4 and 11 motors.
+"""Compare the control loop with a hand-written loop: lateness of ticks, and highest rate.
 
-``python benchmarks/loop.py [--quick] [--json]``. Both loops run on the same bus. One process
-simulates the drives for both, without a plant. Only ratios between results of the same run are
-comparable.
+``python benchmarks/loop.py [--quick] [--json]``. Both loops run with 4 and with 11 motors on the
+same bus. One process simulates the drives for both loops, without simulated tendons and digits.
+Only ratios between results of the same run are comparable.
 """
 
 import argparse
@@ -84,7 +84,10 @@ def measure_loops(seconds: float, quick: bool) -> dict:
 
 
 def free_and_highest_rate(which: str, hand: str, bus: str, seconds: float, quick: bool) -> dict:
-    """Measure ticks per second without deadlines, and the highest rate with less than 1 % of the deadlines missed."""
+    """Measure ticks per second without deadlines, and the highest rate with deadlines.
+
+    At the highest rate, less than 1 % of the deadlines are missed.
+    """
     free = measure_in_child(which, hand, bus, seconds, 0.0)["hz"]
     rate = (0.6 if quick else 0.9) * free
     for _ in range(1 if quick else 12):
@@ -97,7 +100,7 @@ def free_and_highest_rate(which: str, hand: str, bus: str, seconds: float, quick
 def rate_ratio(rates: dict, name: str) -> float | None:
     """Return the rate of handctl divided by the rate of the hand-written loop.
 
-    If all rates were too high for one of the loops, the result is None.
+    Return None if all rates were too high for one of the loops.
     """
     ours = rates["ours"][name]
     baseline = rates["usual"][name]
@@ -116,7 +119,7 @@ def measure_in_child(which: str, hand: str, bus: str, seconds: float, rate_hz: f
 
 
 def measure_in_this_process(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
-    """Run one measurement in this process, which ``measure_in_child`` has started."""
+    """Run one measurement in this process. ``measure_in_child`` has started the process."""
     sys.path.insert(0, str(Path(__file__).parent))
     log = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{os.getpid()}.log"
     if which == "bare":
@@ -146,9 +149,9 @@ def percentiles_us(times_ns: list[int]) -> dict:
 
 
 def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
-    """Measure how late the controller's clock ends its wait, without the work of a tick.
+    """Measure how late the controller's clock ends a wait, without the work of a tick.
 
-    This clock sleeps until shortly before a deadline. With real-time priority, the clock then polls
+    The clock sleeps until shortly before a deadline. With real-time priority, the clock then polls
     until the deadline.
     """
     from handctl.runtime.clocks.priority import request_priority

@@ -1,4 +1,4 @@
-"""Random streams of angles to all digits of each packaged hand, in lockstep: the number of runs that end with a fault.
+"""Stream random angles to all digits of each packaged hand, and count the runs that end with a fault.
 
 ``python benchmarks/random_streams.py [--hands HAND ...] [--seeds N] [--seconds S] [--json]``. An
 untrained policy sends a random target for every digit 50 times a second, anywhere in the range of
@@ -31,12 +31,12 @@ WALK_STEP = 0.125
 
 
 def draw_action(random: np.random.Generator, last: Array, step: int) -> Array:
-    """Return a random action that does not depend on the last one."""
+    """Return a random action that does not depend on the last action."""
     return random.uniform(-1.0, 1.0, len(last))
 
 
 def draw_or_keep_action(random: np.random.Generator, last: Array, step: int) -> Array:
-    """Return the last action, or at random moments a new random action."""
+    """Return either the last action or, at random moments, a new random action."""
     return (
         random.uniform(-1.0, 1.0, len(last)) if step == 0 or random.random() < 1.0 / 17.0 else last
     )

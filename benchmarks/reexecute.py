@@ -1,8 +1,8 @@
-"""Re-execution of logs, tick by tick: time of reading, computing and comparing a tick, and a profile.
+"""Measure how long the re-execution of a log takes to read, compute and compare a tick, and profile it.
 
 ``python benchmarks/reexecute.py [LOG ...] [--quick] [--json]``, by default the logs in
 ``logs/golden``. Each log is executed several times. The benchmark uses the shortest time of each
-tick, because other load on the core affects it least.
+tick, because other load on the processor core affects the shortest time least.
 """
 
 import argparse
@@ -64,8 +64,9 @@ def measure_log(path: Path, passes: int) -> dict:
 def execute_once(log: RunLog, controller: Controller) -> dict:
     """Re-execute a log once.
 
-    The result contains three CPU times [s]: of reading the log, of each tick, and of comparing the
-    outputs. A fourth entry counts the ticks with outputs equal to the logged outputs.
+    The returned dictionary contains three CPU times [s]: for reading the log, for each tick, and
+    for comparing the outputs. A fourth entry is the number of ticks whose outputs equal those in
+    the log.
     """
     cpu = time.process_time
     began = cpu()

@@ -1,4 +1,4 @@
-"""Run `handctl demo` in lockstep with every packaged hand and protocol, with many seeds, and report the worst figures.
+"""Run `handctl demo` in lockstep with every packaged hand and protocol, and report the worst results.
 
     nice -n 5 python benchmarks/seeds.py --results seeds.jsonl --table docs/evidence/seeds.md
 
@@ -20,22 +20,21 @@ from handctl.cli.main import main as handctl
 from handctl.hand.hand_loading import load_hand, packaged_hands
 
 FIGURE_LIMITS = {"tracking_deg": 1.0, "tension_error_N": 2.0, "object_motion_mm": 1.0}
-"""Limits of the figures.
+"""Limits of the errors in a run.
 
-A run passes with figures within these limits, and without a failure, missed tick or lost frame.
-
-If the load cells of a hand drift, `figure_limits` raises the limit of the tension error.
+A run passes if its errors are within these limits, and if it had no failure, no missed tick and no
+lost frame. `figure_limits` raises the limit of the tension error for a hand whose load cells drift.
 """
 DRIFT_SIGMAS = 3.0
-"""Part of the tension error that is excused by load-cell drift, in standard deviations of the drift."""
+"""Tension error that load-cell drift may explain, in standard deviations of the drift."""
 DemoCase = tuple[str, str, int]
 """Hand, protocol and seed of a run."""
 
 
 def run_demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
-    """Run `handctl demo` once and return the figures of the run.
+    """Run `handctl demo` once and return the errors in this run.
 
-    If the run does not pass, the figures include the reason.
+    If the run does not pass, the result includes the reason.
     """
     out = io.StringIO()
     err = io.StringIO()
@@ -67,9 +66,9 @@ def run_demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
 
 
 def figure_limits(hand: str, duration_s: float) -> dict[str, float]:
-    """Return the limits of the figures of a run.
+    """Return the limits of the errors in a run.
 
-    No sensor of the hand can reveal the drift of its load cells. The limit of the tension error is
+    No sensor of the hand can reveal the drift of a load cell. The limit of the tension error is
     therefore at least `DRIFT_SIGMAS` standard deviations of the drift in the time of the run.
     """
     drift = (
@@ -100,7 +99,7 @@ def failure_reason(figures: dict[str, Any], run_result: dict[str, Any]) -> str:
 def results_table(results: list[dict[str, Any]]) -> str:
     """Make a Markdown table with a row for each hand and protocol.
 
-    Below it, write a line for each run that does not pass.
+    Below the table, write a line for each run that does not pass.
     """
     rows = [
         "| hand | protocol | seeds passed | tracking error [deg] | tension error [N] | object motion [mm] |",

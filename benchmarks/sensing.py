@@ -1,9 +1,11 @@
-"""Loss of accuracy without load cells or joint encoders: errors of the estimates, contact delay, detected faults.
+"""Measure the accuracy of hands without load cells or joint encoders.
+
+The results are errors of the estimates, the delay of contact detection, and detected faults.
 
 ``python benchmarks/sensing.py [--json] [--seeds N] [--page]``. In each run, the simulated hand
 grasps a cylinder in lockstep: move, close until contact, hold while the table sinks, release, open.
-The hand file of the controller lacks some sensors. The plant stays the same. ``--page`` writes
-docs/evidence/control-sensing.md.
+The hand file of the controller lacks some sensors, while the simulated hand stays the same.
+``--page`` writes docs/evidence/control-sensing.md.
 """
 
 import argparse
@@ -120,7 +122,7 @@ def cylinder_scene_of(name: str) -> str:
 
 @dataclass
 class SensingRun:
-    """Record of a run: a row for each tick in which the hand is active, and the reported faults."""
+    """Record of a run, with a row for each tick in which the hand is active, and the reported faults."""
 
     phase: list[str] = field(default_factory=list)
     error: list[np.ndarray] = field(default_factory=list)
@@ -133,7 +135,7 @@ class SensingRun:
 
 
 def run_grasp(model: HandModel, scene: str, task: Task, seed: int, fault: str = "") -> SensingRun:
-    """Run the grasp on a homed hand."""
+    """Run the grasp on a simulated hand whose motor zeros are known."""
     record = SensingRun()
     names = model.hand.digit_names
     with SimulatorSettings(model.hand, scene, seed, homed=True).begin_run(
@@ -173,7 +175,7 @@ def rms(values: Any) -> float:
 
 
 def case_figures(records: list[SensingRun], period: float) -> dict[str, float]:
-    """Compute the figures of one case from the records of all its runs."""
+    """Compute the results of one case from the records of all its runs."""
     moving = []
     held = []
     sigma = []

@@ -1,4 +1,4 @@
-"""CPU time of the simulated drives, sensors, codec, tendons and rotors in lockstep, without MuJoCo's ``mj_step``.
+"""Measure the CPU time of the simulator in lockstep, without MuJoCo's ``mj_step``.
 
 ``python benchmarks/simulator_cpu.py [--quick] [--json]``. The controller runs too, because in every
 lockstep run the controller evicts code and data of the simulator from the processor caches. The
@@ -72,7 +72,7 @@ def measure_simulator_cpu(hand: str, protocol: str, scene: str, seconds: float) 
 
 
 def clock_s() -> float:
-    """Measure the CPU time that a pair of clock readings takes [s]."""
+    """Measure the CPU time of two successive readings of the clock [s]."""
     now = time.process_time
     return min(-(now() - now()) for _ in range(CLOCK_READS))
 

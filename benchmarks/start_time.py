@@ -1,9 +1,10 @@
-"""Start of a run: time from the command to the first frame on the bus, and the time in which a command prints its help.
+"""Measure the time from a command to its first frame on the bus, and to the end of its help.
 
 ``python benchmarks/start_time.py [--repeats N] [--json]``. The bus is a local bus without other
-participants. The kernels and the byte code of Python are compiled before the first measurement.
-Between these starts, the benchmark also measures a start of Python that imports numpy. Only ratios
-to this reference are comparable. Other programs affect the CPU time less than the wall time.
+participants. The kernels and the byte code of Python are compiled before the first measurement. As
+a reference, the benchmark also measures a start of Python that imports numpy, in turns with the
+other starts. Only ratios to this reference are comparable. Other programs affect the CPU time less
+than the wall time.
 """
 
 import argparse
@@ -55,7 +56,7 @@ def main() -> None:
 
 
 def measure_starts(repeats: int, folder: Path) -> dict[str, list[StartTime]]:
-    """Start the programs in turns, many times, and return the times of all starts of each program."""
+    """Start the programs many times, one after the other, and return the times of all starts of each program."""
     command = [sys.executable, "-m", "firmware_sim", "bus", BUS_NAME]
     hub = subprocess.Popen(
         command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1]
@@ -72,7 +73,7 @@ def measure_starts(repeats: int, folder: Path) -> dict[str, list[StartTime]]:
         measures[name] = partial(until_first_frame, hand, folder)
     try:
         for one in measures.values():
-            one()  # The first start compiles the code and fills the disk cache. It is not counted.
+            one()  # The first start is not counted, because it compiles code and fills the disk cache.
         times: dict[str, list[StartTime]] = {name: [] for name in measures}
         for _ in range(repeats):
             for name, one in measures.items():

@@ -1,4 +1,4 @@
-"""Streams of targets to a simulated hand in real time, compared with the plant's truth: bad clients, tracking, latency.
+"""Stream targets to a simulated hand in real time, and measure bad clients, tracking and latency.
 
 ``python benchmarks/streaming.py [clients|tracking|latency ...] [--only CLIENT ...] [--time-scale X]
 [--bus BUS]``. Clients, controller and simulated hand run as separate processes. The latency is
@@ -41,14 +41,15 @@ GOOD_STREAM_S = 0.5
 MISBEHAVIOUR_S = 0.4
 """Duration of a misbehaviour, on the clock of the simulated hand [s]."""
 TRACKED_S = 4.0
-"""Duration of the streamed motion, and of the same motion as a task [s].
+"""Duration of the streamed motion, and of the same motion in a task [s].
 
-The errors of the first second do not count.
+Errors of the first second are not counted.
 """
 KNOT_S = 0.04
-"""Time from one given angle to the next in the task that repeats the streamed motion [s].
+"""A task repeats the streamed motion by a spline through given angles.
 
-A spline between these angles differs from the sine by less than 0.001 deg.
+``KNOT_S`` is the time from one given angle to the next [s]. The spline differs from the streamed
+sine by less than 0.001 deg.
 """
 AFTER_KILL_S = 2.0
 """Time that a hand gets to relax after its client was killed, on the clock of the simulated hand [s]."""
@@ -56,7 +57,10 @@ TARGET_REPEATS = 5
 """Number of times that a repeating client sends each target."""
 LATENCY_S = 10.0
 QUICK_LATENCY_S = 2.0
-"""Duration of a quick measurement of the latency [s]. An ordinary measurement lasts ``LATENCY_S``."""
+"""Duration of the latency measurement with ``--quick`` [s].
+
+Without this option, it lasts ``LATENCY_S``.
+"""
 BENCHMARK_PARTS = ("clients", "tracking", "latency")
 SIMULATOR_ARGUMENTS = ["-m", "firmware_sim"]
 """Arguments of Python that start a simulated hand."""
@@ -117,7 +121,7 @@ class BadClient:
 
 
 def stream_while_paused(client: BadClient) -> None:
-    """Stream the correct motion. Meanwhile the parent process stops or kills this process."""
+    """Stream the correct motion, while the parent process stops or kills this process."""
     print("pause", flush=True)
     client.send_good_targets(2.0 * MISBEHAVIOUR_S)
 
@@ -143,7 +147,10 @@ def send_constant(value: float) -> Any:
 
 
 def send_late_targets(seconds: float) -> Any:
-    """Return a misbehaviour that sends each target late, with the time at which it was due."""
+    """Return a misbehaviour that sends each target late.
+
+    The time stamp is the time at which the target was due.
+    """
 
     def misbehave(client: BadClient) -> None:
         for _ in client.periods(MISBEHAVIOUR_S):
@@ -211,7 +218,8 @@ If a client is killed, the run ends.
 def run_client(name: str, bus: str, scale: float, words: list[str]) -> None:
     """Stream as the client ``name``.
 
-    Print the first and last tick of its misbehaviour and the counts of its targets.
+    Print the first and the last tick of the client's misbehaviour, and how many targets were
+    accepted and refused.
     """
     with handctl.connect("jamia", bus, *words) as hand:
         hand.move({STREAMED_DIGIT: MIDDLE_DEG}, duration_s=0.5)
@@ -234,7 +242,7 @@ class HandProcess:
 
     Attributes:
         folder: folder of the files.
-        log, truth: paths of the log and of the plant's truth.
+        log, truth: paths of the log and of the simulator's truth file.
         words: options of ``handctl run``.
     """
 
@@ -279,12 +287,12 @@ class HandProcess:
     def connect(self) -> HandClient:
         """Return a client that has not connected yet.
 
-        When the caller opens the client, it starts the controller.
+        The client starts the controller when the caller opens the client.
         """
         return handctl.connect("jamia", self.bus, *self.words)
 
     def close(self) -> None:
-        """End the simulated hand, which then completes the file of the plant's truth."""
+        """End the simulated hand, which then completes its truth file."""
         if self._process.poll() is None:
             self._process.terminate()
         self._process.communicate(timeout=READY_TIMEOUT_S)
@@ -318,8 +326,8 @@ def measure_clients(
 ) -> dict[str, Any]:
     """Let clients stream to a hand, one after another. Return a row of the printed table for each client.
 
-    A client that starts the controller itself gets a separate hand. If a client is killed, the run
-    ends. This client is therefore the last one of its hand.
+    A client that starts the controller itself gets a separate hand. A run ends when its client is
+    killed. A client that will be killed is therefore the last one of its hand.
     """
     shared = sorted(
         (name for name in names if name != "killed-owner"), key=lambda name: name == "killed"
@@ -369,7 +377,7 @@ def _run_one_client(
 ) -> tuple[dict[str, Any], int]:
     """Run one client in a separate process.
 
-    Some names of clients request to pause or kill the process.
+    For some clients, the function pauses or kills this process.
     """
     words = place.words if owner is None else []
     command = [sys.executable, __file__, "--client", name, place.bus, f"{place.scale:g}", *words]
@@ -403,11 +411,11 @@ def _run_one_client(
 
 
 def run_start_ns(hand: HandClient | None, scale: float) -> int:
-    """Return the time at which the run has t = 0, on the clock of the simulated hand [ns].
+    """Return the start time of the run (t = 0) on the clock of the simulated hand [ns].
 
-    The observation of a tick is published at the end of the tick. The result is therefore too late
-    by the duration of a tick. The function uses the shortest of many ticks, which lasts about 0.1
-    ms.
+    An observation is published only at the end of a tick. A start time from an observation is
+    therefore too late by the duration of a tick. The function uses the shortest of many ticks,
+    which lasts about 0.1 ms.
     """
     assert hand is not None
     seen = [hand.observe(wait=True) for _ in range(50)]
@@ -445,10 +453,10 @@ def _client_row(
 def measure_tracking(
     bus: str, scale: float, homed: CommissionedHand | None = None
 ) -> dict[str, Any]:
-    """Compare the tracking error of a streamed sine with that of the same motion as a task.
+    """Compare the tracking error of a streamed sine with that of the same motion in a task.
 
-    The errors are the RMS of the true minus the intended angle [deg]. The result includes the
-    lateness of the ticks, which shows how busy the machine was.
+    An error is the RMS of the true minus the intended angle [deg]. The returned dictionary also
+    states how late the ticks were, because late ticks show that the machine was busy.
     """
     began_ns: dict[str, int] = {}
     with hand_process(bus, scale, homed) as place:
@@ -556,7 +564,7 @@ def _status_ages_ms(hand: HandClient, seconds: float) -> list[float]:
 
 
 def _target_delays_ms(hand: HandClient, seconds: float) -> list[float]:
-    """Measure the delay of each target: from its sending until the next tick has sent its frames [ms]."""
+    """Measure how long it takes from sending each target until the next tick has sent its frames [ms]."""
     delays: list[float] = []
     draw = random.Random(0)
     hand.move({STREAMED_DIGIT: MIDDLE_DEG}, duration_s=0.5)
@@ -576,7 +584,7 @@ def _target_delays_ms(hand: HandClient, seconds: float) -> list[float]:
 
 
 def _move_delays_ms(hand: HandClient, seconds: float) -> list[float]:
-    """Measure the time from each request for a move, sent over the request socket, to its confirmation [ms]."""
+    """Measure the time from sending each request for a move to its confirmation [ms]."""
     delays: list[float] = []
     end = time.monotonic() + seconds
     while time.monotonic() < end:

@@ -1,10 +1,11 @@
-"""Benefit of tuning when the plant differs from the hand file, compared with a search on the true plant.
+"""Measure the benefit of tuning if the real hand differs from its hand file.
 
-The true plant differs from the hand file by up to 30 %, and the initial gains are wrong by a factor
-of 3. One search scores gains on an ensemble of plants near the hand file, and another search on the
-true plant. With ``--fit``, a third search scores gains on the identified plant. All gains are then
-tried on the true plant. The ratio of their costs shows the loss that results from not knowing the
-plant.
+A simulated hand takes the place of the real hand (the true plant). The parameters of this simulated
+hand differ from the hand file by up to 30 %, and the initial gains are wrong by a factor of 3. One
+search scores gains on an ensemble of hands near the hand file. Another search scores gains on the
+true plant. With ``--fit``, a third search scores gains on a hand with the identified parameters.
+The gains of all searches are then tried on the true plant. The ratio of their costs shows the loss
+that results from not knowing the true parameters.
 
     python benchmarks/tuning.py [--quick] [--json] [--trials N] [--plants N] [--workers N]
     python benchmarks/tuning.py --trials 96 --into studies    # continues an interrupted run, or adds trials
@@ -41,7 +42,10 @@ TRUE_PLANT_FACTORS = {
     "motor_inertia": 0.7,
     "damping": 1.3,
 }
-"""Factors on the parameters of the true plant. They were fixed before anything was tuned."""
+"""Factors that multiply parameters of the hand file to give those of the true plant.
+
+The factors were fixed before anything was tuned.
+"""
 DETUNING_FACTORS = {
     "motion.position_error_m": 3.0,
     "motion.speed_error_m_s": 1.0 / 3.0,
@@ -50,7 +54,10 @@ DETUNING_FACTORS = {
     "tension.integral_per_s": 3.0,
     "filter.motor_disturbance_N": 3.0,
 }
-"""Factors on the packaged gains that give the initial gains. They were fixed before anything was tuned."""
+"""Factors that multiply the packaged gains to give the initial gains.
+
+The factors were fixed before anything was tuned.
+"""
 JUDGE_SEED = 1000
 """Seed of the noise in the final comparison. No search uses this seed."""
 
@@ -195,7 +202,7 @@ def _best_gains(base: Gains, result: SearchResult) -> Gains:
 
 
 def _judge_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
-    """Return a job that scores gains on the true plant, even if their margins are too small.
+    """Return a job that scores gains on the true plant, even if their stability margins are too small.
 
     The job uses noise that no search has used.
     """
@@ -208,7 +215,7 @@ def _judge_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
 
 
 def _with_model(hand: Hand, model: HandModel) -> GainScore:
-    """Score a controller that is made for the identified hand on the true plant, and compute its margins."""
+    """Score a controller that is made for the identified hand on the true plant, and compute its stability margins."""
     margins = worst_margins(model, (linear_factors(dict.fromkeys(TRUE_PLANT_FACTORS, 1.0)),))
     return replace(
         score_exercise(hand, model, TRUE_PLANT_FACTORS, JUDGE_SEED), shortfall=margins.shortfall

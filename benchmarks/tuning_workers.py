@@ -1,7 +1,8 @@
-"""Speed-up of a search for gains with two workers instead of one, in wall time and CPU time, on the same trials.
+"""Measure how much faster two workers search for gains than one worker, with the same trials.
 
 Wall time depends on other load on the machine. The CPU time of the busiest worker is the wall time
-that the trials would take on cores without other load. Both times include the start of a worker.
+that the trials would take on cores without other load. Wall time and CPU time both include the
+start of a worker.
 
     python benchmarks/tuning_workers.py [--quick] [--json] [--trials N] [--workers N]
 """
@@ -50,7 +51,7 @@ def cpu_s(pid: int) -> float:
 
 
 def measure_search(count: int, work: list[ResultRow]) -> tuple[ResultRow, list[ResultRow]]:
-    """Measure the times of a search with a number of workers.
+    """Measure how long a search with ``count`` workers takes.
 
     Return the times, and the scores in the order of the jobs.
     """

@@ -1,7 +1,7 @@
 """Break a tendon of a simulated hand while it moves, and print the reaction of the controller.
 
-python inject_fault.py runs in lockstep. For a simulated hand that runs in real time, the command is
-handctl fault inject "snap tendon=index_tendon".
+python inject_fault.py runs in lockstep. The command handctl fault inject "snap tendon=index_tendon"
+injects the same fault into a simulated hand that runs in real time.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Describe your own hand in a file, print the message about a mistake in the file, and let the simulated hand grasp.
+"""Describe your own hand in a file, show the message about a mistake, and let the simulated hand grasp.
 
 python own_hand.py writes mine.toml.
 """
@@ -33,7 +33,7 @@ touching_digits: set[str] = set()
 
 
 def note_contacts(entry, out):
-    """Note the digits that have been in contact in this run."""
+    """Record which digits have touched the object in this run."""
     touching_digits.update(event.where for event in out.events if event.name == "contact")
 
 

@@ -1,4 +1,4 @@
-"""Push an object that a simulated hand holds, and compare the forces for two values of the grip stiffness.
+"""Push an object that a simulated hand holds, and compare the forces at two stiffnesses of the grip.
 
 python push.py writes push.png.
 """

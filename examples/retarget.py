@@ -80,8 +80,9 @@ with handctl.connect("jamia11", "local:lab", *sys.argv[1:]) as hand:
     with hand.stream(RATE_HZ, "fingertip", list(SEGMENT_FRACTIONS)) as stream:
         began_s = hand.observe().t_s
         for _ in range(round(DURATION_S * RATE_HZ)):
-            # Time at which the hand must reach the target. It comes from the clock of the hand: a
-            # count of the targets would lag behind after each delay of this program.
+            # Time at which the hand must reach the target. This time comes from the clock of the
+            # hand. A time that is computed from the number of targets would lag behind after each
+            # delay of this program.
             t = hand.observe().t_s - began_s + stream.horizon_s
             stream.send(
                 np.array([retargeted_tip(digits[name], name, t) for name in SEGMENT_FRACTIONS])
@@ -123,7 +124,7 @@ for d, (name, ax) in enumerate(zip(SEGMENT_FRACTIONS, paths, strict=True)):
     ax.plot(path[0][:, 0], path[0][:, 1], "k--", label="human, scaled")
     ax.plot(0.0, 0.0, "o", color="0.6", label="knuckle")
     ax.set(title=f"{name}: {errors[-1]:.1f} mm rms", xlabel="along the finger [mm]", aspect="equal")
-    distances[d].plot(times - began_s, distance)  # both tips may be on one path at different times
+    distances[d].plot(times - began_s, distance)  # equal paths may be passed at different times
     distances[d].set_xlabel("time [s]")
 paths[0].set_ylabel("to the palm [mm]")
 distances[0].set_ylabel("distance of the tips [mm]")

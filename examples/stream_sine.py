@@ -16,11 +16,11 @@ import handctl
 from handctl.log.read.reader import RunLog
 
 MIDDLE_DEG, SWING_DEG, DURATION_S = 30.0, 20.0, 3.0
-SETTLING_S = 0.3  # the digit begins at rest, and the sine with its full speed
+SETTLING_S = 0.3  # the digit starts at rest, but the sine starts with its full speed
 
 
 def sine_deg(t_s):
-    """Return the wanted angle [deg] at a time since the start of the stream [s]."""
+    """Return the target angle [deg] at the time ``t_s`` [s] after the start of the stream."""
     return MIDDLE_DEG + SWING_DEG * np.sin(2.0 * np.pi * t_s)
 
 
@@ -28,10 +28,10 @@ with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:
     hand.move(index=MIDDLE_DEG)
     with hand.stream(rate_Hz=100, space="digit", names=["index"]) as stream:
         began_s = hand.observe().t_s
-        # The time comes from the clock of the hand: a count of the targets would lag behind after
-        # each delay of this program.
+        # The time comes from the clock of the hand. A time that is computed from the number of
+        # targets would lag behind after each delay of this program.
         while (t := hand.observe().t_s - began_s) < DURATION_S:
-            stream.send([sine_deg(t + stream.horizon_s)])  # the hand reaches it after the horizon
+            stream.send([sine_deg(t + stream.horizon_s)])  # reached after the horizon
             stream.sleep()
         print(stream.status)
     hand.move(index=0)

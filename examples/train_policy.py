@@ -1,4 +1,4 @@
-"""Train a linear policy by augmented random search to follow a reference.
+"""Train a linear policy to follow a reference, by augmented random search.
 
 The training takes one minute on an idle core.
 
@@ -43,10 +43,10 @@ names = np.array([name.partition("[")[0] for name in env.layout.names])
 def policy_action(policy, seen):
     """Return the action of a policy for an observation.
 
-    A policy has weights (inputs + 1,), the last one for the constant 1.
+    A policy is an array of weights (inputs + 1,). The last weight belongs to the constant 1.
     """
     parts = [np.degrees(seen[names == name]) for name in INPUT_NAMES]
-    # this matrix computes the angles of digits from the angles of joints
+    # this matrix converts joint angles to digit angles
     parts[-1] = env.coordinates_of_joints(parts[-1])
     scaled = [2.0 * (part - env.low_deg) / (env.high_deg - env.low_deg) - 1.0 for part in parts]
     return np.clip(policy @ [*scaled, np.ones(len(env.names))], -1.0, 1.0).astype(np.float32)
@@ -72,7 +72,7 @@ first = policy.copy()
 curve = []
 for iteration in range(ITERATIONS):
     directions = rng.standard_normal((DIRECTION_COUNT, len(policy)))
-    # both signs of a perturbation of the weights get the same episode
+    # the weights plus and minus a perturbation are tried in the same episode
     seed = int(rng.integers(1000))
     scores = np.array(
         [

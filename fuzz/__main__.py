@@ -57,7 +57,7 @@ def parsed_arguments() -> argparse.Namespace:
 def fuzz_target(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str, bool]:
     """Fuzz one target in a separate process.
 
-    Return the result line of the target, and True if the target passed.
+    Return the line with the result, and True if the target passed.
     """
     corpus = OUTPUT_FOLDER / "corpus" / name
     crashes = OUTPUT_FOLDER / "found" / name

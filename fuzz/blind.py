@@ -1,10 +1,8 @@
-"""Fuzzing of one target without a measurement of coverage.
+"""Fuzz one target without measuring coverage: ``python -m fuzz.blind TARGET CORPUS FOUND SECONDS RUNS LONGEST``.
 
-``python -m fuzz.blind TARGET CORPUS FOUND SECONDS RUNS LONGEST`` runs it.
-
-The inputs are randomly changed inputs of the corpus that coverage-guided fuzzing has collected.
-Fuzzing without coverage (blind fuzzing) is a few times faster, and therefore tests more inputs in
-the same time.
+Coverage-guided fuzzing has collected a corpus of inputs before. This program changes these inputs
+at random. Fuzzing without coverage (blind fuzzing) is a few times faster, and therefore tests more
+inputs in the same time.
 """
 
 import random
@@ -18,13 +16,13 @@ from fuzz.targets import TARGET_FACTORIES, seed_inputs
 
 REPORT_PERIOD_S = 30.0
 INPUTS_PER_CLOCK_READ = 256
-"""Number of inputs for one reading of the clock."""
+"""Number of inputs between two readings of the clock."""
 
 
 def changed_inputs(chance: random.Random, corpus: list[bytes], max_bytes: int) -> Iterator[bytes]:
     """Yield randomly changed inputs of the corpus, without end.
 
-    A change replaces, removes or inserts bytes, or takes the end of another input. One in sixteen
+    A change replaces, removes or inserts bytes, or copies the end of another input. One in sixteen
     inputs is entirely random.
     """
     pick = chance.choice
@@ -63,7 +61,7 @@ def feed_inputs(
     If the target raises an exception, the input is saved and this process ends.
 
     Returns:
-        The number of all inputs, and the number of those that the parser accepted.
+        The number of inputs, and how many of them the parser accepted.
     """
     start = reported = time.monotonic()
     number = 0

@@ -1,7 +1,7 @@
-"""The drives whose replies are fuzzed.
+"""List the drives whose replies are fuzzed.
 
-The list has one drive for each protocol, and a further drive for each set of options that changes
-how replies are decoded.
+The list has one drive for each protocol, and one more for each set of options that changes how
+replies are decoded.
 """
 
 from typing import NamedTuple
@@ -14,8 +14,8 @@ class FuzzedDrive(NamedTuple):
 
     Attributes:
         protocol: name of the protocol.
-        options: lines of the hand file that add options of the drive.
-        without: prefix of lines to remove from the hand file.
+        options: lines with options of the drive, which are added to the hand file. without: prefix
+            of the lines that are removed from the hand file.
     """
 
     protocol: str

@@ -1,4 +1,4 @@
-"""Targets for files that users write: hand, task, trajectory, gains and calibration.
+"""Fuzz targets for files that users write: hand, task, trajectory, gains and calibration.
 
 Inputs are random bytes, or nearly valid files.
 """
@@ -37,7 +37,7 @@ TASKS_FOLDER = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
 def construct_all(hand: Hand) -> None:
-    """Construct all objects that a run makes from a hand before the run opens a bus."""
+    """Construct all objects that a run constructs from a hand before it opens a bus."""
     for name in hand.digit_names:
         DigitModel.from_hand(hand, name)
     for motor in hand.motor:
@@ -92,9 +92,9 @@ def _is_accepted(load: Callable[[], object]) -> bool:
 
 
 DOCUMENTS_PER_TEXT = 32
-"""Of 32 inputs, one consists of random bytes, and one is a changed document, written as text.
+"""Number of inputs among which one is random bytes, and one is a changed document that is written as text and parsed.
 
-All other inputs are parsed documents with changes, because parsing a text is slow.
+All other inputs are changed documents that need no parsing, because parsing is slow.
 """
 
 

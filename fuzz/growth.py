@@ -1,8 +1,10 @@
-"""Growth of the memory of controller and recorder, over hours of simulated time in lockstep.
+"""Measure how the memory of controller and recorder grows: ``python -m fuzz.growth --hours 1``.
 
-``python -m fuzz.growth --hours 1``. ``fuzz.soak --calm`` measures the growth in real time. This
-module runs the same loop, controller and recorder on a simulated clock and bus. The result is
-therefore independent of the load of the machine.
+The time is simulated.
+
+``fuzz.soak --calm`` measures the same growth in real time. This module runs the same loop,
+controller and recorder on a simulated clock and a simulated bus. The measured growth is therefore
+independent of the load of the machine.
 """
 
 import argparse
@@ -26,7 +28,11 @@ from handctl.session.simulate import SimulatorSettings
 
 SAMPLE_PERIOD_S = 30.0
 WARM_UP_S = 600.0
-"""Time until the buffer for the lateness of each tick is full [s]. The full buffer takes 2 MiB."""
+"""Warm-up time before the growth is measured [s].
+
+In this time, the buffer that stores how late each tick was becomes full. The full buffer takes 2
+MiB.
+"""
 
 
 class MemorySampler:

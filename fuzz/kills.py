@@ -1,4 +1,4 @@
-"""Hundreds of controllers that are killed or stopped at random times: ``python -m fuzz.kills --times 500``."""
+"""Kill or stop hundreds of controllers at random times: ``python -m fuzz.kills --times 500``."""
 
 import argparse
 import sys

@@ -27,9 +27,9 @@ from tests.log import synthetic_run
 FuzzTarget = Callable[[bytes], bool]
 MAX_EDITS = 4
 KEPT_TOPICS = (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
-"""Topics that stay in the fuzzed log. The reader decodes all of these topics and skips /rosout."""
+"""Topics that stay in the fuzzed log. The reader skips /rosout and decodes the other topics."""
 PER_TOPIC_RECORDS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX)
-"""Kinds of records after the chunks of a log that exist once for each topic."""
+"""Kinds of records that a log has after its chunks, one record for each topic."""
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 NUMERIC_START_BYTES = 48
 """Length of the numeric fields at the start of a record [bytes].
@@ -110,7 +110,7 @@ def log_target(folder: Path) -> FuzzTarget:
 def _log_parts(path: Path) -> list[list[bytes]]:
     """Split a log into lists of records: before the chunks, in each chunk, and after the chunks.
 
-    Clear the checksums.
+    Set the checksums in the records to zero.
     """
     file = LogFile(path)
     result = RecordScan()
@@ -176,7 +176,7 @@ def _join_records(i: int, records: list[bytes]) -> bytes:
 
 
 def _changed_record(record: bytes, source: ByteSource) -> bytes:
-    """Return a record with changed content. The length of one in eight records is wrong."""
+    """Return a record with changed content. One in eight of these records gets a wrong length."""
     body = bytearray(record[9:])
     kind = source.take_number(8)
     if kind == 0:

@@ -1,6 +1,6 @@
-"""Conversion of the random bytes of a fuzzer to nearly valid documents.
+"""Convert the random bytes of a fuzzer to nearly valid documents.
 
-Without this conversion, random bytes would never pass the first check of a parser.
+Without this conversion, the bytes would never pass the first check of a parser.
 """
 
 import struct
@@ -33,9 +33,9 @@ def paths_of_values(node: Any, path: KeyPath = ()) -> Iterator[KeyPath]:
 
 
 class ByteSource:
-    """The bytes of a fuzzer. Each call consumes bytes from the front.
+    """Reader of the bytes that a fuzzer has generated.
 
-    After the last byte, the source delivers zeros.
+    Each call consumes bytes from the front. After the last byte, the reader returns zeros.
     """
 
     def __init__(self, data: bytes) -> None:

@@ -1,6 +1,6 @@
-"""Test of a simulated hand and its controller in real time for hours, with a random fault every minute.
+"""Test a simulated hand and its controller in real time for hours, with a random fault every minute.
 
-The test watches the memory and the open descriptors of both processes. If a fault ends the
+The test measures the memory and the open file descriptors of both processes. If a fault ends the
 controller, a new controller starts. If a remaining fault keeps the new controller from arming, a
 new simulator starts. Each log is read completely and then deleted.
 """
@@ -40,16 +40,19 @@ MAX_GROWTH_MIB_PER_H = 1.0
 WARM_UP_S = 300.0
 """Duration of the warm-up [s], in which a process still allocates its working memory."""
 PEAK_WINDOW_S = 300.0
-"""Length of the time windows [s]. The largest memory in each window shows the growth."""
+"""Length of a time window [s].
+
+The growth of the memory is computed from the largest value in each window.
+"""
 MIN_SLOPE_TIME_S = 1800.0
-"""If the samples cover a shorter time [s], no growth per hour is computed."""
+"""Shortest time [s] over which a growth per hour is computed."""
 ACCEPTED_EXIT_CODES = (0, 1, 71)
 """Accepted exit codes of a controller: 0 (done), 1 (ended by a named fault), 71 (no confirmation from some drives)."""
 SOAK_TASK = LONG_TASK.replace("duration_s = 60.0", "duration_s = 3600.0")
 
 
 class MemorySample(NamedTuple):
-    """Time of a sample [s], and memory [MiB] and number of open descriptors of a process with its children."""
+    """Memory [MiB] and number of open file descriptors of a process with its children, at a given time [s]."""
 
     time_s: float
     rss_mib: float
@@ -57,7 +60,10 @@ class MemorySample(NamedTuple):
 
 
 def memory_sample(pid: int, time_s: float) -> MemorySample:
-    """Sample the memory and descriptors of a process and its children at time ``time_s`` [s]."""
+    """Measure the memory and the file descriptors of a process with its children.
+
+    ``time_s`` is the time of the sample [s].
+    """
     pids = [pid, *map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())]
     rss = descriptors = 0
     for one in pids:
@@ -107,7 +113,7 @@ class SoakTest:
         self.controller: subprocess.Popen[str] | None = None
 
     def start_simulator(self) -> None:
-        """Start a new simulated hand without faults, in place of the old one."""
+        """Start a new simulated hand without faults, in place of the old simulated hand."""
         if self.simulator:
             end_process(self.simulator)
         words = ("--bus", LOCAL_BUS, "--homed", "--hand", "jamia", "--time-scale", self.scale)
@@ -123,7 +129,7 @@ class SoakTest:
     def start_controller(self) -> bool:
         """Start a controller.
 
-        Return True as soon as the controller has armed and holds the hand bent.
+        Return True as soon as the controller has armed the hand and holds the fingers bent.
         """
         self.run_number += 1
         write_homed_calibration(Path("c.toml"), load_hand("jamia"))
@@ -159,7 +165,7 @@ class SoakTest:
             return
         if self.controller.poll() is None:
             self.controller.send_signal(signal.SIGTERM)
-        out, err = self.controller.communicate(timeout=600.0)  # the end includes a check of the log
+        out, err = self.controller.communicate(timeout=600.0)  # includes a check of the log
         code = self.controller.returncode
         path = Path(f"{self.run_number}.mcap")
         self.controller = None
@@ -179,7 +185,7 @@ class SoakTest:
     def ensure_controller(self) -> None:
         """Ensure that a controller runs and holds the hand.
 
-        If no controller can arm, start a new simulator.
+        If no controller can arm the hand, start a new simulator.
         """
         if self.controller is not None and self.controller.poll() is None:
             return
@@ -213,13 +219,13 @@ class SoakTest:
         return text
 
     def sample_memory(self, t: float) -> None:
-        """Sample memory and descriptors of simulator and controller."""
+        """Measure memory and file descriptors of simulator and controller."""
         for name, process in (("simulator", self.simulator), ("controller", self.controller)):
             if process is not None and process.poll() is None:
                 self.samples_by_process[name][-1].append(memory_sample(process.pid, t))
 
     def soak_result(self) -> dict[str, object]:
-        """Return the result of the test: counts of events, growth of memory, numbers of descriptors, and all errors."""
+        """Return the result of the test: counts of events, growth of memory, open file descriptors, and all errors."""
         slopes = {
             name: [memory_slope(one) for one in lives if one]
             for name, lives in self.samples_by_process.items()

@@ -1,4 +1,8 @@
-"""Report of a mutation test: the score of each module, and survivors without a reason in docs/evidence/mutation.md."""
+"""Report the result of a mutation test.
+
+The report has the score of each module, and the surviving mutants for which
+docs/evidence/mutation.md gives no reason.
+"""
 
 import json
 import sys
@@ -9,15 +13,16 @@ REASONS_DOCUMENT = Path("docs/evidence/mutation.md")
 SURVIVED_CODES, UNTESTED_CODES, NOT_RUN_CODES = (0,), (5, 33), (None, 2, 34)
 """Exit codes of mutants in the records of mutmut.
 
-The three groups mean: no test failed, no selected test calls the function, the mutant was not run.
+The three groups mean that no test failed, that no selected test calls the function, and that the
+mutant was not run.
 """
 
 
 def main() -> int:
-    """Print a table of the scores, and the survivors without a reason.
+    """Print a table of the scores, and the surviving mutants without a reason.
 
-    Return 1 if the document gives no reason for a surviving mutant, or if the tests of no mutant
-    ended.
+    Return 1 if the document gives no reason for a surviving mutant, or if the tests ended for none
+    of the mutants.
     """
     reasons = REASONS_DOCUMENT.read_text() if REASONS_DOCUMENT.exists() else ""
     unexplained = list[str]()

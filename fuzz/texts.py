@@ -1,4 +1,4 @@
-"""Targets for texts of one line: requests to a running controller, and descriptions of injected faults."""
+"""Fuzz targets for texts of one line: requests to a running controller, and descriptions of injected faults."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +14,7 @@ FuzzTarget = Callable[[bytes], bool]
 
 
 def request_target(folder: Path) -> FuzzTarget:
-    """Return the target that parses requests, as a running controller receives them from its mailbox."""
+    """Return the target that parses requests in the same way as a running controller does."""
 
     def target(data: bytes) -> bool:
         answer = parse_request(data.decode("utf-8", "replace"))

@@ -1,10 +1,10 @@
-"""Targets for received CAN frames: the decoders of each drive protocol and of the sensor node, in every state.
+"""Fuzz targets for received CAN frames: the decoders of each drive protocol and of the sensor node.
 
     state 8 | up to five frames: identifier 8 | shape 8 | third byte 8 | payload
 
-The first byte of an input selects the initial state. The corpus starts with the frames that the
-driver of a drive receives until the drive makes torque. Purely random identifiers would hardly ever
-be those of a node.
+The first byte of an input selects the initial state of the drive. The corpus starts with the frames
+that handctl receives from a drive until this drive makes torque. Purely random identifiers would
+hardly ever be identifiers of a node.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -22,12 +22,15 @@ FuzzTarget = Callable[[bytes], bool]
 STEP_NS, LONG_SILENCE_NS = 2_000_000, 1_000_000_000
 """Time from one frame to the next, and silence after which every drive counts as lost [ns]."""
 SILENCE_BYTE = 240
-"""If the third byte is at least this value, a long silence precedes the frame."""
+"""If the third byte of a frame header in the input is at least this value, a long silence precedes the frame."""
 IDENTIFIER_FLAGS = (0, 0, 0, 0, 0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG)
 MAX_FRAMES = 5
 DRIVE_TARGETS = tuple(DriveTarget)
 CLEAR_BIT = 0x40
-"""Bit of the third byte. If the bit is set, the target clears the error of the drive."""
+"""Bit of the third byte in a frame header of the input.
+
+If the bit is set, the target clears the error of the drive.
+"""
 MAX_PAYLOAD_BYTES = 64
 
 
@@ -64,7 +67,7 @@ def frames_of_input(
 
 
 class RecordedState(NamedTuple):
-    """State of a drive before a tick, time of the tick [ns], and frames that the driver receives in the tick."""
+    """Record of one tick: the state of a drive before the tick, the time [ns], and the frames from this drive."""
 
     state: DriveState
     t_ns: int
@@ -106,7 +109,7 @@ def recorded_inputs(name: str, folder: Path) -> list[bytes]:
 
 
 def selectable_identifiers(motor: Drive, seen: Sequence[RecordedState]) -> list[int]:
-    """Return at most 256 identifiers. A byte of an input selects one of them.
+    """Return at most 256 identifiers, of which one byte of an input selects one.
 
     The identifiers of the recorded frames come first.
     """
@@ -176,7 +179,7 @@ def _feed_sensor_node(
 
     The decoder starts in the state ``begin``.
 
-    Return True if the decoder used any frame or found it malformed or stale.
+    Return True if the decoder used any frame, or found any frame malformed or stale.
     """
     wired.block[:] = begin
     taken = 0

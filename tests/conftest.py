@@ -1,4 +1,4 @@
-"""Settings of all tests: examples of property tests, nightly tests, repetition of tests on the real clock."""
+"""Settings of all tests: property tests, nightly tests, and the repetition of tests on the real clock."""
 
 import os
 import signal
@@ -15,11 +15,12 @@ from tests.stall_meter import StallMeter
 pytest_plugins = ("pytester",)
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SLOW_S = float("inf") if NIGHTLY else float(os.environ.get("HANDCTL_SLOW_S", "inf"))
-"""Cost above which a sample leaves out a test of tests/slow_tests.txt [s]."""
+"""Longest duration of a test in an incomplete test run [s]. tests/slow_tests.txt has the durations."""
 PROPERTY_TEST_SETTINGS = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 """Property tests have no time limit per example.
 
-Property tests do not judge times, and other processes share the processor cores.
+Property tests check results, not durations. Other processes that share the processor cores can
+delay an example.
 """
 
 settings.register_profile(
@@ -33,23 +34,32 @@ TIME_SCALE_PER_REPEAT = 0.5
 TIME_WITHOUT_STALL_S = 1.0
 """Time that must pass without a stall of the machine before a test is repeated [s]."""
 MAX_STALL_WAIT_S = 15.0
-"""Longest wait for a time without a stall before a repetition [s]."""
+"""Longest wait for a time without a stall of the machine before a test is repeated [s]."""
 REAL_CLOCK_TIMEOUT_S = 900.0
-"""Time limit for all tries of a test on the real clock together [s]. A test may set a shorter limit."""
+"""Time limit for a test on the real clock, including its repetitions [s].
 
-# A shell starts its background jobs with SIGINT ignored, and nohup ignores SIGHUP. Without this,
-# every program that the tests start would ignore both signals too.
+A test may set a shorter limit.
+"""
+
+# A shell starts its background jobs with SIGINT ignored, and nohup ignores SIGHUP. Restore both
+# signals, because every program that the tests start would otherwise ignore them too.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
-# If Python may not store byte code, each program that the tests start compiles 300 modules. This
-# takes half of the start-up time of the program.
+# Without stored byte code, each program that the tests start compiles 300 modules. The compilation
+# takes half of the start-up time of such a program.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
     BYTE_CODE = tempfile.TemporaryDirectory(prefix="handctl-byte-code-", ignore_cleanup_errors=True)
-    """Folder for the byte code of the programs that tests start. It is removed at the end of this process."""
+    """Folder for the byte code of the programs that tests start.
+
+    The folder is removed at the end of this process.
+    """
     os.environ["PYTHONPYCACHEPREFIX"] = BYTE_CODE.name
 if "HANDCTL_RUN_DIR" not in os.environ:
     RUN_DIR = tempfile.TemporaryDirectory(prefix="handctl-", ignore_cleanup_errors=True)
-    """Folder for sockets of buses and truth files of tests. It is removed at the end of this process."""
+    """Folder for sockets of buses and truth files of tests.
+
+    The folder is removed at the end of this process.
+    """
     os.environ["HANDCTL_RUN_DIR"] = RUN_DIR.name
 
 
@@ -58,8 +68,8 @@ REAL_CLOCK_SELECTIONS = ("alone", "realtime and not alone")
 REAL_CLOCK_MARKERS = ("mark.realtime", "mark.alone")
 """Markers of tests on the real clock.
 
-Every file with such tests contains one of these markers, except in the folder tests/vcan, which
-marks all of its tests.
+Every file with tests on the real clock contains one of these markers. The folder tests/vcan is an
+exception, because its conftest.py marks all tests.
 """
 REAL_CLOCK_FOLDER = Path(__file__).parent / "vcan"
 
@@ -89,9 +99,9 @@ class RepeatAfterStall:
 
     A test has at most three tries.
 
-    If the time scale of a test is slow, each repetition makes it slower by the factor of the
-    fixture ``repeat_time_scale``. In slower time, a stall of the machine has less effect, but a
-    defect has the same effect.
+    A test whose simulated time runs slower than the real clock is repeated with even slower time,
+    by the factor of the fixture ``repeat_time_scale``. In slower time, a stall of the machine has
+    less effect, but a defect has the same effect.
 
     Attributes:
         stalls: name of each repeated test, with the longest stall of the machine during the test
@@ -146,7 +156,7 @@ class RepeatAfterStall:
                 item.add_marker(pytest.mark.timeout(REAL_CLOCK_TIMEOUT_S))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """Report the repeated tests, each with its longest stall."""
+        """Report each repeated test with the longest stall of the machine during this test."""
         for test, longest in self.stalls:
             terminalreporter.write_line(
                 f"failed while the machine stalled for {longest * 1e3:.0f} ms: {test}"
@@ -174,8 +184,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Register the repetition of tests, except in the virtual machine of the vcan tests.
 
-    The virtual machine of the vcan tests has only one core, on which every process waits for the
-    others.
+    This virtual machine has only one processor core, so its processes delay each other in every
+    test.
     """
     if "HANDCTL_VCAN_REPORTS" not in os.environ:
         config.pluginmanager.register(RepeatAfterStall(), "repeats")
@@ -186,7 +196,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Skip the nightly tests unless this run is a nightly run.
 
-    If this run is a sample, leave out the slow tests.
+    If ``HANDCTL_SLOW_S`` is set, also leave out the slow tests.
     """
     if not NIGHTLY:
         for item in items:

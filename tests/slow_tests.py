@@ -1,6 +1,6 @@
 """Choose the slow tests by their measured processor time.
 
-`make test` leaves out the slow tests. CI or the nightly run executes them.
+`make test` leaves out the slow tests. CI or the nightly run executes the slow tests.
 
     make test SLOW_S=inf PYTEST_FLAGS=--durations-file=times.jsonl      # writes the time of each test
     python -m tests.slow_tests times.jsonl                                    # writes tests/slow_tests.txt
@@ -8,13 +8,13 @@
     make unit HANDCTL_SLOW_S=0 PYTEST_FLAGS=--durations-file=times.jsonl    # only the tests of `make test`
     python -m tests.slow_tests times.jsonl --add                              # adds those that have become slow
 
-With ``HANDCTL_SLOW_S``, a run leaves out those listed tests whose cost is higher than this value.
-`make test` sets the value 0. CI sets 3, and a higher value for tests on the real clock. `make
-nightly` and plain pytest run all listed tests. The cost of a test is its processor time. For a test
-on the real clock, the cost is its elapsed time. In a sample, each test function keeps its first
-cases, up to a total cost of ``FUNCTION_BUDGET_S`` or ``REAL_CLOCK_BUDGET_S``. Each file keeps at
-least its cheapest test, if that test costs no more than ``FILE_LIMIT_S``. So a sample still runs a
-test of nearly every file.
+A test run leaves out the listed tests whose cost is higher than ``HANDCTL_SLOW_S``. `make test`
+sets the value 0. CI sets 3, and a higher value for tests on the real clock. `make nightly` and
+plain pytest run all listed tests. The cost of a test is its processor time. For a test on the real
+clock, the cost is its elapsed time. An incomplete test run still executes the first cases of each
+test function, up to a total cost of ``FUNCTION_BUDGET_S`` or ``REAL_CLOCK_BUDGET_S``. Such a run
+also executes the cheapest test of each file, if that test costs no more than ``FILE_LIMIT_S``. At
+least one test of nearly every file is therefore executed.
 """
 
 import json
@@ -33,9 +33,12 @@ FUNCTION_BUDGET_S = 0.5
 REAL_CLOCK_BUDGET_S = 3.0
 """Elapsed time that the cases of one test function on the real clock may take in `make test` [s]."""
 CHEAP_CASE_S = 0.05
-"""Cost up to which a case never counts as slow [s]."""
+"""A test case that costs no more than this never counts as slow [s]."""
 FILE_LIMIT_S = 15.0
-"""Limit of the cost of a file's cheapest test [s]. Above it, a sample leaves out the whole file."""
+"""Largest cost of a file's cheapest test [s].
+
+If this test costs more, an incomplete test run leaves out the whole file.
+"""
 
 
 def tests_slower_than(limit_s: float) -> frozenset[str]:
@@ -65,14 +68,14 @@ class DurationRecorder:
     """
 
     def __init__(self, path: Path) -> None:
-        """Append to a file to which all processes of xdist write."""
+        """Open the file for appending. All processes of pytest-xdist write to this file."""
         self.path = path
         self._elapsed_s: defaultdict[str, float] = defaultdict(float)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Add the elapsed time of a part of a test.
+        """Add the elapsed time of one phase of a test (set-up, call or tear-down).
 
-        For a test in a virtual machine, use the time that the test took there.
+        For a test in a virtual machine, use the time that the test took in this machine.
         """
         self._elapsed_s[report.nodeid] += report.duration
 
@@ -124,8 +127,8 @@ def main(path: Path, add: bool) -> None:
 
     Args:
         path: file with the times of a run.
-        add: True to keep the tests that are already listed. This is necessary if the run was a
-            sample and has left them out.
+        add: True to keep the tests that are already listed. This option is necessary if the test
+            run has left out listed tests.
     """
     rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     slow = choose_slow_tests(rows) | (listed_costs() if add else {})

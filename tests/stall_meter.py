@@ -1,6 +1,6 @@
 """Detect stalls of the machine.
 
-If a test on the real clock fails during a stall, the failure does not show a defect.
+A failure of a test on the real clock during a stall is no sign of a defect.
 
 A host sometimes pauses a virtual machine for tens of milliseconds. During such a stall, a
 controller correctly ends its run. A sleeping process on each core detects the stall, independently
@@ -16,9 +16,9 @@ import time
 SLEEP_PERIOD_S = 0.002
 """Duration of one sleep of a sleeping process [s]."""
 MIN_STALL_S = 0.010
-"""Smallest lateness of a sleeper that counts as a stall [s].
+"""If a sleeping process wakes up late by at least this time, the machine has stalled [s].
 
-Even a busy core wakes a sleeper within some milliseconds.
+Even a busy core wakes such a process within some milliseconds.
 """
 
 
@@ -48,7 +48,7 @@ class StallMeter:
     def longest_since(self, begin: float) -> float:
         """Return the duration of the longest stall that ended after a given time of ``time.monotonic`` [s].
 
-        If there was none, return zero.
+        If there was no stall, return zero.
         """
         for sleeper in self._sleepers:
             assert sleeper.stdout
@@ -66,7 +66,10 @@ class StallMeter:
 
 
 def _report_stalls(core: int) -> None:
-    """Sleep on one core until the parent process has ended. Report the end and the duration of each stall [s]."""
+    """Sleep on one core again and again, until the parent process has ended.
+
+    Report the end and the duration of each stall [s].
+    """
     os.sched_setaffinity(0, {core})
     parent = os.getppid()
     last = time.monotonic()

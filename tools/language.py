@@ -1,12 +1,10 @@
-"""Count private words and hard phrases in names, docstrings and documents.
+"""Count private words and hard phrases in names, docstrings and documents, and compare the counts with limits.
 
-Compare the counts with limits.
-
-``python tools/language.py`` is a part of ``make lint``. It prints a line for each count above its
-limit and exits 1. ``--table`` prints all counts. ``--places COUNT FOLDER`` prints where a count
-comes from. ``--tighten`` lowers the limits in ``language_limits.toml`` to the current counts. No
-option raises a limit. A private word is one that only this project uses. The word list is an
-indicator. A reader must judge whether a sentence is plain.
+``python tools/language.py`` is a part of ``make lint``. The program prints a line for each count
+above its limit and exits 1. ``--table`` prints all counts. ``--places COUNT FOLDER`` prints each
+place that contributes to a count. ``--tighten`` lowers the limits in ``language_limits.toml`` to
+the current counts. No option raises a limit. A private word is one that only this project uses. The
+word list is an indicator. A reader must judge whether a sentence is plain.
 """
 
 import argparse
@@ -42,16 +40,16 @@ QUANTITY_PER_COUNT = {
     "long_lines": ("lines", 100),
     "repeated_classes": ("", 1),
 }
-"""For each count, the quantity by which it is divided, and the factor of the ratio.
+"""For each count, the quantity by which the count is divided, and a factor that multiplies the ratio.
 
-A count without a quantity is absolute.
+A count without a quantity is not divided.
 """
 LONG_LINE_CHARACTERS = 100
-"""Number of characters above which a line counts as long."""
+"""A line with more characters than this counts as long."""
 LIMITS_PER_UNIT = 2
 """Limits are multiples of 1 / LIMITS_PER_UNIT.
 
-With finer limits, a single sentence could exceed a limit.
+If limits had finer steps, a single sentence could exceed a limit.
 """
 
 _WORD_PATTERN = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
@@ -67,11 +65,12 @@ _CODE_PATTERN = re.compile(
 
 @dataclass
 class FolderTally:
-    """Counts of one folder.
+    """Counts of hard words and phrases in one folder.
 
     Attributes:
         counts: number of findings for each key of ``QUANTITY_PER_COUNT``.
-        totals: total of each unit in ``QUANTITY_PER_COUNT``, such as words. A ratio is a count divided by its total.
+        totals: total number of each quantity in ``QUANTITY_PER_COUNT``, such as words. A ratio is a
+            count divided by the total of its quantity.
         places: ``file:line: finding`` of each count.
     """
 
@@ -86,7 +85,7 @@ class FolderTally:
             self.places[count].append(f"{place}: {finding}")
 
     def ratio(self, count: str) -> float:
-        """Return a count divided by its quantity, see ``QUANTITY_PER_COUNT``."""
+        """Return a count divided by the total of its quantity, see ``QUANTITY_PER_COUNT``."""
         quantity, factor = QUANTITY_PER_COUNT[count]
         return (
             factor * self.counts[count] / max(self.totals[quantity], 1)
@@ -96,7 +95,7 @@ class FolderTally:
 
 
 def count_prose(tally: FolderTally, text: str, place: str) -> None:
-    """Count all words, and the matches of the patterns, in a docstring or document."""
+    """Count all words of a docstring or document, and its matches with the patterns of hard phrases."""
     tally.totals["words"] += len(re.findall(r"[A-Za-z']+", text))
     for name, pattern in _PROSE_PATTERNS.items():
         matches = pattern.findall(text)
@@ -193,7 +192,10 @@ def _attribute_docs(tree: ast.Module) -> Iterator[str]:
 
 
 def comments(text: str) -> int:
-    """Return the number of comments in a module. Directives for tools do not count."""
+    """Return the number of comments in a module.
+
+    Comments that are directives for tools are not counted.
+    """
     tokens = tokenize.generate_tokens(io.StringIO(text).readline)
     return sum(
         token.type == tokenize.COMMENT and not re.search("noqa|type:|fmt:", token.string)
@@ -243,7 +245,7 @@ def count_all(root: Path) -> dict[str, FolderTally]:
 
 
 def count_ratios(tally: FolderTally) -> dict[str, float]:
-    """Return the ratio of each count whose quantity occurs in the tally, rounded up to a multiple of one half."""
+    """Return the ratio of each count whose quantity occurs, rounded up to a multiple of one half."""
     measured = [
         count
         for count, (quantity, _) in QUANTITY_PER_COUNT.items()
@@ -261,7 +263,7 @@ Limits = dict[str, dict[str, float]]
 def limit_excesses(tallies: dict[str, FolderTally], limits: Limits) -> Iterator[str]:
     """Yield a line for each count above its limit.
 
-    If a folder has no limits in the file, its limits are zero.
+    For a folder without limits in the file, all limits are zero.
     """
     for name, tally in tallies.items():
         for count, ratio in count_ratios(tally).items():

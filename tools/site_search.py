@@ -1,6 +1,6 @@
-"""A hook of mkdocs.
+"""Change the site search through a hook of mkdocs.
 
-In the site search it ranks pages with answers first, and leaves one page out.
+The search ranks pages with answers first, and leaves one page out.
 """
 
 from typing import Any
@@ -11,13 +11,14 @@ SEARCH_BOOSTS = {
 }  # fmt: skip
 """Factor that multiplies the search score of a page."""
 EXCLUDED_PAGES = ("evidence/lookups.md",)
-"""Pages that the search leaves out, because these pages quote questions without answers."""
+"""Pages that the search leaves out, because they quote questions without the answers."""
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
     """Set the rank of a page in the site search.
 
-    The front matter of the page could also set its rank, but GitHub would show the front matter.
+    Front matter at the start of a page could also set the rank of this page, but GitHub would show
+    it.
     """
     path = page.file.src_uri
     if path in SEARCH_BOOSTS:

@@ -1,6 +1,8 @@
-"""Alternatives that use client libraries from the package index, with the motors and payloads of each library.
+"""Alternatives to handctl that use client libraries from PyPI.
 
-The threads of the clients are stopped, and this module does their work. All clients are thus
+Each library is used with motors and payloads that it supports.
+
+This module stops the threads of the clients and does their work itself, so that all clients are
 measured in the same way. A client that needs a particular event loop (moteus: asyncio) runs in this
 event loop.
 """
@@ -49,8 +51,8 @@ class DamiaoClient:
 class OdriveClient:
     """Client odrive-can.
 
-    odrive-can encodes a torque with the DBC file of the package, and decodes a position with the
-    frame reader of the package.
+    odrive-can encodes a torque with the package's own DBC file, and decodes a position with the
+    package's own frame reader.
     """
 
     DBC_AXIS_COUNT = 8
@@ -85,10 +87,9 @@ class OdriveClient:
 class TMotorClient:
     """Client TMotorCANControl for a CubeMars AK80-9.
 
-    The class calls the functions that the client's notifier thread would call.
-
-    The manager of the client supports no interface except can0. The manager's command ``sudo ip
-    link set can0`` is left out.
+    The class calls the functions that the client's notifier thread would call. The client supports
+    only the interface can0. The benchmark leaves out the client's command ``sudo ip link set
+    can0``.
     """
 
     def __init__(self, interface, channel, motors):
@@ -133,7 +134,7 @@ class TMotorClient:
 class MoteusClient:
     """Client moteus over python-can in CAN FD.
 
-    The client sends a position command with a torque, and the default query.
+    The client sends a position command with a feedforward torque, and requests the default values.
     """
 
     def __init__(self, interface, channel, motors):

@@ -1,6 +1,6 @@
 """The two buses of the exchange benchmark, with simulated motors.
 
-The benchmark subtracts the time of the motors.
+The benchmark subtracts the time that the motors take.
 """
 
 import os

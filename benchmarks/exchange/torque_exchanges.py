@@ -1,8 +1,7 @@
-"""Alternatives of the exchange benchmark.
+"""Alternatives that the exchange benchmark compares.
 
-``send(torques)`` sends a torque to each MIT motor, and ``receive()`` reads the replies.
-
-The clients from the package index are in the module ``clients``.
+``send(torques)`` sends a torque to each MIT motor, and ``receive()`` reads the replies. Clients
+from PyPI are in the module ``package_clients``.
 """
 
 from functools import cache
@@ -34,7 +33,10 @@ BO_ 17 Feedback: 8 H
 
 
 def feedback_frame(motor: int) -> tuple[int, bytes, int]:
-    """Return the feedback frame that an enabled Damiao motor sends with its MST_ID."""
+    """Return the feedback frame of an enabled Damiao motor.
+
+    The identifier of this frame is the register MST_ID of the motor.
+    """
     return 0x10 + motor, bytes((0x10 | motor,)) + FEEDBACK_TAIL, 0
 
 
@@ -43,7 +45,10 @@ RATE_HZ = 200.0
 
 @cache
 def enabled_controller(motors):
-    """Return a controller of a packaged hand with this many MIT motors, and a state in which all motors are enabled."""
+    """Return a controller of a packaged hand that has as many MIT motors as ``motors``.
+
+    Also return a state in which all motors are enabled.
+    """
     from handctl.core.gains.gains import Gains
     from handctl.core.hand_model import HandModel
     from handctl.core.tick_types import HandMode
@@ -110,7 +115,7 @@ class HandctlExchange:
 
 
 class ScalarCodecExchange:
-    """python-can, which sends and receives one message at a time, with a typical hand-written codec."""
+    """python-can, which sends and receives one message at a time, with typical hand-written encoding and decoding."""
 
     reply_of = staticmethod(feedback_frame)
 

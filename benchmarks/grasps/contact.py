@@ -1,6 +1,6 @@
-"""Delay and false alarms of contact detection at a fingertip.
+"""Measure the delay and the false alarms of contact detection at a fingertip.
 
-The reference is the true contact force.
+The delay is measured from the time at which the true contact force reaches 1 N.
 """
 
 import json
@@ -19,7 +19,7 @@ SPEED_DEG_S = (20.0, 100.0)
 """Smallest and largest speed of closing [deg/s]. The packaged tasks close with 40 to 50 deg/s."""
 TOUCHED_N = 0.01
 MOVING_FRACTION = 0.85
-"""Fraction of the time of a free-motion run in which the digits move."""
+"""Fraction of a free-motion run in which the digits move."""
 WALL_SCENE = """name = "wall"
 [object]
 shape = "box"
@@ -41,10 +41,10 @@ def program_of_phases(phases: list[dict[str, Any]]) -> TaskProgram:
 
 
 def find_contacts(job: tuple[str, int]) -> list[float]:
-    """Measure the delay of the contact event of each digit [s], for a hand and a seed.
+    """Measure the delay of each digit's contact event [s], for a hand and a seed.
 
-    The delay starts when the true force on the digit reaches 1 N. The delay is negative if the
-    event comes before this moment. Without an event, the delay is inf.
+    The delay is measured from the moment when the true force on the digit reaches 1 N. The delay is
+    negative if the event comes before, and inf if no event comes.
     """
     hand, seed = job
     chance = random.Random(f"wall {seed}")
@@ -86,8 +86,8 @@ def _detection_latencies(run: GraspRun, digits: tuple[str, ...]) -> list[float]:
 def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
     """Measure false contact events in free motion, for a hand, a time [s] and a seed.
 
-    The result is the number of false contact events, and the simulated time in which the digits
-    moved [min].
+    Return the number of false contact events, and the simulated time in which the digits moved
+    [min].
     """
     hand, seconds, seed = job
     chance = random.Random(f"free {seed}")
@@ -98,7 +98,8 @@ def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
         limits = {"index": 15, "middle": 8, "ring": 15, "thumb": 3}
         home = {name: chance.uniform(0, limit) for name, limit in limits.items()}
         goal = {"index": chance.uniform(25, 50)}
-        # If the middle finger and the thumb moved in the same phase, they would touch each other.
+        # Middle finger and thumb move in different phases, because they would otherwise touch each
+        # other.
         if chance.random() < 0.6:
             goal |= {"middle": chance.uniform(12, 25), "ring": chance.uniform(25, 50)}
         else:

@@ -1,8 +1,10 @@
-"""Objects of the grasp benchmark with their positions and disturbances, fixed before any grasp was tuned.
+"""Define the objects of the grasp benchmark, with positions and disturbances.
+
+The objects were fixed before any grasp was tuned.
 
 The size of the hand determines the sizes of the objects. An object of 42 mm fits between straight
-fingers and thumb, and a fingertip touches the thumb at about 25 mm from the palm. The seed also
-determines a shift of each object, by up to 1 mm along x and 2 mm along y.
+fingers and thumb, and a fingertip touches the thumb at about 25 mm from the palm. Each object is
+shifted at random by up to 1 mm along x and 2 mm along y. The seed determines the shift.
 """
 
 import random
@@ -14,9 +16,9 @@ PUSH_N = 1.0
 PUSH_AT_S = 2.0
 PUSH_S = 1.0
 MAX_MOTION_M = 2e-3
-"""Limit of the motion of a held object within a stage [m].
+"""Largest motion of a held object within a stage [m].
 
-A larger motion of the object means a failed grasp.
+If the object moves further, the grasp has failed.
 """
 GRAVITY_DIRECTIONS = {
     "power": ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
@@ -25,8 +27,8 @@ GRAVITY_DIRECTIONS = {
 }
 """Directions of gravity in the stages of each grasp.
 
-In a power grasp and a pinch, gravity acts along the hinges, out of the palm, and towards the thumb.
-In a hook grasp, gravity acts across the bar.
+In a power grasp and a pinch, gravity acts along the joint axes, out of the palm, and towards the
+thumb. In a hook grasp, gravity acts across the bar that the hand holds.
 """
 PLACEMENT_SHIFT_M = (1e-3, 2e-3)
 
@@ -91,7 +93,10 @@ class GraspCase:
 
 
 def _power_grasp_case(shape: str, width_mm: float, friction: float, mass: float) -> GraspCase:
-    """Return an object for a power grasp, 2 mm in front of the palm and midway between fingers and thumb."""
+    """Return an object for a power grasp.
+
+    The object is 2 mm in front of the palm, and midway between fingers and thumb.
+    """
     return GraspCase(
         "power", shape, width_mm * 1e-3, friction, mass, (width_mm * 0.5e-3 + 2e-3, 0.0)
     )

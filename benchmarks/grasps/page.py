@@ -1,4 +1,4 @@
-"""Output of the grasp benchmark: text, Markdown page and picture."""
+"""Write the results of the grasp benchmark as text, Markdown page and picture."""
 
 from pathlib import Path
 from typing import Any
@@ -169,9 +169,9 @@ TABLE_FUNCTIONS = {
 
 
 def write_page(result: dict[str, Any]) -> None:
-    """Write each table of the result into the page, between the marks of the table.
+    """Write each table of the result into the page, between its two marks.
 
-    If grasps were measured, draw the picture.
+    If the result contains grasps, also draw the picture.
     """
     page = PAGE_FILE.read_text("utf-8")
     for key, table in TABLE_FUNCTIONS.items():
@@ -187,7 +187,10 @@ def write_page(result: dict[str, Any]) -> None:
 
 
 def draw_picture(result: dict[str, Any]) -> None:
-    """Draw the largest motion of each object, and its motion with and without the reaction to slip."""
+    """Draw the largest motion of each object.
+
+    Also draw the motion of the cylinder with and without the reaction to slip.
+    """
     import matplotlib as mpl
 
     mpl.use("Agg")

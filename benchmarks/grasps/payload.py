@@ -1,4 +1,4 @@
-"""Payload when each finger presses with 6 N, as in the source paper.
+"""Measure the payload when each finger presses with 6 N, as in the source paper.
 
 A load on the held cylinder grows until the cylinder slides.
 """
@@ -13,7 +13,10 @@ from handctl.programs.task import HoldPhase
 from handctl.programs.task_program import TaskProgram
 
 PAPER_PAYLOAD_KG = 0.915
-"""Payload in the source paper [kg], from 18 N and friction 0.5. Source: section 5 of the paper."""
+"""Payload in the source paper [kg], computed from a grip force of 18 N and a friction coefficient of 0.5.
+
+Source: section 5 of the paper.
+"""
 TENSION_N = {"jamia": 33.0, "jamia11": 28.0}
 """For each hand, the tension of every tendon at which each finger presses with about 6 N [N]."""
 LOAD_DIRECTIONS = {
@@ -28,10 +31,10 @@ RUN_S = 20.0
 
 
 def measure_payload(job: tuple[str, str, int]) -> dict[str, Any]:
-    """Measure the payload of a hand for a load in one direction, with a seed [kg].
+    """Measure the payload of a hand in one direction [kg], for one seed.
 
-    A payload along the hinges includes the mass of the object, because the weight of the object
-    acts in this direction.
+    A payload along the joint axes includes the mass of the object, because gravity acts in this
+    direction.
     """
     hand, direction, seed = job
     case = GRASP_CASES[1]

@@ -1,4 +1,4 @@
-"""Motion of a held cylinder under a growing load, with and without the controller's reaction to slip."""
+"""Measure the motion of a held cylinder under a growing load, with and without the reaction to slip."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ LOAD_START_S = 6.0
 LOAD_RATE_N_PER_S = 2.0
 RUN_S = 14.0
 CYLINDER_FRICTION = {"jamia": 0.3, "jamia11": 0.2}
-"""Friction of the cylinder for each hand.
+"""Friction coefficient of the cylinder for each hand.
 
 The friction is so low that a hand with 20 N per tendon loses the cylinder before the largest load.
 """
@@ -23,7 +23,7 @@ LOST_MOTION_M = 10e-3
 
 
 def measure_slip(job: tuple[str, bool, int]) -> dict[str, Any]:
-    """Measure the motion of the cylinder [mm] over the load, and the load at which the hand loses it [N].
+    """Measure how far the cylinder moves [mm] as the load grows, and the load at which the hand loses it [N].
 
     The job consists of the hand, whether it reacts to slip, and the seed.
     """

@@ -1,6 +1,6 @@
-"""Success of grasps with each object and both hands.
+"""Measure whether both hands can grasp and hold each object.
 
-During a grasp the hand is turned three times and the object is pushed.
+During a grasp, the hand is turned three times, and the object is pushed.
 """
 
 from typing import Any
@@ -19,14 +19,12 @@ TASK_BY_GRASP = {
     ("jamia11", "hook"): "hook",
 }
 PALM_GAP_M = 0.5e-3
-"""Smallest gap between a pinched object and the palm [m].
+"""Smallest permitted gap between a pinched object and the palm [m].
 
-With a smaller gap, the object counts as drawn to the palm.
+With a smaller gap, the hand has drawn the object to the palm instead of pinching it.
 """
 GIVE_UP_S = 10.0
-"""Time from the start of a run [s].
-
-A grasp has failed if the hand does not hold the object by then.
+"""Time limit from the start of a run until the hand must hold the object [s].
 """
 
 

@@ -1,9 +1,9 @@
-"""Measurement of the force at the tip of a digit: the command, the estimate of the controller, and the true force.
+"""Measure the force at a fingertip: the commanded force, the estimate of the controller, and the true force.
 
 In a hold phase with ``tip_force_N``, the digits press on a wall that touches only their last links.
 For `jamia11`, which has joint encoders, the controller computes the tensions from the Jacobian. For
-`jamia`, it uses an approximation for digits with one tendon. A task file must not command a tip
-force for `jamia`, and this benchmark shows the reason.
+`jamia`, the controller uses an approximation for digits with one tendon. handctl refuses a task
+file that commands a tip force for `jamia`, and this benchmark shows the reason.
 """
 
 import random

@@ -1,4 +1,4 @@
-"""A run of a task on the simulated hand in lockstep, with a record of the true values of the plant."""
+"""Run a task on a simulated hand in lockstep, and record the true values of the simulator."""
 
 from dataclasses import dataclass, field
 from functools import cache
@@ -51,8 +51,8 @@ class GraspRun:
         external: (ticks, N) external tension that the controller estimates [N].
         excursion: (ticks, N) tendon excursion that the controller reports [m].
         q: (ticks, J) true joint angles [rad].
-        normal: (ticks, D) sum of the normal forces on each digit [N]. Only scenes with a load have
-            it.
+        normal: (ticks, D) sum of the normal forces on each digit [N]. The array exists only in
+            scenes with a load.
         events: every event, with the index of its tick.
         failure: reason for which the controller ended the run.
         dropped_at: time at which the table begins to sink [s], or None.
@@ -104,14 +104,14 @@ def simulate_grasp(
     timeout: float = TIMEOUT_S,
     give_up: float = TIMEOUT_S,
 ) -> GraspRun:
-    """Run a program on a homed hand.
+    """Run a program on a simulated hand whose motor zeros are known.
 
     Args:
         hand: name of a packaged hand.
         program: program of the controller.
         scene: text of a scene file, name of a packaged scene, or None.
         seed: seed of the simulator.
-        perturb: factors on the parameters of the plant.
+        perturb: factors that multiply parameters of the simulated hand.
         until: the run ends when this phase begins.
         timeout: the run ends at this time [s].
         give_up: the run ends after this time if the table has not begun to sink [s].
@@ -175,7 +175,7 @@ def _is_lost(plant: Plant) -> bool:
 
 
 def stage_motions(run: GraspRun) -> list[float]:
-    """Return the largest motion of the object in each stage, from its position at the start of the stage [m]."""
+    """Return how far the object moves at most in each stage from where it was at the start of the stage [m]."""
     motions = []
     for stage in range(int(run.stage.max(initial=-1)) + 1):
         path = run.place[run.stage == stage]

@@ -1,6 +1,6 @@
-"""The complete loop of handctl: bus, filter, control law, safety, encoding, log.
+"""Run the complete control loop of handctl: bus, filter, control law, safety, encoding, log.
 
-A run without deadlines replaces the clock.
+A run without deadlines replaces the clock of this loop.
 """
 
 import select
@@ -44,7 +44,7 @@ class StayProgram:
 class UnpacedClock:
     """Clock without deadlines.
 
-    The next tick begins as soon as replies to the frames of the last tick arrive, or after 2 ms.
+    The next tick begins as soon as a reply to the last tick has arrived, or after 2 ms.
     """
 
     fd: int
@@ -97,8 +97,8 @@ def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | Non
     def record(entry, out):
         recorder.send_record(pack_tick_record(entry, out))
 
-    # The timing of a tick takes a few microseconds. A measurement of the rate without deadlines
-    # must not include this time.
+    # To measure the time of a tick takes a few microseconds. A measurement of the rate without
+    # deadlines must not include these microseconds.
     begin = (
         (lambda state, entry: TimedTick(controller, state, entry, tick_times_ns))
         if rate_hz
@@ -122,7 +122,8 @@ def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | Non
 class TimedTick:
     """Tick of the controller that measures its own wall time.
 
-    This class adds the wall times of the four steps of a tick: begin, decide, command and conclude [ns].
+    A measured time is the sum of the wall times of a tick's four steps: begin, decide, command and
+    conclude [ns].
     """
 
     def __init__(self, controller, state, entry, tick_times_ns) -> None:
@@ -156,7 +157,8 @@ class TimedTick:
 class ActiveTickCounter:
     """Observer that counts the ticks with an active hand and ends the run after the requested time.
 
-    The ticks before and after this time run the state machines of all drives, and are not counted.
+    Ticks before and after the requested time run the state machines of all drives, and are not
+    counted.
     """
 
     def __init__(self, seconds: float, all_times_ns: list[int]) -> None:

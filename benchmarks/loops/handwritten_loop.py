@@ -1,4 +1,8 @@
-"""Typical hand-written loop: python-can with one frame at a time, one filter per tendon, pinocchio, JSON."""
+"""Run a typical hand-written control loop.
+
+The loop uses python-can with one frame at a time, one filter per tendon, pinocchio, and a log in
+JSON.
+"""
 
 import json
 import struct
@@ -19,7 +23,7 @@ DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfd"
 
 
 def tendon_filter(dt: float) -> KalmanFilter:
-    """Return a Kalman filter whose state is the tension and its rate."""
+    """Return a Kalman filter whose states are the tension and the rate of change of the tension."""
     one = KalmanFilter(dim_x=2, dim_z=1)
     one.F = np.array([[1.0, dt], [0.0, 1.0]])
     one.H = np.array([[1.0, 0.0]])
@@ -60,14 +64,15 @@ class BaselineLoop:
             pass
 
     def run_tick(self) -> None:
-        """Run one tick: compute and send torques, read and filter the replies, and log them."""
+        """Run one tick. Compute and send torques, then read, filter and log the replies."""
         self.bus.send(
             can.Message(arbitration_id=self.sync_id, data=[self.k & 0xFF], is_extended_id=False)
         )
         torque = pinocchio.rnea(self.model, self.data, np.zeros(self.model.nq), np.zeros(self.model.nv),
                                 np.zeros(self.model.nv))  # fmt: skip
         for node, one in zip(self.nodes, self.filters, strict=True):
-            # The torque law is computed for its time, and multiplied by 0 so that no motor moves.
+            # The loop computes torques only because the computation takes time. The torques are
+            # multiplied by 0, so that no motor moves.
             data = torque_payload(
                 0.005 * min(max(float(one.x[0, 0]) + float(torque[0]), 0.0), 10.0) * 0.0
             )
@@ -110,7 +115,10 @@ class BaselineLoop:
 
 
 def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
-    """Run the hand-written loop for a time, and return the same results as ``handctl_loop.run_loop``."""
+    """Run the hand-written loop for a time.
+
+    The results have the same form as those of ``handctl_loop.run_loop``.
+    """
     loop = BaselineLoop(hand_name, bus_name, log)
     request_priority()
     loop.send_all(ENABLE_PAYLOAD)

@@ -1,4 +1,4 @@
-"""Simulated drives and load cells at rest, without a plant and with cached replies.
+"""Simulate drives and load cells at rest, with stored replies and without tendons and digits.
 
 ``python benchmarks/loops/simulated_drives.py HAND NAME`` serves ``local:NAME`` and prints a line when it is
 ready.
@@ -19,7 +19,7 @@ ENABLED_STATE = 1
 class CachedReplies:
     """Cache of the replies of the simulated nodes.
 
-    The cache saves the time of computing a reply again.
+    A reply that was computed once is not computed again.
     """
 
     def __init__(self, hand: str) -> None:

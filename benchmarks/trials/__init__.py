@@ -1,1 +1,1 @@
-"""Common parts of the benchmarks of the controller: trials on the simulated plant, and the page with the results."""
+"""Common parts of the benchmarks of the controller: trials with simulated hands, and the page with the results."""

@@ -30,7 +30,7 @@ def exponential_average(raw: Array, weight: float) -> Array:
 def cell_only_estimate(raw: Array, period: float, noise: float, rate: float) -> Array:
     """Run a Kalman filter of tension and tension rate, whose only measurement is the load cell.
 
-    The result is the prediction of the filter for the present tension, (ticks, N) [N].
+    Return the prediction of the filter for the present tension, (ticks, N) [N].
 
     Args:
         raw: (ticks, N) samples, one period old [N].

@@ -170,9 +170,9 @@ RATIO_INSTANT_TEXTS = {
 
 
 def _regimes_worse_than_raw(result: dict, ratio: str) -> str:
-    """List the regimes in which the raw load cell is better than the filter.
+    """List the tendon regimes in which the raw load cell is better than the filter.
 
-    The list covers the nominal plant and plants with a wrong stiffness.
+    The list covers the nominal hand and hands with a wrong stiffness.
     """
     rows = [
         (row[ratio], f"{hand} {regime}, {plant}")
@@ -196,7 +196,7 @@ def _regimes_worse_than_raw(result: dict, ratio: str) -> str:
 
 
 def _otherwise_wrong(result: dict) -> str:
-    """List the regimes in which the raw load cell is better on plants with other wrong parameters."""
+    """List the tendon regimes in which the raw load cell is better, for hands with other wrong parameters."""
     rows = [
         (row["estimate / raw now"], row["nis"], f"{hand} {regime}, {plant}")
         for hand, plants in result["hands"].items()
@@ -222,7 +222,7 @@ def _otherwise_wrong(result: dict) -> str:
 
 
 def draw_picture(result: dict) -> None:
-    """Draw the errors of the estimators as bars, by regime."""
+    """Draw the errors of the estimators as bars, by tendon regime."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,9 +1,10 @@
-"""Measurement of a force step on a held object.
+"""Measure a force step on a held object.
 
-The three cases are no force loop, a loop on the raw sensor, and a loop on the estimate.
+The three cases are no force loop, a force loop with the raw load cell, and a force loop with the
+estimate.
 
 The digits close on a cylinder and hold it with 15 N per tendon. The tension steps to 40 N (at 5000
-N/s) and back to 15 N. The figures are computed from the true tension at the load cells, for every
+N/s) and back to 15 N. The results are computed from the true tension at the load cells, for every
 tendon of a digit in contact.
 """
 
@@ -27,7 +28,7 @@ HIGH_N = 40.0
 RATE_N_PER_S = 5000.0
 HOLD_S = 0.6
 STEADY_S, BAND_N = 0.2, 2.0
-"""Time at the end of a hold for the measurement of the steady error [s], and largest error of a settled force [N]."""
+"""Time at the end of a hold in which the steady error is measured [s], and largest error of a settled force [N]."""
 FORCE_TASK = {
     "schema": 1,
     "name": "force",
@@ -41,9 +42,12 @@ FORCE_TASK = {
 FORCE_PLANTS = {
     plant: wrong for plant, wrong in plants.PLANT_FACTORS.items() if "mass" not in wrong
 }
-"""Plants of the force step. The hand hardly moves, so plants with a wrong mass are left out."""
+"""Simulated hands of the force step.
+
+Hands with a wrong mass are left out, because the hand hardly moves.
+"""
 WEIGHT_N, FORCE_N, INTEGRAL_PER_S = 4.0, 15.0, 3.0
-"""Gains of both force loops: tension error and motor force with equal cost [N], and integral gain [1/s].
+"""Gains of both force loops: a tension error [N] and a motor force [N] of equal LQR cost, and the integral gain [1/s].
 
 These gains were not tuned.
 """
@@ -74,7 +78,7 @@ FORCE_LOOPS = {
 
 
 def force_trial(hand: str, law: str, seed: int, plant: str) -> LockstepTrial:
-    """Return the force-step trial of a hand, for a force loop, a seed and a plant."""
+    """Return the force-step trial of a hand, for a force loop, a seed and a set of simulated parameters."""
     loop = FORCE_LOOPS[law]
     fixed = {
         "force_N": FORCE_N * force_scale(RATES_HZ[hand]),
@@ -96,9 +100,9 @@ def force_trial(hand: str, law: str, seed: int, plant: str) -> LockstepTrial:
 
 
 def force_figures(record: TrialRecord) -> dict[str, float]:
-    """Return the figures of both force steps, as means over the tendons.
+    """Return the errors of both force steps, as means over the tendons.
 
-    The figures are overshoot [N], settling time [s], steady error [N], ripple [N], and RMSE [N].
+    The results are overshoot [N], settling time [s], steady error [N], ripple [N], and RMSE [N].
     """
     tension = record.tension()
     in_contact = record.of_tendons(record.numbers["contact"] > 0)
@@ -126,7 +130,10 @@ def force_figures(record: TrialRecord) -> dict[str, float]:
 
 
 def run_force_trial(job: tuple) -> dict[str, Any]:
-    """Run one trial and return its figures. If the trial ended early, the figures include the reason."""
+    """Run one trial and return its errors.
+
+    If the trial ended early, the result includes the reason.
+    """
     record = run_trial(force_trial(*job))
     return force_figures(record) | {"why": record.failure}
 
@@ -134,9 +141,9 @@ def run_force_trial(job: tuple) -> dict[str, Any]:
 def measure_force(
     hands: tuple[str, ...], seeds: int, wrong_seeds: int, plan: JobPlan
 ) -> dict[str, Any]:
-    """Measure all figures for each hand, plant and force loop.
+    """Measure the errors for each hand, set of simulated parameters and force loop.
 
-    Return their means over the seeds, and the spread of the RMSE.
+    Return their means over the seeds, and the range of the RMSE.
     """
     cases = [(hand, law, plant) for plant in FORCE_PLANTS for hand in hands for law in FORCE_LOOPS]
     counts = [seeds if plant == "as known" else wrong_seeds for _, _, plant in cases]

@@ -1,7 +1,7 @@
 """Hands of the benchmarks: the packaged hands, and variants with more distance between the digits.
 
 When all joints of a packaged hand are at 60 degrees, the fingertips touch the palm, and the middle
-finger touches the thumb. In the benchmarks of free motion the digits must not touch anything. The
+finger touches the thumb. In benchmarks of free motion, the digits must not touch anything. The
 variants therefore place the digits farther apart. All other properties of the hands are the same.
 """
 
@@ -24,7 +24,7 @@ SIDE_GRAVITY_M_S2 = [0.0, -9.81, 0.0]
 This gravity closes the fingers and opens the thumb.
 """
 FINGERTIP_LOAD = 10.0
-"""Factor on the mass and inertia of the last links, for a hand that lies on its side.
+"""Factor that multiplies mass and inertia of the last links, for a hand that lies on its side.
 
 A fingertip then weighs 21 g.
 """

@@ -22,7 +22,7 @@ class JobPlan:
     """Options for running jobs.
 
     Attributes:
-        keep: folder for the results of the jobs, as JSON. A job with a stored result is not run
+        keep: folder for the results of the jobs, as JSON. A job whose result is stored is not run
             again. None means that no result is stored.
         minutes: time after which no further job starts [min]. The results of the jobs that have not started are left
             out.
@@ -40,7 +40,8 @@ def collect_results(work: JobFunction, jobs: list[Any], plan: JobPlan) -> dict[A
     Results are read from the folder, or computed as long as the time limit permits.
 
     Args:
-        work: top-level function that computes one job. Its result consists of JSON values.
+        work: top-level function that computes one job. The result of this function consists of JSON
+            values.
         jobs: arguments of each job, as tuples.
         plan: see ``JobPlan``.
     """
@@ -104,7 +105,10 @@ def _store_result(work: JobFunction, job: Any, result: Any, plan: JobPlan) -> No
 
 
 def _through_json(result: Any) -> Any:
-    """Convert a result to JSON and back, which makes lists of its tuples."""
+    """Convert a result to JSON and back.
+
+    This conversion makes lists of the tuples in the result.
+    """
     return json.loads(json.dumps(result))
 
 

@@ -1,4 +1,7 @@
-"""Control laws of the ablation. Each control law adds one part to the law before it."""
+"""Define the control laws that the tracking benchmark compares.
+
+Each control law adds one part to the law before it.
+"""
 
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -57,12 +60,12 @@ def torque_without_gravity(
 def misprinted_torque(
     digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
 ) -> tuple[float, ...]:
-    """Return the joint torque of Eq. 10 to 12 with the misprints of the paper, instead of the dynamics of the links.
+    """Return the joint torque of the paper's Eq. 10 to 12, with their misprints.
 
-    The torques of these equations belong to absolute angles of the links. This function maps them
-    to the joints, and adds the torques of springs and damping. The paper describes neither this
-    mapping nor springs and damping. If a digit does not have a link, the terms of this link are
-    left out.
+    The torques in these equations belong to absolute angles of the links. This function converts
+    these torques to joint torques, and adds the torques of springs and damping. The paper describes
+    neither this conversion nor springs and damping. For a digit with fewer links, the terms of the
+    missing links are left out.
     """
     names = {}
     for order, values in (("", q), ("d", dq), ("dd", ddq)):
@@ -87,18 +90,22 @@ def misprinted_torque(
 
 
 FORCE_N = 20.0
-"""Motor force that has the same cost as the position error and the speed error of the weights [N]."""
+"""Motor force in the LQR cost [N].
+
+This force costs as much as the position error and the speed error that define the weights.
+"""
 
 
 def force_scale(rate_hz: float) -> float:
-    """Return the factor that cancels the reduction of force weights at low control rates."""
+    """Return the factor that cancels the reduction of the force weight at low control rates."""
     return 1.0 / largest_force_weight(1.0, 1.0 / rate_hz)
 
 
 class RawTension(Controller):
-    """Controller whose control law uses the newest sample of the load cell as the tension.
+    """Controller whose control law uses the newest load-cell reading as the tension.
 
-    The sample is one control period old. If it is missing, the control law uses the estimate.
+    This reading is one control period old. If the reading is missing, the control law uses the
+    estimate.
     """
 
     __slots__ = ()
@@ -121,12 +128,12 @@ def on_raw_tension(controller: Controller) -> Controller:
 
 @dataclass(frozen=True)
 class AblationLaw:
-    """One control law of the ablation.
+    """One control law that the tracking benchmark compares.
 
     Attributes:
-        inverse: function that returns the feedforward joint torque.
-        motion: gains that differ from the defaults.
-        raw: True if the input of the force loop is the raw load cell, False for the estimate.
+        inverse: function that returns the feedforward joint torque. motion: gains of the motion
+            loop that differ from the defaults. raw: True if the input of the tension loop is the
+            raw load cell, False for the estimate.
     """
 
     inverse: InverseDynamics
@@ -134,9 +141,9 @@ class AblationLaw:
     raw: bool = False
 
     def gains(self, position_error_m: float, speed_error_m_s: float, rate_hz: float) -> Gains:
-        """Return gains with the two tuned weights for a control rate.
+        """Return gains with two given LQR weights for a control rate.
 
-        The other gains are fixed here, and do not depend on the packaged gains.
+        This module defines all other gains, so they do not depend on the packaged gains.
         """
         weights = {"position_error_m": position_error_m, "speed_error_m_s": speed_error_m_s}
         fixed = {

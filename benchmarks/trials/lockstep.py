@@ -1,6 +1,6 @@
-"""Trials: the real controller runs over the simulated bus in lockstep.
+"""Run trials: the controller and a simulated hand exchange frames over a simulated bus in lockstep.
 
-The record also contains the true values of the plant.
+The record of a trial also contains the true values of the simulator.
 """
 
 import tempfile
@@ -48,7 +48,8 @@ class LockstepTrial:
         program: program of the controller.
         seed: seed of noise, drift and encoder offsets.
         scene: scene of the simulator, or None for a hand without an object.
-        perturb: factors on the parameters of the plant, which the controller does not use.
+        perturb: factors that multiply parameters of the simulated hand. The controller does not
+            know these factors.
         gains: gains of the controller.
         rate_hz: control rate [Hz]. Zero means the default rate of the hand.
         limit_s: longest time of the trial [s].
@@ -78,8 +79,9 @@ class TrialRecord:
         phase: (ticks,) name of the phase.
         numbers: telemetry by name of the field, each array (ticks, ..).
         force: (ticks, N) motor force before each tick, an input of the filter [N].
-        filtered: (ticks, N) estimated tension at the instant of the samples, one period before the tick [N].
-        real: true values of the plant.
+        filtered: (ticks, N) estimated tension at the time of the load-cell readings, one period
+            before the tick [N].
+        real: true values of the simulator.
         failure: reason why the run ended early.
         events: events as (t [s], name, where, text).
     """
@@ -101,7 +103,7 @@ class TrialRecord:
         return self.t_ns / 1e9
 
     def truth(self, names: Iterable[str], delay_ns: int = 0) -> Array:
-        """Return columns of the true values (ticks, names) at each tick, or by a delay earlier."""
+        """Return true values (ticks, names) at each tick, or earlier by ``delay_ns`` [ns]."""
         return self.real.columns_at(list(names), self.t_ns - delay_ns)
 
     def tension(self, delay_ns: int = 0) -> Array:
@@ -121,7 +123,7 @@ class TrialRecord:
         return np.sqrt(sum(axis**2 for axis in axes))
 
     def of_tendons(self, per_digit: NDArray[Any]) -> NDArray[Any]:
-        """Expand a value per digit (ticks, D) to tendons (ticks, N)."""
+        """Convert values per digit (ticks, D) to values per tendon (ticks, N)."""
         slices = [self.hand.digit_tendons[name] for name in self.hand.digit_names]
         index = np.repeat(np.arange(len(slices)), [s.stop - s.start for s in slices])
         return per_digit[:, index]
@@ -150,14 +152,14 @@ def run_trial(trial: LockstepTrial) -> TrialRecord:
 
 
 def _filtered_tension(design: FilterDesign, inputs: Array, after: ControllerState) -> list[float]:
-    """Return the estimated tensions at the instant of the samples (N,) [N].
+    """Return the estimated tensions (N,) at the time of the load-cell readings [N].
 
-    To find them, undo the prediction to the present.
+    The function undoes the filter's prediction from this time to the present.
 
     Args:
         design: design of the filter.
-        inputs: (N, 2) inputs of the filter in the tick.
-        after: state after the tick.
+        inputs: (N, 2) inputs of the filter in the tick. after: state of the controller after the
+            tick.
     """
     result = []
     states = after.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T

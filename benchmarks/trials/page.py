@@ -1,4 +1,4 @@
-"""The page ``docs/evidence/control.md``. Each benchmark writes one part of the page."""
+"""Write the page ``docs/evidence/control.md``. Each benchmark writes one part of the page."""
 
 from pathlib import Path
 
@@ -19,7 +19,10 @@ PART_ORDER = ("estimation", "tracking", "gravity", "force", "tip", "grasps")
 
 
 def write_part(part: str, text: str) -> None:
-    """Replace one part of the page by a Markdown text. The other parts stay unchanged."""
+    """Replace one part of the page by a Markdown text.
+
+    All other parts of the page stay unchanged.
+    """
     parts = _page_parts(PAGE_FILE.read_text("utf-8")) if PAGE_FILE.exists() else {}
     parts[part] = text.strip()
     ordered = sorted(

@@ -1,4 +1,7 @@
-"""Plants that differ from the controller's model by known factors, and the task phases that precede a hold."""
+"""Define simulated hands that differ from the controller's model by known factors.
+
+Also define the task phases before a hold.
+"""
 
 PLANT_FACTORS: dict[str, dict[str, float]] = {
     "as known": {},
@@ -15,7 +18,7 @@ FURTHER_PLANT_FACTORS: dict[str, dict[str, float]] = {
     "stiffness -50 %": {"stiffness": 0.5},
     "friction +100 %": {"friction": 2.0},
 }
-"""Further plants. Only the benchmark of the tension estimate uses them."""
+"""Further simulated hands. Only the benchmark of the tension estimate uses them."""
 PHASES_TO_CONTACT = (
     {"kind": "move", "name": "preshape", "angle_deg": {"index": 18.0, "middle": 18.0, "ring": 18.0, "thumb": 3.0},
      "duration_s": 0.4},

@@ -1,7 +1,7 @@
-"""Error of a reference filter that is optimal for a fixed noise model.
+"""Compute the error of a reference filter that is optimal for a fixed noise model.
 
-The result is no lower bound of the error. A filter that is made for a plant with less noise, or
-that has more inputs, can have a smaller error.
+This error is not a lower bound. A filter that is made for a hand with less noise, or that has more
+inputs, can have a smaller error.
 
 The state of each tendon consists of tendon travel and speed, excursion and its rate, Gauss-Markov
 forces on motor and joint, and the stretch offset. The measurements are load cell and encoder.
@@ -22,12 +22,12 @@ JOINT_NOISE_S = 0.02
 STRETCH_OFFSET_M = 0.2e-3
 STRETCH_OFFSET_S = 60.0
 CONTACT_N_M_PER_RAD = 40.0
-"""Stiffness of a held object, as it acts on each joint of a digit [N m/rad].
+"""Stiffness with which a held object resists the motion of each joint of a digit [N m/rad].
 
 Source of all constants: MODEL, section 5.
 """
 CELL_DRIFT_VARIANCE_N2_PER_S = 1.0 / 100.0
-"""Variance rate of the load-cell drift: a random walk of 1 N in 100 s.
+"""Variance rate of the load-cell drift, which is a random walk of 1 N in 100 s.
 
 No filter can observe the drift of a taut tendon's load cell.
 """
@@ -37,17 +37,17 @@ STATE_SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 def reference_sigma(
     model: HandModel, i: int, is_held: bool, encoder: bool = True
 ) -> tuple[float, float]:
-    """Return the standard deviations of the tension of tendon i at the last sample and at present [N].
+    """Return the standard deviations of tendon i's tension at the last load-cell reading and at present [N].
 
-    The estimate of the controller is for the present, one period after the sample. The benchmark
-    compares this estimate with both values.
+    The controller estimates the present tension, one period after the reading. The benchmark
+    compares the error of this estimate with both standard deviations.
 
     Args:
         model: hand and control rate.
         i: index of the tendon.
         is_held: True if the digit presses on an object.
-        encoder: True if the filter uses both the encoder of the motor and the load cell. False if it uses only the load
-            cell.
+        encoder: True if the filter uses both the encoder of the motor and the load cell. False if
+            the filter uses only the load cell.
     """
     space = model.space
     arm = float(np.abs(model.hand.moment_arms[i]).sum())

@@ -1,4 +1,7 @@
-"""Regime of each tendon at each tick, from true values: free, reversal, impact, hold, beyond 200 N, slack."""
+"""Classify the state of each tendon at each tick, from true values.
+
+The classes (regimes) are free, reversal, impact, hold, beyond 200 N, and slack.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +17,7 @@ TAUT_N = 0.5
 TOUCH_N = 0.05
 SLACK_S = 0.05
 TURNING_RAD_S = 0.2
-"""Speed below which the direction of a spool does not count [rad/s]."""
+"""A spool that is slower than this counts as having no direction [rad/s]."""
 KNEE_N = 200.0
 REGIME_NAMES = ("free", "reversal", "impact", "hold", "beyond 200 N", "slack")
 MaskArray = NDArray[np.bool_]
@@ -43,7 +46,7 @@ def regime_masks(record: TrialRecord) -> dict[str, MaskArray]:
 def _since_rise(on: MaskArray, t: Array) -> Array:
     """Return the time since each signal last became true (ticks, N) [s].
 
-    Pauses shorter than ``SETTLED_S`` do not count.
+    Pauses of a signal that are shorter than ``SETTLED_S`` are ignored.
     """
     since = np.full(on.shape, np.inf)
     for i in range(on.shape[1]):
@@ -75,7 +78,7 @@ def _reversal_mask(record: TrialRecord) -> MaskArray:
 
 
 def _near_mask(on: MaskArray, t: Array, distance: float) -> MaskArray:
-    """Return a mask (ticks, N) of the ticks that are at most ``distance`` [s] before or after a true signal."""
+    """Return a mask (ticks, N) of the ticks at most ``distance`` [s] before or after a tick whose signal is true."""
     reach = round(distance / (t[1] - t[0]))
     kernel = np.ones(2 * reach + 1)
     return np.column_stack(

@@ -54,7 +54,7 @@ class ScriptProgram:
         measured: TickMeasurements,
         t: float,
     ) -> tuple[ProgramProgress, tuple[TickEvent, ...]]:
-        """Advance to the present step, see ``Program``."""
+        """Advance to the step of the present time, see ``Program``."""
         if progress.finished:
             return progress, ()
         if progress.phase in ("start", "tighten"):

@@ -1,17 +1,20 @@
-"""Ablation of the controller: tracking and a force step, with one more part of the control law in each case.
+"""Measure tracking and a force step with parts of the control law.
+
+Each case has one more part of the control law.
 
 ``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--keep FOLDER] [--page]``.
 The digits move from 0 to 60 degrees. The tracking error is computed from the true mean of the joint
-angles of a digit, because a single tendon can control only this mean. The plant has the effects of
-the hand files and of firmware_sim: capstan and motor friction, tendon elasticity and damping,
-current loop, encoder and load-cell resolution, noise, drift, one period of bus delay. These effects
-are the same for all control laws.
+angles of a digit, because a single tendon can control only this mean. The simulation includes
+capstan and motor friction, tendon elasticity and damping, the current loop, encoder and load-cell
+resolution, noise, drift, and one period of bus delay. All control laws run with the same simulated
+effects.
 
-Each control law, PD included, has two weights. The weights of a law are the pair of
-``WEIGHT_CANDIDATES`` with the smallest error in the fast motion of the nominal plant. The results
-use other seeds. ``--tune`` searches the weights again. The selected weights leave hardly any
-stability margin. The control laws are therefore compared a second time, with the best weights that
-keep the margins of packaged gains: 6 dB and 45 degrees, on random plants near the hand file.
+Each control law, PD included, has two LQR weights. For each law, the benchmark selects the pair of
+``WEIGHT_CANDIDATES`` with the smallest error in a fast motion of the nominal hand. The results use
+other seeds than this selection. ``--tune`` selects the weights again. The selected weights leave
+hardly any stability margin. The control laws are therefore compared a second time, with the best
+weights that keep the stability margins which handctl requires. The required margins are 6 dB and 45
+degrees, on random hands near the hand file.
 """
 
 import argparse
@@ -40,37 +43,40 @@ MOTION_TIMES_S = {"slow": 1.5, "medium": 0.5, "fast": 0.15}
 MOTION_ANGLE_DEG = 60.0
 """Angle at the end of a motion [deg]."""
 SETTLE_S = 0.5
-"""Time after a motion in which the error may settle [s]."""
+"""Time after a motion in which the tracking error may settle [s]."""
 RETURN_S = 0.5
 """Duration of the motion back to 0 degrees [s]."""
 REST_S = 0.2
-"""Time of rest after the motion back [s]."""
+"""Time at rest after the motion back to 0 degrees [s]."""
 MOTION_TAIL_S = 0.05
-"""The errors of this time after a motion still count for the motion [s]."""
+"""Time after a motion whose errors are counted with the motion [s]."""
 SETTLED_BAND_DEG = 1.0
-"""A motion has settled when its error stays below this band [deg]."""
+"""A motion has settled when the tracking error stays below this value [deg]."""
 WEIGHT_CANDIDATES = tuple(
     (p * 1e-4, v * 1e-2)
     for p, v in ((0.2, 1), (0.3, 1.5), (0.5, 2), (0.8, 2), (0.8, 3), (1.2, 3), (1.5, 2), (1.5, 3), (1.5, 6), (2.2, 3),
                  (3, 3), (3, 6), (6, 6), (8, 6), (10, 10), (14, 10))
 )  # fmt: skip
-"""Candidates for the two weights of every law: a position error [m] and a speed error [m/s] of equal cost."""
+"""Candidates for the two LQR weights of every control law.
+
+A weight is given as an error: a position error [m] and a speed error [m/s] that have the same cost.
+"""
 TUNING_SEED = 1000
 TUNED_FILE = Path(__file__).with_name("tuned.json")
 """File with the results of ``--tune``, for each hand, control law and pair of ``WEIGHT_CANDIDATES``.
 
 For each pair, the file contains the RMSE of the fast motion [deg], or null if this motion did not
-reach its end. For each pair, the file also tells whether the motion loop keeps its margins. Each
-run consists of a slow, a medium and a fast motion, because the best weights for a single motion may
-cause a fault in a run with all three.
+reach its end. The file also states whether the motion loop keeps its stability margins with this
+pair. Each run consists of a slow, a medium and a fast motion, because the best weights for a single
+motion may cause a fault in a run with all three motions.
 """
 PD_LAW, SPRINGS_LAW, BEST_LAW, MISPRINTED_LAW = [list(ABLATION_LAWS)[i] for i in (0, 1, -2, -1)]
 COMPARED_LAWS = (PD_LAW, SPRINGS_LAW, BEST_LAW)
-"""Control laws that are also tried on plants with wrong parameters."""
+"""Control laws that are also tried on simulated hands whose parameters differ from the hand file."""
 MARGIN_LAWS = (PD_LAW, SPRINGS_LAW, list(ABLATION_LAWS)[-4], BEST_LAW)
-"""Control laws that are also tried with the best weights that keep the margins."""
+"""Control laws that are also tried with the best LQR weights that keep the stability margins."""
 DRAWN_PLANT_COUNT = 8
-"""Number of random plants on which weights must keep the margins."""
+"""Number of random hands on which LQR weights must keep the stability margins."""
 
 
 def motion_script(speeds: tuple[str, ...]) -> ScriptProgram:
@@ -97,7 +103,7 @@ def tracking_trial(
     plant: str,
     speeds: tuple[str, ...],
 ) -> LockstepTrial:
-    """Return the tracking trial of a control law with two weights."""
+    """Return the tracking trial of a control law with two given LQR weights."""
     config = ABLATION_LAWS[law]
     return LockstepTrial(
         hand + CLEAR_SUFFIX,
@@ -111,9 +117,9 @@ def tracking_trial(
 
 
 def tracking_figures(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """Return the figures of each speed. A figure belongs to the digit with the worst value.
+    """Return the results of each speed, each for the digit with the worst value.
 
-    The figures are RMSE, peak error and steady error of tracking [deg], and settling time [s].
+    The results are RMSE, peak error and steady error of tracking [deg], and settling time [s].
     """
     goal = mean_angles(record.hand, record.numbers["q_goal"])
     error = np.degrees(goal - mean_angles(record.hand, record.q()))
@@ -144,10 +150,9 @@ def tracking_figures(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, 
 
 
 def run_tracking_trial(job: tuple) -> dict[str, dict[str, float | str]]:
-    """Run one trial and return its figures.
+    """Run one trial and return its tracking errors.
 
-    For a motion that did not reach its end, all figures are inf, and the result includes the
-    reason.
+    For a motion that did not reach its end, all errors are inf, and the result includes the reason.
     """
     record = run_trial(tracking_trial(*job))
     result: dict = tracking_figures(record, job[-1])
@@ -159,10 +164,10 @@ def run_tracking_trial(job: tuple) -> dict[str, dict[str, float | str]]:
 
 
 def tune_weights(plan: JobPlan) -> None:
-    """Try all weights of the gain design for each control law on each hand.
+    """Try all ``WEIGHT_CANDIDATES`` for each control law on each hand.
 
-    Print the error of the fast motion for all weights, and the weights that keep the margins. After
-    the last trial, write both into ``TUNED_FILE``.
+    Print the error of the fast motion for all weights, and the weights that keep the stability
+    margins. After the last trial, write both into ``TUNED_FILE``.
     """
     jobs = [
         (h, law, w, TUNING_SEED, "as known", tuple(MOTION_TIMES_S))
@@ -188,7 +193,10 @@ def tune_weights(plan: JobPlan) -> None:
 
 
 def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
-    """Return True if every motion loop has margins of 6 dB and 45 degrees on random plants near the hand file."""
+    """Return True if every motion loop has margins of 6 dB and 45 degrees.
+
+    The loops are tested with random hands near the hand file.
+    """
     model = HandModel.from_hand(
         hand_by_name(hand), ABLATION_LAWS[law].gains(*weights, RATES_HZ[hand]), RATES_HZ[hand]
     )
@@ -197,10 +205,10 @@ def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
 
 
 def tuned_weights(hand: str, law: str, with_margins: bool = False) -> tuple[float, float]:
-    """Return the best weights of a law.
+    """Return the best LQR weights of a control law.
 
-    If ``with_margins`` is True, only weights that keep the margins are considered. If no weights
-    with these margins complete the motions, the softest weights are returned.
+    If ``with_margins`` is True, only weights that keep the stability margins are considered. If no
+    such weights complete the motions, the softest weights are returned.
     """
     table = json.loads(TUNED_FILE.read_text("utf-8"))
     errors = table["rmse_deg"][hand][law]
@@ -226,9 +234,9 @@ def measure_tracking(
     plan: JobPlan,
     hands: tuple[str, ...] = MEASURED_HANDS,
 ) -> dict:
-    """Measure all figures for as many seeds as the time of the plan permits.
+    """Measure the tracking errors for as many seeds as the time of the plan permits.
 
-    Return mean and spread over the seeds.
+    Return their mean and their range over the seeds.
     """
     cases = [(hand, law, "as known", False) for hand in hands for law in ABLATION_LAWS]
     cases += [(hand, law, "as known", True) for hand in hands for law in MARGIN_LAWS]
@@ -269,9 +277,9 @@ def measure_tracking(
 
 
 def _over_seeds(rows: list[dict]) -> dict:
-    """Return the mean of each figure and the spread of the RMSE, over the runs that reached their end.
+    """Return the mean of each error and the range of the RMSE, over the runs that reached their end.
 
-    The result also contains the number of the other runs, and the reasons why they ended early.
+    The returned dictionary also contains how many runs ended early, and for which reasons.
     """
     whys = sorted({row["why"] for row in rows if "why" in row})
     good = [row for row in rows if np.isfinite(row["rmse_deg"])]

@@ -22,7 +22,8 @@ def page_section(result: dict, named: tuple[str, str, str, str]) -> str:
 
     Args:
         result: result of ``tracking.measure_tracking``.
-        named: names of four laws: PD alone, springs and gravity, the whole law, and the misprinted equations.
+        named: names of four control laws: PD alone, springs and gravity, the complete law, and the
+            misprinted equations.
     """
     parts = ["## Tracking: benefit of each part of the control law", ""]
     parts += [
@@ -114,7 +115,7 @@ def _conclusion(laws: dict, named: tuple[str, str, str, str]) -> str:
 
 
 def _comparison_of_laws(laws: dict, named: tuple[str, str, str, str]) -> str:
-    """Describe the error of the whole law compared with PD, and with springs and gravity alone."""
+    """Describe the error of the complete control law, compared with PD, and with springs and gravity alone."""
     plain, springs, best = (laws[name]["fast"] for name in named[:3])
     ratio = plain["rmse_deg"] / best["rmse_deg"]
     gain = springs["rmse_deg"] - best["rmse_deg"]
@@ -129,7 +130,7 @@ def _comparison_of_laws(laws: dict, named: tuple[str, str, str, str]) -> str:
 
 
 def _comparison_with_pd(ratio: float) -> str:
-    """Describe the error of the whole law compared with PD."""
+    """Describe the error of the complete control law, compared with PD."""
     if not np.isfinite(ratio):
         return "The motions follow each other, from slow to fast. With PD alone, no run completes the fast motion"
     return (
@@ -139,7 +140,10 @@ def _comparison_with_pd(ratio: float) -> str:
 
 
 def _gain_per_spread(gain: float, spread: float, seeds: int) -> str:
-    """Describe the gain in accuracy as a multiple of its spread. A single seed has no spread."""
+    """Describe the gain in accuracy as a multiple of its range over the seeds.
+
+    A single seed has no range.
+    """
     return (
         f", which is {gain / max(spread, 1e-9):.0f} times the spread"
         if seeds > 1
@@ -148,7 +152,10 @@ def _gain_per_spread(gain: float, spread: float, seeds: int) -> str:
 
 
 def _gain_by_law(laws: dict) -> str:
-    """Describe the accuracy that each law gains over its predecessor [deg], compared with twice the spread."""
+    """Describe how much each control law is more accurate than the law before it [deg].
+
+    Compare this gain with twice its range over the seeds.
+    """
     texts = []
     old = laws[next(iter(laws))]["fast"]
     for law in list(laws)[1:-1]:
@@ -194,7 +201,7 @@ def _misprint_effect(printed: dict, best: dict) -> str:
 
 
 def _wrong_plants_table(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
-    """Describe tracking on plants that differ from the model."""
+    """Describe the tracking of simulated hands that differ from the model."""
     speeds = list(plants["as known"][named[2]])
     other = [f"{named[2]}, {speed}" for speed in speeds]
     head = [
@@ -221,9 +228,9 @@ def _wrong_plants_table(hand: str, plants: dict, named: tuple[str, str, str, str
 
 
 def _error_rises(plants: dict, law: str) -> str:
-    """List by how much each wrong plant raises the error of a law in the fast motion.
+    """List by how much each change of the simulated hand raises the error of a control law.
 
-    The largest rise comes first.
+    The error is that of the fast motion. The largest rise comes first.
     """
     nominal = plants["as known"][law]["fast"]["rmse_deg"]
     more = {
@@ -237,7 +244,7 @@ def _error_rises(plants: dict, law: str) -> str:
 
 
 def _end_reasons(plants: dict) -> str:
-    """List the reasons why runs ended early, by law."""
+    """List the reasons why runs ended early, by control law."""
     texts: dict[str, set[str]] = {}
     for laws in plants.values():
         for law, speeds in laws.items():

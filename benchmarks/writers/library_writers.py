@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 
 class LogMessage(NamedTuple):
-    """One message: topic, type, definition of the type, time [ns], and content as plain values."""
+    """One message for a log: topic, type, definition of the type, time [ns], and content as plain values."""
 
     topic: str
     kind: str
@@ -53,7 +53,7 @@ def mcap_ros2_writer(path: Path) -> LibraryWriter:
 def rosbags_writer(path: Path) -> LibraryWriter:
     """Return a writer of rosbags.
 
-    It writes a folder with MCAP storage, and takes each message as an object of its type.
+    The writer writes a folder with MCAP storage. A message must be an object of its message type.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.rosbag2 import StoragePlugin
@@ -137,7 +137,7 @@ def json_mcap_writer(path: Path) -> LibraryWriter:
 def foxglove_writer(path: Path) -> LibraryWriter:
     """Return a writer of the Foxglove SDK.
 
-    It uses the channels of the SDK for dictionaries, which are written as JSON.
+    The writer uses the channels of the SDK that write dictionaries as JSON.
     """
     import foxglove_writer as sdk
     from mcap.reader import make_reader

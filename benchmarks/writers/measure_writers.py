@@ -1,6 +1,7 @@
-"""Measurement of all log writers.
+"""Measure all log writers.
 
-Each writer writes the same run, and the program reads each log back. It prints the costs.
+Each writer writes the same run, and the program reads each log back. The program prints the CPU
+times.
 """
 
 import argparse
@@ -43,7 +44,7 @@ def main(description: str) -> None:
 
 
 def measure_all_writers(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
-    """Measure the cost of all log writers, and record with handctl for a longer time."""
+    """Measure the CPU time of all log writers. Also record with handctl for a longer time."""
     run = synthetic_run.synthetic_header("jamia11", RATE_HZ)
     ticks = [packed_tick(*tick) for tick in synthetic_run.SyntheticTicks(run, seconds)]
     writers = {"handctl": measure_handctl(folder / "ours.mcap", run, ticks)}
@@ -72,7 +73,7 @@ def _cpu_s(work: Callable[[], object]) -> float:
 
 
 def measure_handctl(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
-    """Measure handctl: the work in the control loop (pack and send records), and the log writer in the same process."""
+    """Measure handctl's work in the control loop (pack and send records), and its log writer in the same process."""
     records: list[bytes] = []
     packing = _cpu_s(lambda: records.extend(pack_tick_record(*tick) for tick in ticks))
     recorder = Recorder.start(path.with_suffix(".pipe.mcap"), run)

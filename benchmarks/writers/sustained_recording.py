@@ -1,8 +1,10 @@
-"""Recorder at 1 kHz in real time, with eleven motors and their frames: dropped ticks, and effect on the loop.
+"""Measure the recorder at 1 kHz in real time, with eleven motors and their frames.
 
-The control loop runs prepared ticks without computation, so that only the recorder affects its
-timing. Loop and recorder run on different cores. The same loop also runs without a recorder, before
-and afterwards. These runs show the effect of other load.
+The results are the number of dropped ticks, and the effect of the recorder on the control loop.
+
+The control loop runs prepared ticks without computation, so that only the recorder affects the
+timing. Loop and recorder run on different cores. Before and after the measurement, the same loop
+runs without a recorder. These runs show the effect of other load on the machine.
 """
 
 import os
@@ -45,9 +47,9 @@ TickPair = tuple[TickIn, TickOut]
 
 
 def measure_sustained(path: Path, seconds: float) -> dict[str, Any]:
-    """Run the loop with the recorder.
+    """Run the control loop with the recorder.
 
-    Before and afterwards, run it for half the time without the recorder.
+    Before and after that, run the loop for half the time without the recorder.
 
     Args:
         path: path of the new log file.
@@ -95,7 +97,7 @@ def measure_sustained(path: Path, seconds: float) -> dict[str, Any]:
 
 
 def packed_tick(tick_in: TickIn, out: TickOut) -> TickPair:
-    """Convert the frames of a tick to records and its telemetry to one array, as in the control loop."""
+    """Convert a tick as the control loop does: its frames to records, and its telemetry to one array."""
     places = {}
     at = 0
     for name, values in zip(TELEMETRY_FIELDS, out.telemetry, strict=True):

@@ -1,4 +1,7 @@
-"""Hands of handctl as robots of LeRobot, and two teleoperators. LeRobot imports this package by its name."""
+"""Provide hands of handctl as robots of LeRobot, and two teleoperators.
+
+LeRobot finds this package by its name.
+"""
 
 from lerobot_robot_handctl.config_handctl import (
     HandctlKeyboardConfig,

@@ -1,6 +1,7 @@
 """Configurations of the robot and the teleoperators.
 
-LeRobot removes ``Config`` from the name of a configuration to find the class of its device.
+LeRobot finds the class of a robot or teleoperator by removing ``Config`` from the name of the
+configuration class.
 """
 
 from dataclasses import dataclass, field
@@ -39,7 +40,7 @@ class HandctlKeyboardConfig(TeleoperatorConfig):
 
     Attributes:
         hand: name of a packaged hand, or path of a hand file.
-        step_deg: motion of a digit for each press of its key [deg].
+        step_deg: angle by which a digit moves when one of its keys is pressed [deg].
     """
 
     hand: str = "jamia"

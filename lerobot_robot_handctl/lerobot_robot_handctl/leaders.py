@@ -23,13 +23,16 @@ from handctl.log.read.log_hand import prismatic_joints
 from handctl.log.read.reader import RunLog
 
 CLOSE, OPEN, OPEN_ALL = "qwertyuiop", "asdfghjkl;", " "
-"""Keys that close the digits, and keys that open them, in the order of the hand file. The last key opens all digits."""
+"""Keys that close the digits, and keys that open the digits, in the order of the hand file.
+
+The last key opens all digits.
+"""
 
 
 class Leader(Teleoperator):
     """Base class of the teleoperators.
 
-    A teleoperator of handctl commands the joints of a hand. The teleoperator has neither force
+    A teleoperator of handctl commands the joints of a hand. A teleoperator has neither force
     feedback nor calibration.
     """
 
@@ -105,7 +108,7 @@ class HandctlKeyboard(Leader):
         self._settings: Any = None
 
     def connect(self, calibrate: bool = True) -> None:
-        """Connect the teleoperator, and set the terminal to pass on single keys.
+        """Connect the teleoperator, and make the terminal deliver single keys.
 
         A standard input that is no terminal is left unchanged.
         """
@@ -116,7 +119,7 @@ class HandctlKeyboard(Leader):
             tty.setcbreak(0)
 
     def get_action(self) -> dict[str, Any]:
-        """Apply the keys that were pressed since the last call, and return the target angles of the joints [rad]."""
+        """Apply the keys pressed since the last call, and return the target angles of the joints [rad]."""
         self._check_open()
         for key in self._keys():
             self._press(key)
@@ -169,8 +172,8 @@ class HandctlLog(Leader):
             self.names = position_names(log.names("q"), prismatic_joints(log.header))
             active = log.mode == HandMode.ACTIVE
             goal = log.field("q_goal")[active]
-            # The joints of a digit that holds a tension have no commanded angles. For these joints,
-            # the teleoperator uses the estimated angles.
+            # The joints of a digit that was commanded to hold a tension have no commanded angles.
+            # For such joints, the teleoperator uses the estimated angles.
             self._angles = np.where(np.isnan(goal), log.field("q")[active], goal)
             self._times = log.times[active]
         if not len(self._times):
@@ -181,15 +184,15 @@ class HandctlLog(Leader):
         self._start_s: float | None = None
 
     def connect(self, calibrate: bool = True) -> None:
-        """Connect the teleoperator, and begin at the first angles of the run.
+        """Connect the teleoperator, and prepare to repeat the run from its first angles.
 
-        The time of the teleoperator starts at the first ``get_action``.
+        The repetition starts at the first ``get_action``.
         """
         super().connect(calibrate)
         self._start_s = None
 
     def get_action(self) -> dict[str, Any]:
-        """Return the angles that the recorded run commanded at the present time of the teleoperator [rad].
+        """Return the angles that the recorded run commanded at the present time of the repetition [rad].
 
         After the end of the log, the function returns the last angles.
         """

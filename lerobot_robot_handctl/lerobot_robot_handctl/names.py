@@ -1,4 +1,4 @@
-"""Elements of actions and observations in datasets, by the names that ``handctl log export --lerobot`` uses."""
+"""Name the elements of actions and observations in datasets, as ``handctl log export --lerobot`` does."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -10,7 +10,7 @@ TENSION = ".tension_N"
 
 
 def named(names: Iterable[str], positions: Iterable[float]) -> dict[str, float]:
-    """Return joint positions [rad, or m of prismatic joints] as a dict whose keys are the names in a dataset.
+    """Return joint positions [rad, or m for prismatic joints] by their names in a dataset.
 
     Args:
         names: names of the elements, see ``position_names``.
@@ -20,7 +20,7 @@ def named(names: Iterable[str], positions: Iterable[float]) -> dict[str, float]:
 
 
 def positions_of(names: tuple[str, ...], action: Mapping[str, Any]) -> NDArray[np.float64]:
-    """Return the joint positions of an action in the order of the names [rad, or m of prismatic joints].
+    """Return the joint positions of an action in the order of ``names`` [rad, or m for prismatic joints].
 
     Raises:
         ValueError: the action has no position for a joint.

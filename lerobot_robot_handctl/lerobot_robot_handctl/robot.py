@@ -1,4 +1,4 @@
-"""Hand of handctl as a robot of LeRobot."""
+"""Connect a hand of handctl to LeRobot as a robot."""
 
 import threading
 import time
@@ -28,8 +28,8 @@ class HandctlRobot(Robot):
     The actions are sent to the controller as a stream of targets.
 
     If no actions arrive for some time, a thread closes the stream. This thread never sends targets.
-    If the program hangs, no targets arrive. The controller then first holds the hand, and later
-    relaxes it.
+    If the whole program hangs, no targets arrive, so the controller first holds the hand, and later
+    relaxes the hand.
     """
 
     config_class = HandctlRobotConfig
@@ -43,7 +43,7 @@ class HandctlRobot(Robot):
         self._names = position_names(self.description.joints, self.description.prismatic_joints)
         self.cameras = make_cameras_from_configs(config.cameras)
         self._low, self._high = self.description.joint_limits
-        # A prismatic joint moves 10 mm per rad.
+        # For the speed limit, 10 mm of a prismatic joint correspond to 1 rad.
         scale = self.description.display_units.scale
         self._step = np.radians(config.speed_deg_s) * scale / config.rate_Hz
         self._hand: HandClient | None = None
@@ -80,7 +80,7 @@ class HandctlRobot(Robot):
     def connect(self, calibrate: bool = True) -> None:
         """Connect to the controller on the bus.
 
-        If there is none, start a controller, which commissions and arms the hand.
+        If no controller runs there, start a controller, which commissions and arms the hand.
         """
         if self._hand is not None:
             raise DeviceAlreadyConnectedError(f"{self} is connected")
@@ -134,7 +134,7 @@ class HandctlRobot(Robot):
         return named(self._names, target)
 
     def disconnect(self) -> None:
-        """Close the stream and the client.
+        """Close the stream of targets and the client of the hand.
 
         If this robot has started the controller, the controller then relaxes and disarms the hand.
         """
@@ -145,7 +145,7 @@ class HandctlRobot(Robot):
             self._hand = None
         try:
             if stream is not None:
-                # the run has ended, and close raises the reason
+                # the run has ended, and ``close`` raises an error with the reason
                 with suppress(handctl.HandctlError):
                     stream.close()
             hand.close()
@@ -174,5 +174,5 @@ class HandctlRobot(Robot):
                     stream, self._stream = self._stream, None
                     with suppress(
                         handctl.HandctlError
-                    ):  # the run has ended, and the next action raises the reason
+                    ):  # the run has ended, and the next action raises an error with the reason
                         stream.close()

@@ -1,4 +1,4 @@
-"""Fixture that gives every test an empty working folder, and a folder for sockets with a short path."""
+"""Fixture for every test: an empty working folder, and a second folder for Unix sockets."""
 
 import shutil
 import tempfile
@@ -11,7 +11,7 @@ import pytest
 def work_folder(tmp_path, monkeypatch):
     """Change to an empty folder.
 
-    The sockets are in another folder, because their paths must be short.
+    The sockets are in another folder, because the path of a Unix socket must be short.
     """
     sockets = Path(tempfile.mkdtemp(prefix="h-"))
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(sockets))

@@ -26,7 +26,8 @@ def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) 
     read_again = 4 * 2 * 135e-6 * 2.0
     """Bus load that repeated reading of the drives' settings causes.
 
-    The controller reads a setting of each drive twice a second. Request and reply take 135 us each.
+    The controller reads a setting of each drive twice a second. The request takes 135 us, and so
+    does the reply.
     """
     assert bus["load"] == pytest.approx(bus["tick_us"] * 500e-6 + read_again)
 
@@ -125,7 +126,8 @@ def test_a_bus_too_slow_for_the_watchdogs_is_refused(
 ) -> None:
     """A run is refused even at the highest control rate that the bus can carry.
 
-    This rate is 20 Hz. One tick then takes as long as the watchdog time of 50 ms.
+    The slow bus of this test can carry at most 20 ticks per second. One tick then takes 50 ms, as
+    long as the watchdog time of a drive.
     """
     slow = tmp_path / "slow.toml"
     slow.write_text(hand_path("jamia11").read_text().replace("1_000_000", "125_000"))
@@ -144,7 +146,7 @@ def test_real_motors_are_not_run_in_slow_motion(
 ) -> None:
     """Slow motion with real motors is refused.
 
-    The control loop is designed for a period of 2 ms. If it ran every 20 ms, the hand would
+    The gains are designed for one tick every 2 ms. With one tick every 20 ms, the hand would
     oscillate.
     """
     assert (

@@ -249,7 +249,7 @@ def test_a_motor_type_is_taken_from_its_option_or_asked_for(
 def test_config_check_warns_of_motors_that_cannot_rest(
     work_folder: Path, capsys: pytest.CaptureFixture[str], motor_type: str, spool: str, warned: bool
 ) -> None:
-    """Reproduce a defect: only a run showed that the smallest torque of a motor is too large for the hand."""
+    """Reproduce a defect: `config check` did not warn that the smallest torque of a motor is too large."""
     words = ["--protocol", "cubemars", "--motor-type", motor_type, "--spool", spool]
     assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
     capsys.readouterr()

@@ -101,7 +101,8 @@ def test_each_mistake_is_one_line_that_names_the_key(
     assert copy_t42_with_meshes.read_text() != text
     lines = refusal_lines(capsys, "config", "check", "--hand", "mine/hand.toml")
     assert line in lines[0]
-    # A wrong scale of the meshes counts as two mistakes, because both links of the fingers have it.
+    # A wrong scale of the meshes counts as two mistakes, because each finger has two links with
+    # meshes.
     assert len(lines) == (2 if new == "link_mesh_scale = 1" else 1), lines
 
 

@@ -1,6 +1,6 @@
 """Test typical mistakes in a hand file of schema 2.
 
-Each mistake gives one error line. The line names the key with the spelling in the file.
+Each mistake gives one error line, which spells the wrong key exactly as the hand file does.
 """
 
 import json

@@ -90,7 +90,8 @@ def test_a_grasp_that_lifts_nothing_is_a_failure(work_folder, capsys):
 def test_a_demo_overwrites_no_calibration(work_folder, capsys):
     """Reproduce a defect.
 
-    ``--log jamia.mcap`` replaced the file jamia.calibration.toml, with which a real hand is armed.
+    With ``--log jamia.mcap``, the demo overwrote jamia.calibration.toml, the calibration of a real
+    hand.
     """
     path = work_folder / "jamia.calibration.toml"
     path.write_text("of the real hand")

@@ -36,7 +36,7 @@ ALWAYS_WRONG = {
     "text": "12",
     "list": [[1.0]],
 }
-"""Values that are wrong in every place where a file has a number."""
+"""Values that no number in an input file may have."""
 POSSIBLY_VALID = {
     "-0.0": lambda x: -0.0,
     "negative": lambda x: -abs(x),
@@ -117,7 +117,7 @@ def _table_lines(name, table):
 def content_without_key(content, path, replacement=None):
     """Return a copy of a content without one key.
 
-    If ``replacement`` is given, store the value under this other key.
+    If ``replacement`` is given, store the value of the removed key under the key ``replacement``.
     """
     content = with_value(content, path, None)
     parent = content
@@ -176,7 +176,7 @@ def no_bus(monkeypatch):
 def refusal(capsys, option, file):
     """Return the error line of `run` for a file.
 
-    If the command accepts the file and opens the bus, the text is empty.
+    Return an empty text if the command accepts the file and opens the bus.
     """
     others = [] if {"--task", "--trajectory"} & {*option} else ["--task", "grasp"]
     try:

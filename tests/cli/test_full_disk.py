@@ -1,6 +1,6 @@
 """Test commands on a full disk that cannot store the files beside the log.
 
-Each file that cannot be written causes one error line. All other results of the run are complete.
+Each file that cannot be written causes one error line. All other files of the run are complete.
 """
 
 import json

@@ -166,8 +166,8 @@ def test_verbose_and_quiet_exclude_each_other(capsys):
 def test_quiet_leaves_the_findings_that_need_a_repair(capsys, monkeypatch):
     from handctl.cli.checks import doctor
 
-    # Return the same finding in both calls. Otherwise each call would measure again how late a
-    # process wakes up, with another result.
+    # Replace the measurement of late wake-ups by a fixed finding. Two measurements on the same
+    # computer would give different delays, and thus different lines.
     finding = doctor._check_wakeups()
     monkeypatch.setattr(doctor, "_check_wakeups", lambda: finding)
     main(["doctor"])

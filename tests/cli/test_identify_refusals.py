@@ -30,7 +30,7 @@ def test_hands_without_return_springs_are_not_refused(
 ) -> None:
     """Reproduce a defect: the command refused two hands that it should accept.
 
-    One has no springs, and the other has spool pairs without load cells.
+    One hand has no springs. The other hand has pairs of spools on one motor, without load cells.
     """
     assert main(["identify", "--hand", hand, "--lockstep", "--dry-run"]) == 0
     assert f"would move {len(load_hand(hand).digit)} digits" in capsys.readouterr().out

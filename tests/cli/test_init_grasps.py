@@ -101,14 +101,16 @@ def test_every_choice_of_sensors_and_springs_grasps(
 
 
 THREE_LINK_CASES = [
-    # T08 in commissioning: the rotor of the released extensor turned back.
+    # The commissioning ended with a tendon that had left its pulley (fault T08), because the rotor
+    # of the released extensor turned back.
     ("18,12,10", ("each", "none", "none", "all"), 0),
-    # T02b while opening: a slack tendon was paid out more and more.
+    # The opening ended with a tendon that stays slack (fault T02b), because its motor paid out more
+    # and more of it.
     ("55,40,25", ("each", "all", "none", "none"), 1),
-    # T01 while holding: at 250 Hz, the tensions oscillated.
+    # The hold ended with a snapped tendon (fault T01), because the tensions oscillated at 250 Hz.
     ("55,40,25", ("each", "none", "none", "none"), 1),
 ]
-"""Links, answers as in ``SENSOR_CASES``, and seed of three defects."""
+"""Three defects, each with the link lengths [mm], the answers as in ``SENSOR_CASES``, and the seed."""
 ALL_THREE_LINK_CASES = [
     (links, case, seed)
     for links in ("18,12,10", "50,30,20", "55,40,25")
@@ -179,7 +181,7 @@ def test_a_rate_that_leaves_no_margin_is_a_warning(
 def test_antagonists_without_load_cells_need_a_higher_rate(
     work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Reproduce a defect: such hands had 250 Hz, and their freely closing digits looked like torn tendons (T01)."""
+    """Reproduce a defect: at 250 Hz, a tendon of a freely closing digit was reported as snapped (T01)."""
     words = ["--fingers", "1", "--links", "55,40,25", "--tendons", "each", "--springs", "none"]
     write_initial_hand(*words, "--cells", "none")
     hand = load_hand("mine.toml")

@@ -1,7 +1,7 @@
 """Test ``handctl demo`` in virtual time.
 
-Two equal demos write files with equal bytes, all checks of a demo pass, and other tools can read
-its log.
+Two equal demos write files with equal bytes. All checks of a demo pass, and other tools can read
+the log of a demo.
 """
 
 import json
@@ -66,7 +66,8 @@ def run_demos(folder, *hands, task=""):
 def equal_demos(tmp_path_factory):
     """Return the folders and the results of two equal demos.
 
-    In an ordinary test run, they execute a short motion, and in a nightly run a grasp.
+    In an ordinary test run, the demos execute a short motion. In a nightly run, the demos execute a
+    grasp.
     """
     return run_demos(
         tmp_path_factory.mktemp("equal_demos"), "jamia", "jamia", task="" if NIGHTLY else SHORT_TASK

@@ -117,7 +117,7 @@ def test_invalid_number_is_refused(capsys, words):
 
 
 def test_campaign_of_rows_without_scenarios_is_refused(capsys):
-    """A fault campaign without scenarios must not count as passed.
+    """`handctl campaign` must not report success if no scenario was executed.
 
     The row N09 (the temperature of a drive) has no scenario for CiA 402 drives, because these
     drives report no temperature.

@@ -1,7 +1,7 @@
 """Test the option --protocol.
 
 With the option ``--protocol``, a simulated hand has drives of another protocol. The option works in
-``handctl demo``, and for a simulator and a controller in separate processes.
+``handctl demo``. The option also works if simulator and controller are two processes.
 """
 
 import argparse

@@ -57,7 +57,7 @@ def test_a_gripper_grasps_holds_releases_and_is_re_executed(
 def test_exports_have_the_units_of_prismatic_joints(
     hands: Path, capsys: pytest.CaptureFixture[str], hand: str
 ) -> None:
-    """Reproduce a defect: positions in m had the unit rad, and forces in N the unit N m, in all exports.
+    """Reproduce a defect: all exports labelled positions in m with rad, and forces in N with N m.
 
     The documentation promises the unit of every exported value.
     """
@@ -147,7 +147,7 @@ MISTAKES = {
     ),
     "a noise in millimetres": ("joint_noise_m = 2e-5", "joint_noise_m = 0.02", "joint_noise_m: 0.02; expected"),
 }  # fmt: skip
-"""Texts of the file of the parallel gripper, texts in their work_folder, and a part of the line of ``config check``."""
+"""Each case: a text in the gripper's file, a wrong text that replaces it, and a part of the error line."""
 
 
 @pytest.mark.parametrize("name", MISTAKES)

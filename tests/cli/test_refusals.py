@@ -1,7 +1,7 @@
 """After wrong input, every command prints one line on standard error and exits with code 2, before it opens a bus.
 
-In these cases, no process serves the bus. A command that opened the bus would therefore exit with
-code 1.
+In these tests, no process serves the bus. A command that tried to open the bus would therefore exit
+with code 1 instead of 2.
 """
 
 import socket
@@ -359,7 +359,7 @@ def test_the_output_of_config_show_is_the_same_hand(work_folder, capsys, name):
 
 @pytest.mark.parametrize("name", ["grasps/grasp.toml", "grasp.json", "pinch.v2", "grap"])
 def test_a_missing_task_file_is_not_replaced_by_a_packaged_task(work_folder, capsys, name):
-    """Reproduce a defect: a wrong path to an own task with the name of a packaged one ran the packaged task."""
+    """Reproduce a defect: if a task file was missing, the packaged task of the same name was executed."""
     words = ("demo", "--lockstep", "--dry-run", "--task")
     right = "expected a task file, or one of grasp.toml, hook.toml, pinch-joints.toml, pinch.toml"
     assert refusal_line(capsys, *words, name) == f"handctl: {name}: no such task; {right}\n"

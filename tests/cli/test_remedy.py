@@ -1,4 +1,4 @@
-"""The advice to slow down time appears only if the machine was too slow for a simulated hand."""
+"""handctl advises a slower time scale only if the computer was too slow for a simulated hand."""
 
 import shutil
 from pathlib import Path

@@ -28,7 +28,7 @@ from tests.drives.protocol_bench import hand_file
 
 
 class BenchBus:
-    """A bus with simulated drives. The frames ``talk`` on this bus come from another host."""
+    """A bus with simulated drives. Another host sends the frames ``talk`` on this bus."""
 
     name = "bench"
 
@@ -249,7 +249,7 @@ def test_two_motors_that_answer_on_one_identifier_are_found():
 
 
 def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
-    """A DM-J8009 motor reports a full scale of 54 N m.
+    """A DM-J8009 motor reports a torque of 54 N m as its full scale.
 
     The printed part of a hand file contains the largest torque that a hand file permits, and a
     comment about the drive.
@@ -292,7 +292,7 @@ def test_unrequested_frames_of_an_odrive_are_no_other_host():
 def test_no_scan_request_enables_torque():
     """Send every request of a scan to drives that are enabled with zero torque.
 
-    Afterwards, no drive makes torque.
+    No drive makes torque after the scan requests.
     """
     bench = SimulatedDriveBench(
         [drive_spec("mit", node) for node in (1, 2)]

@@ -15,7 +15,7 @@ GRASP_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 def ticks_of(log: RunLog) -> list[bytes]:
-    """Return the ticks of a log in the form of the records that a recorder receives."""
+    """Return the ticks of a log as bytes, in the format that the controller sends to its recorder."""
     axes = [len(log.header.axis_names(name)) for name in ("joint", "tendon", "motor", "digit")]
     pairs = zip(log.tick_messages(), log.packed_telemetry(), strict=True)
     return [

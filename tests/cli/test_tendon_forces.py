@@ -1,4 +1,4 @@
-"""Test force weights of single tendons in the gains: file, bounds, design, and changes during a run."""
+"""Test gains that weight the force of a single tendon: their file, bounds, design, and changes during a run."""
 
 from pathlib import Path
 

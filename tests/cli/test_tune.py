@@ -86,7 +86,8 @@ def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
 ):
     """Reproduce a defect.
 
-    The table showed "none" for the margins of the old gains, and the reason was printed nowhere.
+    The table showed "none" for the gain and phase margins of the old gains, and no line gave the
+    reason.
     """
     swing = "the plant with 0.5 of the friction swings by 2.3 N held"
     reasons = {7e-4: f": {swing}"}
@@ -155,7 +156,7 @@ def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(capsys, acce
     ],
 )
 def test_the_last_line_of_a_verification_is_its_verdict(capsys, failure, rollback, blocked, reason):
-    """Reproduce a defect: a run that returned to the old gains ended without a verdict."""
+    """Reproduce a defect: `tune verify` printed no verdict if the run returned to the old gains."""
     from handctl.cli.tuning.tune_verify import _report_verification, _stop_reason
 
     amplitudes = (0.3, 1.0, 0.3, 0.6, 1.0)
@@ -298,10 +299,9 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
 
 
 def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffness",)):
-    """Return an invented result of the identification of a tendon.
+    """Return an invented result for the identification of a tendon.
 
-    ``blocked`` and ``met`` are texts about contacts of the digit of this tendon during the
-    excitation.
+    ``blocked`` and ``met`` describe what the tendon's digit touched during the excitation.
     """
     from handctl.tune.identify.fit import PARAMETER_NAMES
     from handctl.tune.identify.identify import TendonResult
@@ -338,7 +338,7 @@ def _replace_identification(monkeypatch, made, found):
 
 
 def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, capsys, monkeypatch):
-    """One line names the digit, the parameters that are not written, the reason, and the next step."""
+    """One line of the output names the digit, the parameters that are not written, the reason, and the next step."""
     hand, path = load_hand("jamia"), work_folder / "own.toml"
     made = jamia_calibration()
     names, why = ("tendon_stiffness", "spring_stiffness", "capstan"), "from 14 deg on it takes more"
@@ -378,7 +378,7 @@ def test_the_reason_why_no_calibration_is_written_is_true(
 
 @pytest.mark.parametrize("coherence", [0.08, 0.18, 0.25])
 def test_values_of_a_low_coherence_are_not_kept(work_folder, capsys, monkeypatch, coherence):
-    """Reproduce a defect: at a coherence of 0.08 the values were written, and `tune search` was proposed."""
+    """Reproduce a defect: values that were identified at a coherence of only 0.08 were written."""
     hand, path = load_hand("jamia"), work_folder / "own.toml"
     made = jamia_calibration()
     names = ("tendon_stiffness", "motor_inertia", "delay")
@@ -598,7 +598,10 @@ def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(fit):
 def test_parameters_identified_in_lockstep_are_tuned_verified_and_applied_in_lockstep(
     work_folder, capsys
 ):
-    """Each command line is the one that the previous command has proposed, but with fewer trials."""
+    """Each command of this test was proposed by the command before it.
+
+    Only the number of trials is reduced.
+    """
     words = "identify --lockstep --digits index --seed 7 --perturb stiffness=0.8 friction=1.2 --log id.mcap"
     assert main(words.split()) == 0
     words = next_command(capsys.readouterr().out)

@@ -1,4 +1,7 @@
-"""A calibration belongs to a single hand. The serial numbers of its drives identify this hand."""
+"""A calibration belongs to a single hand.
+
+The serial numbers of the hand's drives identify the hand.
+"""
 
 import datetime
 import json
@@ -76,7 +79,7 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
 ):
     """Reproduce a defect: two hands of the same design were used in the same folder.
 
-    The second hand got the tares and zeros of the first hand.
+    The second hand was armed with the load-cell tares and encoder zeros of the first hand.
     """
     hand = hand_file(work_folder, protocols)
     first, second = (
@@ -160,8 +163,8 @@ def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(work_fold
 def test_a_calibration_is_used_for_a_day(work_folder, hours, reason):
     """Reproduce a defect.
 
-    A calibration with a date in the future, from a computer with a wrong clock, never became too
-    old.
+    A computer with a wrong clock had written a calibration with a date in the future. handctl never
+    treated this calibration as too old.
     """
     bench = CalibratedBench(work_folder, "jamia")
     path = work_folder / "c.toml"

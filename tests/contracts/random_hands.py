@@ -1,4 +1,4 @@
-"""Run ticks of random hands with frames that are generated, and hash each tick.
+"""Run ticks of random hands with generated frames, and compute a hash of each tick.
 
 A hand may have any number of tendons.
 """
@@ -49,8 +49,8 @@ RandomGenerator = np.random.Generator
 def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
     """Return a random hand with ``tendons`` tendons.
 
-    A digit has a single tendon, as many tendons as joints, or one tendon more than joints. Some
-    digits are mounted on other digits.
+    A digit with n joints has one tendon, n tendons, or n + 1 tendons. Some digits are mounted on
+    other digits.
     """
     raw = hand_content("jamia11")
     finger, tendon, motor = raw["digit"][0], raw["tendon"][0], raw["motor"][0]
@@ -116,9 +116,9 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
 
 
 def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
-    """Return about half of the motors that may close a position loop.
+    """Return a random half of the motors whose drives may close a position loop.
 
-    Only motors of digits without antagonists may close a position loop.
+    A drive may do so if the digit of its tendon has no antagonist.
     """
     if hand.motor[0].protocol not in ("mit", "robstride", "moteus"):
         return set()
@@ -131,7 +131,7 @@ def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
 
 
 def _moment_arm_kinds(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float]]]:
-    """Yield the moment arms of the tendons of a digit, once for each kind of digit."""
+    """For each kind of digit, yield the moment arms of all its tendons."""
     one = float(radii[0])
     yield [dict.fromkeys(joints, one)]
     each = [
@@ -205,7 +205,8 @@ class RandomHand:
     def received_frames(self, t_ns: int) -> tuple[Frame, ...]:
         """Return the frames that arrive in a tick.
 
-        Motors turn, tensions follow, and some frames are disturbed.
+        In these frames, motor angles and tensions change. Some frames are lost, duplicated or
+        corrupted.
         """
         rng, period = self.random, 1.0 / RATE_HZ
         self.speed = 0.9 * self.speed + rng.normal(0.0, 1.0, len(self.speed))

@@ -43,7 +43,7 @@ PACKAGE_FOLDER = Path(handctl.__file__).parent
 
 
 def hash_of_execution(log: Path) -> str:
-    """Execute the ticks of a log again, and return one hash of all their states and numbers."""
+    """Execute the ticks of a log again, and return one hash of the states and telemetry of all ticks."""
     digest = hashlib.blake2b(digest_size=16)
     with RunLog(log) as run, np.errstate(all="ignore"):
         controller = rebuild_controller(run)
@@ -115,7 +115,8 @@ def test_interpreted_kernels_convert_frames_to_the_same_bytes() -> None:
 DAILY_RANDOM_HANDS = [(1, 0), (2, 0), (5, 1), (5, 2), (6, 5), (11, 1), (24, 0)]
 """Number of tendons and seed of each random hand that is tested in ordinary test runs.
 
-Drives of (5, 2), (6, 5) and (11, 1) close position loops. The drives of (6, 5) are moteus drives.
+In the hands (5, 2), (6, 5) and (11, 1), drives close position loops. The hand (6, 5) has moteus
+drives.
 """
 
 
@@ -130,7 +131,7 @@ Drives of (5, 2), (6, 5) and (11, 1) close position loops. The drives of (6, 5) 
 def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
     hands: list[tuple[int, int]],
 ) -> None:
-    """The state, the numbers, the frames and the events of every tick are equal with both kinds of code.
+    """Compiled and interpreted kernels give the same state, telemetry, frames and events in every tick.
 
     Received frames may be lost, duplicated, late or corrupt.
     """
@@ -178,7 +179,7 @@ def test_interpreted_kernels_begin_the_same_motions() -> None:
 def test_a_prepared_kernel_refuses_other_argument_types() -> None:
     """An argument of another array type raises an exception.
 
-    If the kernel were compiled for this type, this would take a second in the middle of a tick.
+    To compile the kernel for this type would take a second in the middle of a tick.
     """
 
     @kernel("vector", "real")
@@ -193,7 +194,7 @@ def test_a_prepared_kernel_refuses_other_argument_types() -> None:
 
 
 def test_only_a_contiguous_array_can_be_borrowed() -> None:
-    """A kernel refuses an array with gaps between its elements, because it would also read the gaps."""
+    """A kernel refuses an array that is not contiguous, because it would also read the gaps."""
 
     @njit
     def third_value(values: np.ndarray) -> float:
@@ -239,7 +240,7 @@ print(bool(misses(block, layout.places)), len(before), folder is not None)
 def package_copy(tmp_path: Path) -> Path:
     """Copy the package, and add the kernel ``PROBE_KERNEL_CODE``.
 
-    This kernel detects a node that misses every second tick.
+    The added kernel detects a node that is silent in every second tick.
     """
     package = tmp_path / "handctl"
     shutil.copytree(PACKAGE_FOLDER, package, ignore=shutil.ignore_patterns("__pycache__"))
@@ -250,8 +251,8 @@ def package_copy(tmp_path: Path) -> Path:
 def run_copied_kernel(package: Path, cache: Path) -> tuple[bool, bool, bool]:
     """Run the added kernel of a copied package in another process.
 
-    Returns: The result of the kernel, whether its stored code was used, and whether code can be
-    stored.
+    Returns: The result of the kernel, whether stored code of the kernel was used, and whether its
+        code can be stored.
     """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(package.parent)}
     command = [sys.executable, "-c", ASK_PROBE_CODE]

@@ -1,6 +1,6 @@
 """The fault catalogue, the fault table, the campaign, the tests and the documents agree.
 
-Each fault in the lists of two other projects has a counterpart in the catalogue.
+The catalogue covers the communication faults of AUTOSAR and the failure kinds of PX4.
 """
 
 from pathlib import Path
@@ -33,7 +33,7 @@ CATALOGUE_IDS = [
     for letter, size in ROWS_BY_LETTER.items()
     for number in range(1, size + 1)
 ]
-"""Identifiers of all faults: the 68 rows of the first catalogue, N17 from a trial, and I11 for streams."""
+"""Identifiers of all faults: 68 from the first catalogue, and the later ones N17 and I11."""
 ENTRY_BY_ID = {entry.id: entry for entry in FAULT_CATALOGUE}
 
 AUTOSAR_FAULTS = {

@@ -1,6 +1,6 @@
-"""Fuzzing starts from valid inputs.
+"""Fuzz tests start from valid inputs, which handctl accepts.
 
-An unchanged input is accepted. If a changed input is refused, the change is therefore the reason.
+If handctl refuses a changed input, the change is therefore the reason.
 """
 
 import functools
@@ -70,7 +70,7 @@ def test_a_changed_field_of_a_log_is_found_by_its_check(
         if one[0] == Opcode.MESSAGE
     )
     part, tick = next(messages)
-    number = 22 + 4  # the tick number comes after the message header (22) and the encoding mark (4)
+    number = 22 + 4  # the tick number follows 22 bytes of message header and 4 bytes of encoding
     replaced, anywhere, given, one_byte = 3, 1, 0, 0
     choices = (part, tick, replaced, number, anywhere, given, one_byte)
     assert not target(b"".join(n.to_bytes(2, "little") for n in choices) + b"\x07")

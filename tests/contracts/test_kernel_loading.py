@@ -1,4 +1,7 @@
-"""Stored code of kernels is loaded without the compiler of numba, and other compiled functions can call it."""
+"""Stored machine code of a kernel is loaded without the compiler of numba.
+
+Other compiled functions can call a loaded kernel.
+"""
 
 import subprocess
 import sys
@@ -53,6 +56,6 @@ def test_other_versions_of_numba_load_in_their_own_way() -> None:
 
 
 def test_the_installed_version_is_known() -> None:
-    """The steps in ``kernel_loading`` must be checked by hand for each new version of numba."""
+    """This test fails for a new version of numba until a developer has checked ``kernel_loading`` with it."""
     version: object = numba.version_info
     assert getattr(version, "short", None) in kernel_loading.TESTED_VERSIONS

@@ -1,6 +1,6 @@
 """Test that the language check counts as its documentation describes.
 
-The limits of the check can only be lowered.
+The check refuses limits that are higher than before.
 """
 
 import importlib.util

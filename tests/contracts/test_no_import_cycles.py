@@ -23,7 +23,7 @@ def module_files() -> dict[str, Path]:
 
 
 def imported_modules(source: str, modules_known: set[str]) -> set[str]:
-    """Return the known modules that a source text imports, including imports in functions and for types."""
+    """Return the modules that a source text imports, including imports in functions and for type hints."""
     imported: set[str] = set()
     for node in ast.walk(ast.parse(source)):
         match node:

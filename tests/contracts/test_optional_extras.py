@@ -1,4 +1,4 @@
-"""If a command needs an optional package that is missing, it reports this in one line before it does any work."""
+"""A command that needs a missing optional package names this package in one line, before it does any work."""
 
 import ast
 import json
@@ -24,7 +24,10 @@ PLACES_OF_EXTRAS = (
 )  # fmt: skip
 """Folders and files of the source that may import optional packages."""
 PARTS_OF_DEPENDENCIES = {"pydantic_core"}
-"""Packages that belong to a dependency. The dependency pins them to one version."""
+"""Packages that are part of a dependency.
+
+The dependency itself pins the version of such a package.
+"""
 HIDE_EXTRAS_CODE = f"import sys\nsys.modules.update(dict.fromkeys({list(EXTRA_BY_MODULE)}))\n"
 """Python code that hides every optional package from a process."""
 

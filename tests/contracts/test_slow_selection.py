@@ -1,4 +1,4 @@
-"""Test which slow tests are left out of a sample of all tests."""
+"""Test which slow tests are left out of an incomplete test run."""
 
 import subprocess
 import sys

@@ -1,7 +1,7 @@
 """Test the long soak run.
 
-The soak run reports a leak, but does not report memory that is freed and allocated again. The soak
-run can start a controller.
+The soak run must report a memory leak, but no memory that a process frees and allocates again. The
+soak run must be able to start a controller.
 """
 
 import random
@@ -61,7 +61,7 @@ def test_growth_is_reported_in_mebibytes_per_hour() -> None:
 def test_memory_that_is_freed_and_allocated_again_is_no_growth() -> None:
     """Reproduce a defect: in some samples, the memory of a recorder was 1.5 MiB larger than in others.
 
-    The soak run reported this as a growth of 3 MiB per hour.
+    The soak run reported this variation as a memory growth of 3 MiB per hour.
     """
     falling_back = memory_samples(2400.0)
     low = [

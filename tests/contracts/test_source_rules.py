@@ -26,7 +26,7 @@ def source_files(*folders: str) -> list[Path]:
 
 
 def broad_handlers(source: str) -> Iterator[int]:
-    """Yield the lines of a source text that catch all exceptions, with a handler or ``suppress``, in any spelling."""
+    """Yield the numbers of the lines that catch all exceptions, with ``except`` or with ``suppress``."""
     for node in ast.walk(ast.parse(source)):
         match node:
             case ast.ExceptHandler(type=None):

@@ -1,6 +1,6 @@
 """Test that a stall of the machine is detected.
 
-A test on the real clock is repeated only after a stall.
+A failed test on the real clock is repeated only if the machine stalled.
 """
 
 import os

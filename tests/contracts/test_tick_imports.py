@@ -68,8 +68,8 @@ def run_code(code: str, hand: str) -> list[str]:
 def test_no_tick_imports_a_module(hand: str) -> None:
     """Reproduce a defect.
 
-    In a tick, the first task with a phase ``follow`` imported 202 modules of scipy. This took 0.3
-    s.
+    A task with a phase ``follow`` imported 202 modules of scipy in the tick that began this phase.
+    This import took 0.3 s.
     """
     assert run_code(RUN_CODE, hand) == []
 

@@ -1,7 +1,9 @@
-"""The wheel runs the demo after it was installed into a new environment outside of the repository.
+"""``handctl demo`` runs after a wheel of handctl was installed into a new environment.
 
-The packages that the controller needs are installed before the extras. So the test of the
-controller cannot use a package of an extra.
+This environment is outside of the repository.
+
+The controller is tested before the extras are installed. The test of the controller therefore
+cannot use a package of an extra.
 """
 
 import os

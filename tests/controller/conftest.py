@@ -1,6 +1,6 @@
 """Models of packaged hands.
 
-The models are computed once for all tests, because the design of their gains takes long.
+The models are computed once for all tests, because the design of a model's gains takes long.
 """
 
 import pytest

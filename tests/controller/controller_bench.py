@@ -1,8 +1,8 @@
-"""A hand with scripted motors, tendons and load cells, and a bench in which a controller runs with this hand.
+"""A simple simulated hand, and a bench in which a controller runs with this hand.
 
-The scripted hand models much less than the simulator. It is therefore fast. Every digit rests at
-the stop of its open end, and a rotor winds an elastic tendon against this stop. A test can drop,
-change or add frames on their way from and to the controller.
+The simple hand models much less than the simulator and is therefore fast. All its digits stay fully
+open, and each rotor winds an elastic tendon. A test can drop, change or add frames on their way
+from and to the controller.
 """
 
 from collections.abc import Callable
@@ -23,7 +23,7 @@ from tests.drives.scripted_motor import ScriptedMotor
 
 SUBSTEPS_PER_TICK = 4
 INITIAL_SLACK_M = 0.3e-3
-"""Length that a rotor must wind before its tendon is taut [m]."""
+"""Length of tendon that a rotor must wind up before the tendon is taut [m]."""
 
 
 class ToyHand:
@@ -85,7 +85,7 @@ class ToyHand:
     def tear_tendon(self, i: int) -> None:
         """Tear tendon i.
 
-        From then on the tension of this tendon is zero, whatever the speed of its spool is.
+        From then on the tension of this tendon is zero, at any speed of its spool.
         """
         self.tendon_stiffness[i] = self.tendon_damping[i] = 0.0
 
@@ -168,11 +168,11 @@ def uncommissioned_controller(model: HandModel, program: Program, arm: bool = Tr
 
 @dataclass
 class ControllerBench:
-    """Bench in which a controller and the scripted hand run tick by tick.
+    """Bench in which a controller and the simple hand ``ToyHand`` run tick by tick.
 
     Attributes:
         controller: the controller under test.
-        peer: the scripted hand, which replies to the controller.
+        peer: the simple hand, which replies to the controller.
         to_host, to_nodes: functions that change the frames of a tick on their way to the host and
             to the nodes.
         tick_history: for every tick so far, its input, its output, and the state of the controller
@@ -249,7 +249,7 @@ class ControllerBench:
 
 
 def make_controller_bench(model: HandModel, program: Program, arm: bool = True) -> ControllerBench:
-    """Return a bench that connects a controller with a scripted hand without faults."""
+    """Return a bench that connects a controller with a simple hand ``ToyHand`` without faults."""
     return ControllerBench(
         uncommissioned_controller(model, program, arm),
         ToyHand(model.hand, round(model.period * 1e9)),

@@ -1,4 +1,4 @@
-"""Goals for all digits of a hand, for tests of the control law."""
+"""Make goals for all digits of a hand. Tests of the control law use these goals."""
 
 import math
 

@@ -16,7 +16,10 @@ from handctl.core.estimation.filter_stack import (
 from handctl.core.hand_model import HandModel
 
 FILTER_STATE_UNITS = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
-"""Unit of each of the seven filter states. In these units all states are of the order of one."""
+"""Unit of each of the seven filter states.
+
+In these units, the values of all states are of the order of one.
+"""
 
 
 def rates_of_change(
@@ -60,8 +63,8 @@ def process_noise_density(model: HandModel, i: int, regime: TendonRegime) -> np.
     """Return the spectral density of the process noise (STATES, STATES).
 
     The density of a Gauss-Markov state with standard deviation sigma and time constant tau is 2
-    sigma^2 / tau. The density of a random walk is sigma^2 / tau. A free digit follows its spool, so
-    the noise of the spool speed also acts on the digit.
+    sigma^2 / tau. The density of a random walk is sigma^2 / tau. A digit without contact follows
+    the spool of its tendon. The noise of the spool speed therefore also acts on the digit.
     """
     space, gains = model.space, model.gains.filter
     disturbance, lasts, shaking = unknown_motor_force(model, regime)
@@ -138,7 +141,7 @@ def covariance_by_doubling(
 def assumed_measurements(block: FilterBlock, regime: TendonRegime) -> np.ndarray:
     """Return the measurement matrix H (2, 7) of the gain design.
 
-    H contains the error of the load cell only if the tendon is slack.
+    H has an entry for the load-cell error only if the tendon is slack.
     """
     H = block.H[:2].copy()
     H[1, E] = float(regime == TendonRegime.SLACK)
@@ -152,8 +155,9 @@ def joseph_update(
 
     ``missing`` (2,) marks absent measurements.
 
-    The error of the load cell can be distinguished from tension only in a slack tendon. In other
-    regimes, the filter does not correct this error, but takes its variance into account.
+    Only in a slack tendon can the filter distinguish an error of the load cell from tension. In a
+    taut tendon, the filter does not correct the estimate of this error, but takes the variance of
+    the error into account.
     """
     H, R = block.H[:2].copy(), np.diag(block.R * np.where(missing, 1e12, 1.0))
     H[1, E] = float(block.cell_error_observable)

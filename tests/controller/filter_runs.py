@@ -1,7 +1,7 @@
 """States, sensor readings and single ticks for tests of the tension filter.
 
 ``FilterState`` is the part of the controller's state that belongs to the filter.
-``run_unplanned_filter_tick`` runs the stages of one tick on such a state.
+``run_unplanned_filter_tick`` runs one tick of the filter on a ``FilterState``.
 """
 
 from typing import NamedTuple
@@ -26,19 +26,20 @@ from tests.controller.synthetic_states import (
 
 
 class FilterState(NamedTuple):
-    """State of the tension filter between two ticks, with one entry per tendon.
+    """State of the tension filter between two ticks. Each attribute has one entry per tendon.
 
     Attributes:
         filter_states: (7N,) the seven filter states of each tendon, tendon after tendon.
         regimes: members of ``TendonRegime``.
-        stopped: True if the digit rests at the stop of its open end.
+        stopped: True if the tendon's digit is fully open and rests at its mechanical stop.
         turning_evidence: evidence that a slack tendon becomes taut, or that a taut tendon becomes
             slack.
         length_known: True if the length of the tendon is known.
         cell_surprise: last load-cell innovation, divided by its standard deviation.
         nis_mean, nis_lately: slow and fast average of the normalised innovation squared.
-        doubtful: True if the filter doubts its model.
-        doubt_time_s: remaining time for which the filter doubts its model [s].
+        doubtful: True if the innovations are too large for the model, so the filter trusts its
+            model less.
+        doubt_time_s: remaining time for which the filter trusts its model less [s].
         covariance: (N, 7, 7) covariance of the filter states while measurements are missing. The
             value is None if the covariance is the steady-state covariance.
         started: True if every sensor has been read once.
@@ -83,7 +84,7 @@ BLOCK_FIELD_BY_ATTRIBUTE = {
 }  # fmt: skip
 """Field of the state block for each attribute of ``FilterState``.
 
-The seven states and the covariance are not listed.
+The seven filter states and the covariance have no entry.
 """
 
 
@@ -137,7 +138,7 @@ def run_filter_tick(
 ) -> tuple[FilterState, SyntheticEstimate]:
     """Correct the filter with the measurements of one tick, and predict the present state.
 
-    The function calls the stages of a real tick.
+    The function calls the same stages as a tick of the controller.
 
     Args:
         model: the hand. state: state of the filter after the last tick. measured: readings that the
@@ -145,8 +146,8 @@ def run_filter_tick(
         force: (N,) motor force on each tendon since the last tick, with motor friction already subtracted [N].
         rate: (N,) planned rate of change of the tension of each tendon [N/s].
         contact: for each digit, True if the digit is known to touch an object.
-        friction_state: (N,) development of the friction of each tendon, from 1 (winding up) to -1
-            (paying out). The value is NaN if it is unknown.
+        friction_state: (N,) friction of each tendon as a fraction of its full amount, from 1
+            (winding up) to -1 (paying out). NaN if the fraction is unknown.
         missed: number of ticks that were missed since the last tick.
     """
     controller_state = state_of(model, state)
@@ -205,7 +206,7 @@ def noiseless_readings(
 def all_in_regime(model: HandModel, regime: TendonRegime, x: np.ndarray) -> FilterState:
     """Return a filter state in which every tendon has the same regime.
 
-    In this state, no digit rests at its open stop.
+    In this state, no digit rests at the mechanical stop of its open end.
     """
     return FilterState.in_regime(x.ravel(), regime, stopped=False)
 

@@ -41,8 +41,9 @@ class LawState(NamedTuple):
         trim: force that compensates the step of the command at a change of gains [N]. The value is
             None after it has decayed.
         held: tension limit while the safety monitor holds the hand [N]. None at other times.
-        friction_state: development of the friction of each tendon, from 1 (winding up) to -1
-            (paying out). The value is NaN if it is unknown, and None before the first command.
+        friction_state: friction of each tendon as a fraction of its full amount, from 1 (winding
+            up) to -1 (paying out). NaN if the fraction is unknown, and None before the first
+            command.
     """
 
     setpoint: np.ndarray
@@ -68,8 +69,9 @@ class LawState(NamedTuple):
 class LawCommand(NamedTuple):
     """Output of the control law.
 
-    For each tendon (N,), it has a motor torque [N m] and a tension goal [N]. For each joint (J,),
-    it has a torque [N m], and goals of the angle [rad] and the rate [rad/s].
+    A command contains, for each tendon (N,), a motor torque [N m] and a tension goal [N]. A command
+    also contains, for each joint (J,), a torque [N m], and goals of the angle [rad] and the rate
+    [rad/s].
     """
 
     torque: np.ndarray
@@ -82,7 +84,7 @@ class LawCommand(NamedTuple):
 def temperatures_for_limits(model: HandModel, limit: np.ndarray) -> np.ndarray:
     """Return the drive temperatures (N,) [degC] at which the tension limits are ``limit`` [N].
 
-    The values must be between the floor and the ceiling of the tensions.
+    Each limit must be between the lowest and the highest tension that the hand allows.
     """
     limits = controller_of(model).derived.limits
     fraction = (limit - model.floor) / (model.ceiling - model.floor)
@@ -167,9 +169,8 @@ def _tension_limits(
 def tension_limits_of(model: HandModel, state: ControllerState) -> np.ndarray:
     """Return the tension limits (N,) [N] that a controller's state contains.
 
-    A tendon without a limit has infinity.
-
-    The limits of the hand file are not included.
+    For a tendon without a limit, the value is infinity. Tension limits of the hand file are not
+    included.
     """
     return _tension_limits(state.block, state.layout.places, *stage_constants(model))
 

@@ -64,8 +64,8 @@ def run_on_plant(
             folder: folder in which the scene file is written.
         seconds: simulated time [s]. The run ends earlier if the object is lost. seed: seed of the
             simulator.
-        plant_factors: factors on parameters of the plant. The controller does not know these
-            factors.
+        plant_factors: factors that multiply parameters of the simulated hand. The controller does
+            not know these factors.
     """
     result = PlantRun()
     with SimulatorSettings(hand, scene, seed, plant_factors, homed=True).begin_run(

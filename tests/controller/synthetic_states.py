@@ -1,4 +1,6 @@
-"""Generated estimates, measurements and states of a hand, for tests of the code that uses the filter.
+"""Generate estimates, measurements and states of a hand.
+
+Tests use them in place of results of the tension filter.
 
 ``ControllerState`` contains all numbers of a tick. ``SyntheticEstimate`` and ``SensorReadings`` are
 the parts of a state that a test generates. ``state_with_estimate`` writes an estimate into a state,
@@ -50,7 +52,7 @@ class SensorReadings(NamedTuple):
 class SyntheticEstimate(NamedTuple):
     """Estimate of the present state of a hand.
 
-    The attributes of this class are named like those of ``handctl.core.hand_estimate.HandEstimate``.
+    The attributes have the same names as those of ``handctl.core.hand_estimate.HandEstimate``.
     """
 
     tension: np.ndarray
@@ -86,9 +88,9 @@ DERIVED_ATTRIBUTES = ("is_slack", "grip_opening", "grip_travel")
 
 @functools.cache
 def controller_of(model: HandModel) -> Controller:
-    """Return a controller of a hand that waits for requests.
+    """Return a controller that waits for requests.
 
-    The controller is constructed once for each model.
+    The first call for a model constructs the controller, and later calls return the same object.
     """
     return uncommissioned_controller(model, LiveProgram())
 
@@ -114,7 +116,7 @@ def uncompiled_function(function: Callable[..., Any]) -> Callable[..., Any]:
 def active_state(model: HandModel) -> ControllerState:
     """Return the state of an active hand with a running filter.
 
-    Every tendon is taut. Every digit is free, and no digit rests at its stop.
+    Every tendon is taut. No digit touches an object, and no digit rests at its stop.
     """
     return _active_state_template(model).copy()
 
@@ -127,7 +129,7 @@ def stage_constants(model: HandModel) -> tuple[BlockArray, TablePlaces]:
 def constant_tables_of(model: HandModel) -> ConstantTables:
     """Return the constants of a hand by table.
 
-    Functions from ``uncompiled_function`` take the constants in this form.
+    Functions from ``uncompiled_function`` take the constants as such tables.
     """
     return uncompiled_function(constant_tables)(*stage_constants(model))
 
@@ -153,14 +155,14 @@ def estimate_of(state: ControllerState) -> SyntheticEstimate:
 
 
 class LoadStatics(NamedTuple):
-    """Known forces along each tendon (N,) [N]: load of springs and gravity, and tension after friction.
+    """Known forces along each tendon (N,) [N].
 
     Attributes:
         resistance: tension that balances springs and gravity.
-        eager: tension minus friction. The direction of friction always follows from the tendon
+        eager: tension minus friction, if the direction of friction always follows from the tendon
             speed at the spool.
-        pull: tension minus friction. If the development of friction is known, it is used. Otherwise
-            the speed at the spool is used.
+        pull: tension minus friction. The friction follows from ``friction_state`` where this is
+            known, and from the tendon speed at the spool otherwise.
     """
 
     resistance: np.ndarray
@@ -209,7 +211,7 @@ def _winding_efficiency(
 def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
     """Return the fraction of each tension (N,) that reaches the joints at angles (J,) [rad].
 
-    The result is the fraction while the motor winds the tendon up.
+    Friction reduces this tension. The fraction is that of a tendon that its motor winds up.
     """
     return np.asarray(
         _winding_efficiency(
@@ -221,7 +223,7 @@ def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
 def exact_estimate(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
     """Return an estimate that corresponds exactly to filter states (N, 7).
 
-    In this estimate, all tendons are taut and all digits are free.
+    In this estimate, all tendons are taut and no digit touches an object.
     """
     n = model.tendon_count
     q, dq = np.zeros(len(model.hand.joints)), np.zeros(len(model.hand.joints))
@@ -255,9 +257,9 @@ def exact_estimate(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
 
 
 def balanced_state(model: HandModel, joint_angle: float) -> np.ndarray:
-    """Return filter states (N, 7) whose tensions balance springs and weight.
+    """Return filter states (N, 7) in which the tensions balance springs and weight.
 
-    All coordinates are at ``joint_angle`` [rad].
+    All joints are at ``joint_angle`` [rad].
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
@@ -295,7 +297,7 @@ def detect_contacts(
 ) -> SyntheticEstimate:
     """Detect contacts, write them into the state, and return the estimate with the contact forces.
 
-    The function also writes the closing digits into the state.
+    The function also writes into the state which digits are closing.
 
     Args:
         model: the hand. state: state of the last tick. The function writes the present tick into

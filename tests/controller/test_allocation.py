@@ -1,6 +1,6 @@
 """Test the tensions that are allocated for joint torques.
 
-Compare them with those of a bounded least-squares solver.
+The expected tensions come from scipy's bounded least-squares solver.
 """
 
 import numpy as np
@@ -26,8 +26,8 @@ EXTENSOR_MOMENT_ARMS = np.array(
 )
 """Moment arms of four tendons on three joints [m].
 
-The last tendon opens all joints, with moment arms in the ratio 3:2:1. There is one tendon more than
-joints.
+The last tendon opens all joints, with moment arms in the ratio 3:2:1. The digit has one tendon more
+than joints.
 """
 
 
@@ -64,7 +64,10 @@ def test_feasible_torques_are_made_exactly(case: str) -> None:
 def allocation_cost(
     arms: np.ndarray, torque: np.ndarray, floor: np.ndarray, tension: np.ndarray
 ) -> float:
-    """Return the cost of tensions, which the docstring of the allocation module defines."""
+    """Return the cost function of the allocation.
+
+    The docstring of the allocation module defines this cost function.
+    """
     r = np.abs(arms).mean()
     return float(
         ((arms.T @ tension - torque) ** 2).sum() / r**2
@@ -74,7 +77,7 @@ def allocation_cost(
 
 @pytest.mark.parametrize("case", DIGIT_CASES)
 def test_bounded_solution_has_the_smallest_error(case: str) -> None:
-    """The cost of allocated tensions is at most that of the tensions from scipy's bounded least-squares solver."""
+    """The allocated tensions have no higher cost than the solution of scipy's bounded least-squares solver."""
     arms, rng = arms_of(case), np.random.default_rng(2)
     n, r = len(arms), np.abs(arms).mean()
     outside = 0

@@ -1,6 +1,6 @@
 """Test hands without return springs in the simulator: commissioning, tracking, grasp and release.
 
-A digit with n joints has n + 1 tendons. One kind of thumb has 2 n tendons.
+In these hands, a digit with n joints has n + 1 tendons. Only one kind of thumb has 2 n tendons.
 """
 
 import os
@@ -41,10 +41,7 @@ def n_plus_1_hand() -> Hand:
 
 @cache
 def hand_without_encoders() -> Hand:
-    """In this hand, the motor zeros are relative to the lower joint limits.
-
-    Its motor zeros refer to the lower joint limits.
-    """
+    """Return the hand without joint encoders. The motor zeros refer to the lower joint limits."""
     content = hand_content("n_plus_1")
     return hand_from_content(
         content | {"sensor_node": content["sensor_node"] | {"joints": []}}, "no encoders"
@@ -89,7 +86,7 @@ def antagonist_model() -> HandModel:
 def task_of_moves(*angles: tuple[float, float]) -> Task:
     """Return a task with one move for each pair.
 
-    A pair consists of the angle of all joints [deg] and the duration of the move [s].
+    A pair contains one angle for all joints [deg] and the duration of the move [s].
     """
     phases = [
         {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
@@ -135,9 +132,9 @@ HAND_BY_KIND = {
 def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
     kind: str, seed: int
 ) -> None:
-    """Commissioning finds the motor zeros that the simulator has.
+    """Commissioning finds the true motor zeros of the simulated hand.
 
-    The joints follow their goals within a degree.
+    The joints follow their goals within one degree.
     """
     hand = HAND_BY_KIND[kind]()
     period_ns = round(1e9 / RATE_HZ)
@@ -152,8 +149,9 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         )
         for row in calibration.tendon.values():
             assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.8)
-        # At the measured offset of the motor encoder, the tendon is just taut and the digit is
-        # open. An error of the offset by 0.1 mm turns the joints of a finger by one degree.
+        # The measured offset is the reading of the motor encoder when the digit is open and the
+        # tendon is just taut. An offset error of 0.1 mm of tendon turns the joints of a finger by
+        # one degree.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         found = (calibration.zero(hand) - offset) * run.controller.model.space.spool
         np.testing.assert_allclose(found, 0.0, atol=5e-5)

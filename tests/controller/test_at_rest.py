@@ -16,7 +16,7 @@ from tests.controller.synthetic_states import active_state, stage_constants
 def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float) -> None:
     """Reproduce a defect.
 
-    When a digit was touched after a move to 40 deg, its motor at rest was regarded as stuck.
+    If a digit was touched after a move to 40 deg, its resting motor was reported as stuck.
     """
     state, period = active_state(jamia), jamia.period
     far = np.full(len(jamia.hand.joints), math.radians(40.0))

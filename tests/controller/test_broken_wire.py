@@ -14,7 +14,7 @@ from tests.controller.controller_bench import ControllerBench, make_controller_b
 
 @pytest.mark.parametrize("tare", [-3.0, 0.0, 5.0])
 def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: float) -> None:
-    """A broken wire of a load cell is detected, whatever the tare of this load cell is."""
+    """A broken wire of a load cell is detected at any tare of this load cell."""
     model, n = jamia, jamia.tendon_count
     run = make_controller_bench(model, LiveProgram())
     run.controller = replace(run.controller, tare=np.full(n, tare))
@@ -30,10 +30,7 @@ def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: f
 
 
 def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
-    """Return a bench whose hand has just started to relax.
-
-    In this test, a load cell reads the upper end of its range.
-    """
+    """Return a bench whose hand has just started to relax while a load cell reads the upper end of its range."""
     run = make_controller_bench(model, LiveProgram())
     run.run_until_mode(HandMode.ACTIVE)
     run.peer.cell_bias[:] = (
@@ -45,7 +42,7 @@ def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
 
 
 def test_a_cell_that_stays_at_its_rail_while_the_hand_relaxes_cuts(jamia: HandModel) -> None:
-    """The saturated load cell may be the only evidence that a drive does not obey."""
+    """The hand is disabled, because the saturated load cell may be the only evidence that a drive does not obey."""
     run = bench_with_saturated_cell(jamia)
     began = run.state.mode_since
     run.run_until_mode(HandMode.CUT)

@@ -1,6 +1,6 @@
 """Test the first run after a controller has died and the watchdogs of its drives have latched a fault.
 
-Only a request of the operator enables the drives again.
+The drives stay disabled until the operator sends a request to clear the faults.
 """
 
 import pytest

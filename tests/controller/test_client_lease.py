@@ -1,7 +1,7 @@
 """Test the lease of a client that commands a hand in lockstep.
 
-If the client is silent, the digits that it commands come to rest first. If the client stays silent,
-the hand then relaxes.
+If the client stops sending, first the digits that it commands come to rest. If the client remains
+silent, the whole hand then relaxes.
 """
 
 import json
@@ -93,10 +93,10 @@ def test_targets_of_a_stream_are_signs_of_life(jamia: HandModel) -> None:
 
 @pytest.mark.parametrize("after", ["no lease", "leave", "another"])
 def test_a_lease_ends(jamia: HandModel, after: str) -> None:
-    """A lease ends when its client sends a command without a lease.
+    """A client's lease ends when this client sends a command without a lease.
 
-    A lease also ends when this client gives up the right to command, or another client takes over
-    this right.
+    A lease also ends when the client gives up the right to command, or when another client takes
+    over this right.
     """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)
@@ -138,8 +138,7 @@ def test_a_task_goes_on_to_its_hold_before_the_hand_relaxes(jamia: HandModel) ->
 def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> None:
     """Recorded ticks give equal results when they are executed again.
 
-    The test executes the ticks from the start of the run, and from a snapshot in the middle of the
-    run.
+    The second execution starts at the start of the run, or at a snapshot in the middle of the run.
     """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": 50.0}, duration_s=1.0, lease_s=LEASE_S)

@@ -1,4 +1,4 @@
-"""Test the commissioning of a scripted hand: its results, and its response to each fault of a tendon."""
+"""Test the commissioning program with scripted tensions: its results, and its response to each fault of a tendon."""
 
 import os
 import re
@@ -144,7 +144,8 @@ def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
 def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> None:
     """Tension in the second tendon also changes the reading of the first load cell.
 
-    Possible causes are two tendons that touch, or one load cell that is connected to two channels.
+    Two tendons that touch would cause this, and so would one load cell that is connected to two
+    channels.
     """
 
     def tension_by_pull(i: int) -> np.ndarray:
@@ -171,8 +172,8 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
 ) -> None:
     """In this test, the load cells drift twice as fast as those of packaged hands.
 
-    At the end, their drift of 0.9 N rms is as large as the largest crosstalk that commissioning
-    accepts.
+    At the end of commissioning, the load cells have drifted by 0.9 N rms. Commissioning accepts
+    crosstalk of at most this size.
     """
     progress = run_commissioning(
         fifteen_motor_model,
@@ -189,7 +190,7 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
 def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
     """The tare of a tendon is the zero of its load cell just before the pull of this tendon.
 
-    In this test, all zeros drift by 0.1 N/s from the first tick.
+    In this test, the zeros of all load cells drift by 0.1 N/s from the first tick.
     """
     drifted = [0.0]
 
@@ -221,10 +222,10 @@ def test_crosstalk_is_found_while_load_cells_drift(fifteen_motor_model: HandMode
 
 
 def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandModel) -> None:
-    """In this test, the tension of a tendon falls by 2 N/s after its pull.
+    """In this test, the tension of a tendon falls slowly, by 2 N/s, after its own pull.
 
-    The load cell of a relaxing tendon still reads 1.4 N at rest before the next pull, and 0 N
-    during the next pull.
+    The load cell of this tendon still reads 1.4 N just before the pull of the next tendon, and 0 N
+    during that pull.
     """
     held = np.zeros(jamia.tendon_count)
 
@@ -241,7 +242,7 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
 
 
 def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia: HandModel) -> None:
-    """A relaxing tendon cannot lose more tension than its last pull has left."""
+    """While another tendon is pulled, a relaxing tendon can lose only the tension that remained from its own pull."""
 
     def tension_by_pull(i: int) -> np.ndarray:
         return tensions_without_fault(jamia)(i) - 0.5 * PULL_TENSION_N * (i == 2) * (
@@ -276,9 +277,9 @@ def commissioning_bench(fast_rate_jamia: HandModel) -> ControllerBench:
 def test_load_cells_that_were_never_tared_are_no_hindrance(
     commissioning_bench: ControllerBench, bias: float
 ) -> None:
-    """After the tare, the tension loop uses load-cell readings from which the tares are subtracted.
+    """After the tare, the tension loop uses load-cell readings minus their tares.
 
-    With raw readings, the bias of the load cell would be added to the pull.
+    With raw readings, the bias of a load cell would change the tension of the pull.
     """
     commissioning_bench.peer.cell_bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
     commissioning_bench.run_until_mode(HandMode.DONE, 30.0)
@@ -329,7 +330,7 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
 
 
 def program_after_tare(model: HandModel, tension_by_pull: TensionByPull) -> ProgramProgress:
-    """Return the progress of the commissioning program just after its tare."""
+    """Return the progress of the commissioning program just after it has tared the load cells."""
     program, progress, k = CommissionProgram(), CommissionProgram().initial_progress(model), 0
     while progress.step == 0 and not progress.finished:
         measured = empty_readings(model)._replace(tension=tension_by_pull(-1) + CELL_BIAS_N)

@@ -35,9 +35,11 @@ from tests.controller.synthetic_states import (
 
 @pytest.mark.parametrize("gain", [None, 0.5, 1.0, 1.7])
 def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(gain: float | None) -> None:
-    """The limit is divided by the spool radius and the gain, and then multiplied by both.
+    """In the control law, the torque limit is divided by the spool radius and the gain.
 
-    Without a correction, rounding could make the result exceed the limit by one bit.
+    A later step multiplies the quotient by the spool radius and the gain.
+
+    Without a correction, rounding could make the commanded torque exceed the limit by one bit.
     """
     hand = load_hand("jamia")
     gains = None if gain is None else np.full(len(hand.tendon), gain)
@@ -215,7 +217,7 @@ def test_tension_goals_stay_below_the_ceiling(model: HandModel) -> None:
 class ClosedLoopPlant:
     """Simulation of rotors, tendons and digits in small time steps.
 
-    The control law in the test gets the exact state of this simulation.
+    The control law under test gets the exact state of this simulation instead of an estimate.
 
     Attributes:
         tendon_states: (N, 7) true states of the tendons.
@@ -225,7 +227,7 @@ class ClosedLoopPlant:
     STEPS_PER_TICK = 40
     """Number of integration steps in a tick.
 
-    The number is large because capstan friction reverses within 1 mm/s of tendon speed.
+    Small steps are necessary because capstan friction reverses within 1 mm/s of tendon speed.
     """
 
     def __init__(self, model: HandModel, x: np.ndarray, held: bool) -> None:
@@ -265,9 +267,9 @@ class ClosedLoopPlant:
 def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> None:
     """The force that the filter gets is the motor force minus the mean friction over the period.
 
-    To find the expected friction, the test integrates the motion of the rotor in small steps. At a
-    slow control rate, friction stops the rotor within a period. A prediction with the friction at
-    the start of the period would reverse the motion of the rotor.
+    The test finds the expected friction by integrating the motion of the rotor in small steps. At a
+    slow control rate, friction stops the rotor within one period. If the filter assumed constant
+    friction over this period, it would predict that the rotor reverses.
     """
     rng, n, steps = np.random.default_rng(8), model.tendon_count, 400
     space, dt = model.space, model.period / 400
@@ -353,8 +355,8 @@ def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, kind: Goa
 def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
     """The control law has no feedforward of digit torque, inertia and friction.
 
-    If the feedback of tension is also switched off, the control law commands only the feedback of
-    motion.
+    In this test, the tension feedback is also switched off. The control law then commands only the
+    feedback of angle and rate.
     """
     none = {
         "inertia_share": 0.0,
@@ -381,7 +383,7 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
 
 
 def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None:
-    """While a tendon is wound up and its friction is fully developed, its tension changes as planned.
+    """While the motor winds a tendon up against full friction, the tension changes as planned.
 
     The direction of friction follows from the measured speed of the tendon, and not from the
     planned speed.

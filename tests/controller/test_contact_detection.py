@@ -1,7 +1,7 @@
 """Test the detection of contacts in the simulator.
 
-A contact is detected soon after its force has become large enough. In free motion, no contact is
-reported.
+A contact is detected soon after the contact force reaches 1 N. No contact is reported while a digit
+moves freely.
 """
 
 import json
@@ -70,9 +70,9 @@ def test_a_tip_without_lever_has_no_tip_force(hand: str) -> None:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_path: Path) -> None:
-    """The contact may also be detected at a force below 1 N.
+    """A contact with a wall may also be detected at a force below 1 N.
 
-    A benchmark tests other closing speeds and other positions of the object.
+    The benchmark ``benchmarks.grasp`` tests other closing speeds and other positions of the object.
     """
     closing = {
         "kind": "close",
@@ -102,8 +102,8 @@ def count_contacts_in_free_motion(hand: str, seconds: float, seed: int, folder: 
     planned = 1.0
     while planned < seconds:
         speed, goal = chance.uniform(20.0, 100.0), {"index": chance.uniform(25, 50)}
-        # The thumb and the fingers close in different phases, because the middle finger and the
-        # thumb would otherwise touch.
+        # Either the middle finger or the thumb closes in a phase, because the two would otherwise
+        # touch.
         if chance.random() < 0.6:
             goal |= {"middle": chance.uniform(12, 25), "ring": chance.uniform(25, 50)}
         else:
@@ -156,10 +156,10 @@ def closing_hand(
 
 
 def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) -> None:
-    """In free motion, the force estimate of the thumb is -0.35 N near the end.
+    """Near the end of a free motion, the force estimate at the thumb's tip is -0.35 N.
 
-    In contact, this estimate rises only to 0.2 N. The detection of contacts therefore uses the
-    increase of the estimate.
+    In contact, this estimate rises only to 0.2 N. The contact detection therefore uses the increase
+    of the estimate.
     """
     for usual, counts in ((-0.35, 0.55), (0.1, 0.2), (np.nan, 0.2)):
         state = closing_hand(jamia, 0.2, felt=0.2, usual=usual, drift=np.nan)
@@ -167,9 +167,9 @@ def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) 
 
 
 def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> None:
-    """If a force estimate stays positive for a long time, a load cell drifts.
+    """If the force estimates of all closing digits stay positive for a long time, load cells drift.
 
-    A load cell drifts, for example, by 0.5 N in half a minute.
+    A load cell may drift by 0.5 N in half a minute.
     """
     for drift, counts in ((0.2, 0.15), (-0.2, 0.35)):
         state = closing_hand(jamia, 0.35, felt=0.35, usual=0.2, drift=drift)
@@ -177,7 +177,7 @@ def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> No
 
 
 def test_means_of_a_closing_digit_follow_with_their_time_constants(jamia: HandModel) -> None:
-    """The mean tip force of a closing digit and its drift are averages with given time constants.
+    """The mean tip force of a closing digit and the drift of this force are averages with given time constants.
 
     A digit that does not close has no mean tip force.
     """

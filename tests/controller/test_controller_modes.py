@@ -1,6 +1,6 @@
 """Test the modes of the controller, from the start through a motion to a confirmed stop.
 
-The motors of the hand are scripted.
+The controller runs with the simple hand ``ToyHand``.
 """
 
 import numpy as np
@@ -189,7 +189,7 @@ def test_a_second_stop_does_not_lengthen_the_first(hand_bench: ControllerBench) 
 def foreign_command(hand_bench: ControllerBench) -> Frame:
     """Return a torque command to the first motor.
 
-    If such a frame is on the bus, it must come from a second controller.
+    The controller under test does not send this frame, so a second controller has sent it.
     """
     return Frame(
         hand_bench.peer.motors[0].node_id, bytes(8), t_ns=hand_bench.k * hand_bench.period_ns
@@ -318,7 +318,10 @@ def test_a_motor_that_does_not_confirm_disabling_needs_its_power_removed(
 def test_a_motor_that_keeps_its_torque_needs_its_power_removed_at_once(
     hand_bench: ControllerBench,
 ) -> None:
-    """After 0.1 s, the torque that the motor reports shows that it still pulls (N16)."""
+    """The motor still reports a torque 0.1 s after it was disabled.
+
+    A torque after the disable command is the fault N16 (a drive does not release).
+    """
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.peer.motors[3].ignored_commands.add(0xFD)
     hand_bench.tick(STOP_REQUEST)
@@ -333,14 +336,14 @@ def test_a_motor_that_reports_disabled_and_pulls_needs_its_power_removed(
 ) -> None:
     """Reproduce a defect.
 
-    Earlier defect: after an ordinary stop, a run ended as soon as all drives reported that they
-    were disabled.
+    After an ordinary stop, a run ended as soon as all drives reported that they were disabled, even
+    if a motor still pulled.
     """
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)
     hand_bench.tick(STOP_REQUEST)
     hand_bench.run_until_mode(HandMode.DISARM)
-    # The motor in this test is disabled, but its tendon has this tension.
+    # The motor reports that it is disabled, but its tendon still has this tension.
     hand_bench.peer.cell_bias[3] = 30.0
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.state.failure == "REMOVE POWER: still pulling after the cut: thumb_motor"

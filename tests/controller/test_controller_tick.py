@@ -1,6 +1,6 @@
 """Test that a tick is a pure function.
 
-Equal inputs give equal outputs, and the inputs stay unchanged, whatever frames were received.
+With any received frames, equal inputs give equal outputs, and a tick does not change its inputs.
 """
 
 import random
@@ -51,15 +51,15 @@ def session_bench(request: pytest.FixtureRequest) -> ControllerBench:
 
 
 def comparable_outputs(out: TickOut) -> tuple[object, ...]:
-    """Return all outputs of a tick in a form that can be compared. In this form NaN equals NaN."""
+    """Return all outputs of a tick in a form in which NaN equals NaN, so that tests can compare them."""
     plain = (out.frames, out.mode, out.phase, out.action, out.events, out.state_hash)
     return (*plain, out.telemetry.packed())
 
 
 def test_equal_inputs_give_equal_outputs(session_bench: ControllerBench) -> None:
-    """If a tick is executed again from its previous state, its outputs are equal.
+    """Each tick of a run is executed again from its previous state.
 
-    The outputs are equal in every byte, for each tick of the run.
+    All bytes of its outputs are equal both times.
     """
     for before, entry, out in session_bench.tick_history[::3]:
         digest = before.digest()
@@ -95,9 +95,9 @@ def test_the_order_of_frames_within_a_tick_does_not_matter(session_bench: Contro
 
 
 def test_frames_with_unknown_identifiers_change_no_decision(session_bench: ControllerBench) -> None:
-    """Only the counters of unknown frames change.
+    """Frames with unknown identifiers change only the counters of unknown frames.
 
-    A known identifier with an extra flag counts as a malformed frame.
+    A frame with a known identifier and an unexpected flag counts as malformed.
     """
     noise = (Frame(0x666, bytes(8)), Frame(0x1A0, bytes(8), bus=3))
     misshapen = Frame(0x011 | 1 << 31, bytes(8))
@@ -172,7 +172,7 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(
 def test_old_values_have_no_new_time_stamp() -> None:
     """In a tick without frames, the telemetry contains NaN for every measurement.
 
-    The age of the last measurement grows in such a tick.
+    The ages of the last measurements grow.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
@@ -217,8 +217,8 @@ def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
 def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     """The channels of the sensor node are in reverse order in this test.
 
-    When the second frame of the sensor node is lost, the fault names the tendons whose channels are
-    in this frame.
+    If the second frame of the sensor node is lost, the fault names exactly the tendons whose
+    channels this frame contains.
     """
     content = hand_content("jamia11")
     content["sensor_node"]["tendons"] = content["sensor_node"]["tendons"][::-1]
@@ -261,7 +261,7 @@ random_frames = st.builds(
 def test_no_frame_can_stop_the_tick(
     active_bench: ControllerBench, burst: list[list[Frame]]
 ) -> None:
-    """Whatever frames are received, the ticks of an active hand raise no exception.
+    """No received frame makes a tick of an active hand raise an exception.
 
     All torques are finite and within their limits.
     """
@@ -301,7 +301,7 @@ def test_no_request_event_or_delay_can_stop_the_tick(
 def test_a_hand_armed_under_tension_is_not_jerked() -> None:
     """The tension loop starts at the tension that the tendons have when the hand is armed.
 
-    For example, a held object causes such a tension.
+    A hand that holds an object is an example.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()

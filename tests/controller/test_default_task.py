@@ -1,7 +1,7 @@
 """Test the default task of a hand.
 
-The task opens and closes the hand, holds, and releases. The task suits any hand, whatever digits it
-has.
+The task opens and closes the hand, holds the object, and releases it. The task suits hands with any
+digits.
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
-"""Test limits of tension.
+"""Test the limits of tension.
 
-The tension limit of a warm drive falls linearly with its temperature. While the safety monitor
+The tension limit of a warm drive falls linearly as the drive gets warmer. While the safety monitor
 holds the hand (HOLD), no tension rises and no goal moves.
 """
 
@@ -26,7 +26,7 @@ from tests.controller.synthetic_states import active_state, estimate_under_tensi
 def limit_at(model: HandModel, temperatures: tuple[float, ...]) -> np.ndarray:
     """Return the tension limits (N,) [N] of drives that have given temperatures [degC].
 
-    If no drive is warm, the limits are infinite.
+    The limit of a drive that is not warm is infinite.
     """
     state = active_state(model)
     state.view("temperature")[...] = temperatures
@@ -104,9 +104,9 @@ def warm_grasp():
 
 
 def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
-    """The tension limit falls while the drive warms from 70 to 85 degC.
+    """The tension limit of a drive falls while the drive warms from 70 to 85 degC.
 
-    At 84 degC, one fifteenth of this range is left. The limit is then 14 N instead of 24 N.
+    At 84 degC, the limit is 14 N instead of 24 N.
     """
     before = warm_grasp.simulated_hand.truth()["tension"]
     warm_grasp.simulated_hand.inject("hot node=index_motor size=84 for=800ms")
@@ -122,9 +122,9 @@ def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
 
 
 def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
-    """While the safety monitor holds the hand (HOLD), each tension is limited to its value at the start of the HOLD.
+    """While the safety monitor holds the hand (HOLD), no tension exceeds the value that it had when the HOLD began.
 
-    The limit ends when the HOLD ends.
+    This limit ends with the HOLD.
     """
     state, controller = warm_grasp.state.copy(), warm_grasp.controller
     tension = np.array(warm_grasp.simulated_hand.truth()["tension"])

@@ -1,4 +1,8 @@
-"""Test the tension filter in motion: its prediction when measurements are missing, and the regimes of tendons."""
+"""Test the tension filter while the hand moves.
+
+The tests check predictions while measurements are missing, and the detection of slack tendons and
+of digits on a stop.
+"""
 
 import numpy as np
 
@@ -96,7 +100,7 @@ def readings_of(model: HandModel, travel: np.ndarray, cell: np.ndarray) -> Senso
 def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandModel) -> None:
     """At the start of a run, load cells may reply before encoders.
 
-    A drive reports its position only after its registers were read.
+    A drive sends its position only after the controller has read the drive's registers.
     """
     n = model.tendon_count
     cell, state = np.full(n, 5.0), FilterState.before_first_reading(n)
@@ -118,9 +122,7 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
 def regimes_of_readings(model: HandModel, cells: list[float]) -> list[set[int]]:
     """Return the set of the regimes of all tendons, for each tick.
 
-    In each tick, all load cells read the next tension in ``cells``.
-
-    The motors are at rest.
+    In each tick, all load cells read the next tension in ``cells``, while the motors are at rest.
     """
     n = model.tendon_count
     x = np.zeros((n, STATE_COUNT))
@@ -151,9 +153,9 @@ def test_slack_ends_by_tension_and_not_by_noise(model: HandModel) -> None:
 
 
 def test_a_small_tension_ends_slack_after_a_few_ticks(model: HandModel) -> None:
-    """If a tendon is wound up slowly, it counts as taut before its tension is five standard deviations.
+    """A slowly wound tendon counts as taut below a tension of five standard deviations.
 
-    This means the standard deviation of the load-cell noise.
+    The standard deviation is that of the load-cell noise.
     """
     met = regimes_of_readings(model, [0.2, 0.9, 1.2, 1.6, 1.7, 1.7])
     assert met[2] == {TendonRegime.SLACK}
@@ -237,7 +239,7 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
 
 
 def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
-    """External tension is the part of the tension of a held digit that its springs do not explain."""
+    """External tension is the part of a tendon's tension that the springs of the digit do not explain."""
     x, _ = state_at_rest(model, 20.0, 0.7)
     n = model.tendon_count
     asked = load_statics(model, x, np.zeros(n)).resistance
@@ -267,7 +269,7 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
 def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) -> None:
     """Motor encoder and load cell measure only the sum of excursion and stretch offset.
 
-    Joint encoders separate the two.
+    Joint encoders separate the excursion from the stretch offset.
     """
     x, _ = state_at_rest(jamia11, 20.0, 0.7)
     balance = load_statics(jamia11, x, np.zeros(len(x))).resistance
@@ -336,8 +338,8 @@ def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None
 def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None:
     """In this test, friction holds a digit just before the stop of its open end.
 
-    If the filter assumed that the digit is at its stop, each return to the stop would add an error
-    to its angle.
+    If the filter took this position for the stop, each return would add an error to the estimated
+    angle of the digit.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = 1e-5
@@ -354,9 +356,9 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
 
 
 def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandModel) -> None:
-    """When a digit comes to rest at its open stop, its excursion becomes zero.
+    """When a digit comes to rest at the stop of its open end, the estimated excursion becomes zero.
 
-    The filter adds the excursion that it had estimated before to the stretch offset of the tendon.
+    The filter adds its previous estimate of the excursion to the stretch offset of the tendon.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S], x[:, O], x[:, W] = 1.5e-5, -4e-5, 1e-3

@@ -1,6 +1,6 @@
-"""Test the tension filter with data from its own model.
+"""Test the tension filter with data that the model of the filter generates.
 
-The covariance of the filter is right, even while measurements are missing.
+The covariance matches the actual errors, even while measurements are missing.
 """
 
 from collections.abc import Callable
@@ -99,7 +99,7 @@ def run_monte_carlo(
     seed: int,
     missing: MissingMeasurements | None = None,
 ) -> FilterRun:
-    """Draw a random true trajectory from the filter's model in one regime, and run the filter on it.
+    """Draw a random true trajectory from the filter's model in one tendon regime, and run the filter on it.
 
     ``missing`` is a function that returns a mask (2, N) for each tick. The first row marks missing
     encoder readings, and the second row marks missing load-cell readings.
@@ -126,8 +126,8 @@ def run_monte_carlo(
     regimes = set()
     tension_rows = np.array([blocks[regime].tension_row for blocks in model.filter.blocks])
     for k in range(ticks):
-        # In this test, the motor holds the tendon as a controller would do. The planned rate of
-        # change prevents a drift of the tension.
+        # The motor of this test holds the tendon as a controller would. The planned rate of change
+        # keeps the tension from drifting.
         tension = (tension_rows * truth).sum(axis=1)
         away = (
             truth[:, X] - 40.0 / model.space.stiffness - model.hand.moment_arms.sum(axis=1) * closed
@@ -184,7 +184,10 @@ SPARSE_MEASUREMENTS: dict[str, MissingMeasurements] = {
 def test_consistent_with_its_own_model_though_measurements_are_missing(
     frictionless_model: HandModel, regime: TendonRegime, missing_pattern: str
 ) -> None:
-    """The error of the filter has the size that its covariance predicts, within the uncertainty of the sample."""
+    """The errors of the filter are as large as its covariance predicts.
+
+    The tolerance is the statistical uncertainty of the run.
+    """
     missing = SPARSE_MEASUREMENTS[missing_pattern]
     course = run_monte_carlo(
         frictionless_model,
@@ -231,7 +234,7 @@ def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> 
 def test_missing_measurement_is_detected_in_each_regime(
     model: HandModel, column: int | None, regime: TendonRegime, counts: bool
 ) -> None:
-    """Missing joint encoders, and missing load cells of slack tendons, do not count as missing."""
+    """The filter ignores missing readings of joint encoders, and missing load-cell readings of slack tendons."""
     z = np.arange(3.0 * model.tendon_count).reshape(-1, 3)
     if column is not None:
         z[-1, column] = np.nan
@@ -249,7 +252,7 @@ def test_missing_measurement_is_detected_in_each_regime(
 def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: HandModel) -> None:
     """In a tick without encoder readings, the first digit comes into contact.
 
-    The last digit of the hand stays free.
+    The last digit of the hand stays without contact.
     """
     x, force = state_at_rest(model, 25.0, 0.6)
     state, touched = all_in_regime(model, TendonRegime.FREE, x), (True, *no_contact(model)[1:])
@@ -295,9 +298,9 @@ MISSING_SAMPLES: dict[str, MissingMeasurements] = {
 def test_the_covariance_is_that_of_a_plain_joseph_update(
     model: HandModel, regime: TendonRegime, missing_pattern: str
 ) -> None:
-    """While the filter updates the covariances, it agrees with a computation with numpy.
+    """The covariances of the filter agree with a computation with numpy.
 
-    For a slack tendon, it updates them only while encoder readings are missing.
+    For a slack tendon, the filter updates the covariance only while encoder readings are missing.
     """
     rng, n = np.random.default_rng(9), model.tendon_count
     slack = regime == TendonRegime.SLACK
@@ -332,10 +335,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
 def test_covariance_grows_over_skipped_ticks(
     model: HandModel, missed: int, predicted_s: float | None
 ) -> None:
-    """In missed ticks, the covariance grows.
-
-    The covariance grows at most for the time for which motors hold the last command.
-    """
+    """In missed ticks, the covariance grows, but at most for the time for which motors hold the last command."""
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, none = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
     state = all_in_regime(model, TendonRegime.FREE, x)
@@ -358,9 +358,9 @@ def test_covariance_grows_over_skipped_ticks(
 
 
 def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
-    """A second filter computes each tendon with plain loops.
+    """The second filter of this test computes each tendon with plain loops.
 
-    If measurements are missing, the update of this filter has no rows for them.
+    The update of the second filter has no rows for missing measurements.
     """
     rng, n = np.random.default_rng(3), model.tendon_count
     x, force = state_at_rest(model, 25.0, 0.6)

@@ -1,4 +1,4 @@
-"""Test the tension filter with outliers, missing readings and load-cell drift, and in doubt of its model."""
+"""Test the tension filter with outliers, missing readings, load-cell drift and large innovations."""
 
 import numpy as np
 import pytest
@@ -67,9 +67,9 @@ def test_single_outlier_is_rejected(model: HandModel) -> None:
 
 @pytest.mark.parametrize("jump", [-8.0, 6.0, 30.0])
 def test_two_outliers_in_a_row_are_accepted(model: HandModel, jump: float) -> None:
-    """If two equal outliers come in a row, they show an impact, and no error.
+    """Two equal outliers in a row show a real impact instead of a sensor error.
 
-    So the filter follows the second reading at once.
+    The filter therefore follows the second outlier at once.
     """
     hand = HeldHand(model).settle()
     hand.run_sample(HELD_TENSION_N + jump)
@@ -168,9 +168,9 @@ def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
 def test_the_filter_predicts_every_tick_that_was_skipped(
     model, missed: int, predicted_s: float | None
 ) -> None:
-    """The filter predicts with a constant motor force for up to 50 ms.
+    """Over skipped ticks, the filter predicts with a constant motor force for up to 50 ms.
 
-    The planned change of the tension acts for only one period.
+    The filter applies the planned change of the tension for only one period.
     """
     state, force = winding_state(model)
     rate, nowhere = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)
@@ -193,7 +193,7 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
 def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
     """Return the filter state of half-closed digits whose rotors turn, and the forces that balance them [N].
 
-    The tension of all tendons is 20 N.
+    All tendons have a tension of 20 N.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
@@ -209,7 +209,7 @@ def test_occasional_positions_do_not_make_the_filter_oscillate(
 ) -> None:
     """The gains of the filter assume a measured position in every tick.
 
-    After a reset, a drive sent its position only in every 11th tick.
+    A drive that was reset has, for example, sent its position only in every 11th tick.
     """
     held = HeldHand(jamia).settle()
     chance = np.random.default_rng(7)

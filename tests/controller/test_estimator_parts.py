@@ -99,7 +99,7 @@ def test_a_slack_tendon_bears_no_contact_wherever_its_digit_is(model: HandModel)
 def used_measurements(model: HandModel, state: FilterState, measured: SensorReadings) -> np.ndarray:
     """Return the measurements (N, 3) that the filter uses in a given state.
 
-    The values are NaN where it uses none.
+    An unused measurement is NaN.
     """
     run = state_of(model, state)
     write_readings(run, measured)
@@ -114,7 +114,7 @@ def used_measurements(model: HandModel, state: FilterState, measured: SensorRead
 def test_slack_length_is_digit_excursion_minus_spool_travel(
     model: HandModel, x: float, s: float, o: float
 ) -> None:
-    """The spool is behind the digit by the slack.
+    """The slack length is the excursion of the digit minus the travel of the spool.
 
     The load cell of a slack tendon reads only its own error.
     """
@@ -132,7 +132,10 @@ def test_slack_length_is_digit_excursion_minus_spool_travel(
 
 
 def regimes_after_sample(model: HandModel, state: FilterState, cell: float) -> FilterState:
-    """Return the filter state after all load cells have read ``cell`` [N]. All digits are free."""
+    """Return the filter state after all load cells have read ``cell`` [N].
+
+    No digit touches an object.
+    """
     return filter_state_of(
         corrected_state(
             model, state, empty_readings(model)._replace(tension=np.full(model.tendon_count, cell))
@@ -147,9 +150,11 @@ def regimes_after_sample(model: HandModel, state: FilterState, cell: float) -> F
 def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     model: HandModel, hangs_m: float, known: bool, turns: bool
 ) -> None:
-    """The encoder shows this only if the length of the tendon is known, because the tendon was taut before.
+    """The motor encoder alone shows a coming taut state only if the length of the tendon is known.
 
-    When the tendon has become taut, the counter of the evidence starts again at zero.
+    The length is known if the tendon was taut before.
+
+    After the change to taut, the counter of the evidence starts again at zero.
     """
     n = model.tendon_count
     above = next(

@@ -38,7 +38,7 @@ FRICTION_FACTORS = (0.5, 1.0, 1.5, 2.0)
 EVALUATED_AFTER_S = 1.2
 """Time from which the errors are evaluated [s].
 
-By then slack is taken up and the filter has noticed the wrong friction.
+By this time, no tendon is slack, and the filter has noticed the wrong friction.
 """
 TAUT_N = 0.5
 BACK_AND_FORTH_TASK = {
@@ -66,7 +66,7 @@ def run_with_friction(hand: str, friction: float, seed: int, folder: Path) -> Pl
 def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
     """Return the tension RMSE [N] of the estimate and of the raw load cell.
 
-    Only taut tendons count, while the hand moves.
+    The RMSE includes only taut tendons, and only the time while the hand moves.
     """
     real, later = np.array(run.true_tension), np.array(run.time_s) > EVALUATED_AFTER_S
     raw = np.array(run.measured_tension)
@@ -95,9 +95,9 @@ def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
 
 @pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
-    """When the filter doubts its model, it explains its innovations better.
+    """After large innovations, the filter assumes more noise, which makes the same innovations look normal.
 
-    Warning and doubt are therefore decided with the original model.
+    The warning is therefore decided with the original noise.
     """
     model = model_of(hand)
     x, force = state_at_rest(model, 20.0, 0.5)
@@ -136,9 +136,10 @@ def _judge_innovations(
 def averages_and_doubts(
     model: HandModel, lately: np.ndarray, wary: np.ndarray, nis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the averages (N,) of the filter and the remaining times of its doubt (N,) [s] after one tick.
+    """Return two results of one tick (N,).
 
-    These are averages of the normalised innovation squared.
+    One result is the average of the normalised innovation squared, which the filter computes. The
+    other result is the time for which the filter still assumes additional noise [s].
     """
     state, n = active_state(model), model.tendon_count
     state.view("nis_lately")[...], state.view("wary")[...] = lately, wary
@@ -158,10 +159,10 @@ def test_a_slow_loop_does_not_adapt() -> None:
 
 
 def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
-    """If one tendon has a large innovation, the filter doubts the model of this tendon.
+    """One tendon with large innovations makes the filter doubt the model of this tendon.
 
-    If all tendons have smaller innovations, the filter doubts the models of all. A single reading
-    causes no doubt.
+    Smaller innovations in all tendons together make it doubt the models of all tendons. A single
+    reading causes no doubt.
     """
     period, usual, none = jamia11.period, np.full(11, 2.0), np.zeros(11)
     for odd, all_of_them in (
@@ -178,7 +179,7 @@ def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
 
 
 def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> None:
-    """The remaining time of the doubt decreases in each tick.
+    """The time for which the filter still doubts its model decreases in each tick.
 
     A missing reading (NaN) does not change the average of the innovations.
     """

@@ -11,11 +11,11 @@ from tests.controller.synthetic_states import empty_readings, estimate_under_ten
 from tests.hand.hand_on_wrist import mount_on_wrist
 
 StageRecord = tuple[str, tuple[DigitGoal, ...], tuple[bool, ...]]
-"""Name of a stage, the goals of all digits, and the digits that rest on a stop or an object."""
+"""Name of a stage, the goals of all digits, and a flag for each digit that rests on a stop or an object."""
 
 
 def stages_of_exercise(model: HandModel) -> list[StageRecord]:
-    """Run the exercise with a taut hand at rest, and return its stages in the order of execution."""
+    """Run the exercise program with a taut hand at rest, and return the stages in the order of execution."""
     program, t = ExerciseProgram(), 0.0
     progress = program.initial_progress(model)
     taut, readings = estimate_under_tension(model, 5.0), empty_readings(model)
@@ -33,8 +33,8 @@ def stages_of_exercise(model: HandModel) -> list[StageRecord]:
 def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(name: str) -> None:
     """Reproduce a defect: in the exercise, a wrist made the fast moves, and then closed with a constant tension.
 
-    The heavy wrist moved by 9 deg in 0.1 s. This ended the step test of `tune design` with fault
-    T01 (a tendon snapped).
+    The heavy wrist moved by 9 deg in 0.1 s. This motion ended the step test of `tune design` with
+    fault T01 (a tendon snapped).
     """
     hand = load_hand(name) if name == "orca_like" else mount_on_wrist(name)
     model = HandModel.from_hand(hand, packaged_gains(name), 400.0)

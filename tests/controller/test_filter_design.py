@@ -1,4 +1,8 @@
-"""Compare the discrete filter model with the differential equations of a tendon, and its gains with a second solver."""
+"""Test the filter design.
+
+Compare the discrete model with the differential equations of a tendon, and the gains with those of
+a second solver.
+"""
 
 import itertools
 import weakref
@@ -219,7 +223,7 @@ def rng() -> np.random.Generator:
 def test_tendons_that_are_alike_share_a_design(jamia11: HandModel) -> None:
     """Tendons of equal fingers share one design.
 
-    The tendons of the thumb have other designs, because their load masses differ.
+    The tendons of the thumb have other designs, because a thumb tendon moves another mass.
     """
     blocks = dict(zip(jamia11.hand.tendon_names, jamia11.filter.blocks, strict=True))
     assert blocks["index_t1"] is blocks["ring_t1"]

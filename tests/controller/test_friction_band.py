@@ -46,9 +46,9 @@ def test_winding_and_paying_out_are_the_edges_of_the_band(model: HandModel) -> N
 
 
 def test_reversal_takes_the_travel_of_the_friction_band(model: HandModel) -> None:
-    """At a stiffness of 100 N/mm and a speed of 5 mm/s, a fall from 15 to 9.6 N takes 11 ms.
+    """With a tendon stiffness of 100 N/mm and a speed of 5 mm/s, the tension falls from 15 to 9.6 N in 11 ms.
 
-    The computed fall takes slightly less, because the tendon creeps.
+    The computed time is slightly shorter, because the tendon creeps.
     """
     turned = tensions_at_speeds(model, [-5e-3] * 40, 15.0)
     ticks = int(np.argmax(turned[:, 0] <= 9.6 + 1e-9)) + 1

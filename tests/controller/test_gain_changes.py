@@ -1,7 +1,7 @@
 """Test changes of gains during a run.
 
-The gains stay within their bounds, cause no step of the torque, and are part of the state that is
-hashed.
+Changed gains stay within their bounds and cause no step of the torque. The gains are part of the
+state of which a hash is computed.
 """
 
 import json
@@ -173,7 +173,7 @@ def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[LawCall]:
 def test_a_change_makes_no_step_in_torque(
     jamia: HandModel, monkeypatch: pytest.MonkeyPatch, request_: str, values: dict[str, float]
 ) -> None:
-    """Because of a trim force, the command stays the same in the tick in which the gains change."""
+    """In the tick in which the gains change, a trim force keeps the commanded torque the same."""
     desk = noiseless_hand(jamia)
     desk.tick(request_)
     desk.run(0.1)
@@ -199,7 +199,8 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
 ) -> None:
     """The commands with old and with new gains are limited in the same way.
 
-    Otherwise the difference of both would become a trim force that makes the tendon slack.
+    Otherwise the difference between both commands would become a trim force that makes the tendon
+    slack.
     """
     desk = noiseless_hand(jamia)
     desk.tick(MOVE_REQUEST)
@@ -302,8 +303,8 @@ def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> Non
 def test_every_corner_of_the_live_bounds_can_be_designed(jamia: HandModel, high: bool) -> None:
     """The test sets one gain at a time to its bound. The other gains keep their defaults.
 
-    If a gain must be above its lower bound, the test adds one hundredth of the default to the
-    bound.
+    The value of some gains must be greater than their lower bound. For these gains, the test uses
+    the bound plus one hundredth of the default.
     """
     for key, bound in gain_bounds().items():
         if bound.live:

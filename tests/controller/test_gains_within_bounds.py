@@ -1,4 +1,4 @@
-"""Any gains within their bounds lead either to a controller or to one error line with the reason."""
+"""With any gains within their bounds, either a controller is designed, or one error line gives the reason."""
 
 import math
 from contextlib import suppress

@@ -1,4 +1,4 @@
-"""Test targets that jump. A motor that rests because it has not reacted yet is not stuck."""
+"""Test targets that jump. A motor that has not yet reacted to the new target is not stuck."""
 
 import numpy as np
 import pytest
@@ -80,9 +80,9 @@ def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
 def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(
     jamia: HandModel,
 ) -> None:
-    """In this test, friction stops a motor before its target.
+    """In this test, friction stops a motor before it reaches its target.
 
-    The motor is stuck only if the target has moved since this stop.
+    The motor counts as stuck only if the target has moved since the motor stopped.
     """
     arms = arms_of(jamia)
     then = targets_after_command(
@@ -98,7 +98,7 @@ def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(
 def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:
     """After a quick motion, the filtered target lags behind the motor.
 
-    The filtered target must not move on after the motor has come to rest at its goal.
+    The filtered target must not continue to move after the motor has come to rest at its goal.
     """
     arms = arms_of(jamia)
     at_goal, lagging = arms * 0.4, hand_with_equal_readings(jamia, arms * 0.2, 0)

@@ -92,7 +92,7 @@ class ProgramRun:
         return events
 
     def run_until_contact(self, estimate: SyntheticEstimate) -> None:
-        """Run ticks with the same estimate, until there are enough of them to detect a contact."""
+        """Run as many ticks with the same estimate as the detection of a contact needs."""
         for _ in range(
             round(5 * TIP_FORCE_TIME_CONSTANT_S / self.model.period)
             + self.model.gains.contact.ticks
@@ -102,7 +102,7 @@ class ProgramRun:
     def run_until_phase(
         self, phase: str, estimate: SyntheticEstimate, timeout: float = 20.0
     ) -> float:
-        """Run ticks until a phase begins. Return the time until then [s]."""
+        """Run ticks until a phase begins, and return the time that passed [s]."""
         began = self.t
         while self.progress.phase != phase:
             assert self.t - began < timeout, f"{phase} does not begin: {self.progress}"
@@ -124,9 +124,9 @@ def taut_estimate(model: HandModel) -> SyntheticEstimate:
 def hand_in_contact(
     model: HandModel, external: dict[str, float], tension: float = 15.0
 ) -> SyntheticEstimate:
-    """Return the estimate of a taut hand.
+    """Return the estimate of a hand with taut tendons.
 
-    ``external`` is the unexplained tension [N] of each digit that touches an object.
+    ``external`` is the tension [N] that an object causes, for each digit that touches it.
     """
     estimate = estimate_under_tension(model, tension, 0.5)
     force = np.zeros(model.tendon_count)
@@ -259,7 +259,7 @@ def tip_forces_while_closing(model: HandModel, estimate: SyntheticEstimate) -> n
 
 
 def tension_for_tip_force(model: HandModel, newtons: float) -> float:
-    """Return the unexplained tension [N] of each index tendon under a given force at the tip [N]."""
+    """Return the tension [N] that a given force [N] at the index fingertip causes in each index tendon."""
     found = tip_forces_while_closing(
         model,
         estimate_under_tension(model, 15.0, 0.5)._replace(
@@ -301,9 +301,9 @@ def test_contact_is_a_force_at_the_tip_that_lasts(
 
 
 def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
-    """The detection of contacts computes the force at a tip from the tensions that balance this force.
+    """The contact detection computes the force at a fingertip from the tensions that balance this force.
 
-    This is right at any pose of the digit.
+    The computed force is right in any pose of the digit.
     """
     q, balance, forces = np.empty(len(model.hand.joints)), np.empty(model.tendon_count), []
     for d, digit in enumerate(model.digits):
@@ -348,8 +348,8 @@ def test_a_digit_that_touches_later_joins_the_grasp(
 def test_a_wrist_never_touches_and_keeps_its_motion(name: str, wrist_force: float) -> None:
     """Reproduce a defect: a heavy wrist counted as a digit in contact.
 
-    The wrist then had a constant tension instead of its motion, and left its angle. The force along
-    the tendon of the wrist has the same sign as its moment arm.
+    The wrist then got a constant tension instead of its motion, and left its angle. In this test,
+    the force along the wrist tendon has the same sign as the moment arm of this tendon.
     """
     hand = load_hand(name) if name == "orca_like" else mount_on_wrist(name)
     model = HandModel.from_hand(hand, Gains(), 500.0)
@@ -410,7 +410,7 @@ def run_release(
 ) -> tuple[ProgramRun, float]:
     """Return a run after its release phase, and the duration of this phase [s].
 
-    In this run, all tendons keep the tension ``tension`` [N].
+    In this run, the tension of all tendons is ``tension`` [N].
     """
     task = {
         **GRASP_TASK,
@@ -466,7 +466,7 @@ def test_released_digit_needs_a_new_contact_to_hold(
 def test_a_digit_that_is_held_stays_so_while_others_close(
     model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
-    """A digit in contact continues its hold during a second close phase.
+    """A digit that holds an object continues to hold it during a second close phase.
 
     Only a release or a move ends a hold.
     """

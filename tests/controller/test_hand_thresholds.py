@@ -1,6 +1,6 @@
-"""Test those thresholds that depend on the hand.
+"""Test the fault thresholds that depend on the hand.
 
-A value that is above the limit of one hand may be normal for another hand.
+A value above the threshold of one hand may be normal for another hand.
 """
 
 from pathlib import Path

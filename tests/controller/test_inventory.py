@@ -30,7 +30,7 @@ def hand_bench(jamia: HandModel) -> ControllerBench:
 def test_motors_that_reply_in_alternate_ticks_are_armed(hand_bench: ControllerBench) -> None:
     """In this test, some drives reply only in every fourth tick.
 
-    The filter starts as soon as each drive has been read once.
+    The filter starts as soon as each drive has reported its position once.
     """
     motors = range(0x11, 0x15)
 
@@ -64,9 +64,9 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
 
 
 def hand_in_inventory(hand_bench: ControllerBench, seconds: float) -> ControllerState:
-    """Return the state of a hand some time after the beginning of its inventory.
+    """Return the state of a hand that waits for the first reading of every node.
 
-    The state contains readings of all nodes. Some tests remove a part of them.
+    The state contains readings of all nodes, and tests may remove some of these readings.
     """
     hand_bench.run_until_mode(HandMode.READY)
     state = hand_bench.state.copy()

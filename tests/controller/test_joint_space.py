@@ -1,6 +1,6 @@
 """Test tasks and trajectories that name single joints.
 
-The other joints keep their angles, and coupled joints need the same angle.
+Joints that a task does not name keep their angles. Joints that are coupled must get the same angle.
 """
 
 from typing import Any

@@ -75,7 +75,10 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
 
 @pytest.mark.parametrize("before", range(4))
 def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(before: int) -> None:
-    """The replies to three ticks arrive at once, near the tick in which the controller forgets older requests."""
+    """The replies to three ticks arrive in one tick.
+
+    In about this tick, the controller forgets the requests of the earlier ticks.
+    """
     run = active_on_a_bus_without_stamps()
     waiting: list[Frame] = []
     while (run.k + before) % LOSS_WINDOW_TICKS:
@@ -90,7 +93,8 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(be
 def active_on_a_bus_without_stamps() -> ControllerBench:
     """Return a bench whose hand is active.
 
-    On the bus of this bench, a frame gets its time stamp only when the host reads it.
+    On the bus of this bench, the time stamp of a frame is the time at which the host reads the
+    frame.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram()
@@ -116,7 +120,7 @@ def second_node_reports(out: TickOut) -> list[str]:
 def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
     """In this test, a node replies just after each deadline.
 
-    When the node becomes faster, two of its replies arrive in the same tick.
+    When the node becomes faster, a late reply and a reply in time arrive in the same tick.
     """
     run = active_on_a_bus_without_stamps()
     held: list[list[Frame]] = [[]]

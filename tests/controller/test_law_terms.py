@@ -1,4 +1,4 @@
-"""Test each term of the control law: the effect of estimate and trajectory on the motor force."""
+"""Test each term of the control law: how the estimate and the trajectory change the motor force."""
 
 from dataclasses import replace
 
@@ -25,7 +25,10 @@ from tests.controller.synthetic_states import (
 )
 
 EVALUATION_TIME_S = 0.25
-"""Time in a motion of one second at which the control law is evaluated [s]. The motion still accelerates then."""
+"""Time at which the control law is evaluated [s].
+
+At this time, the motion, which lasts one second, still accelerates.
+"""
 
 
 def motor_force_of(
@@ -69,7 +72,7 @@ def test_motion_feedback_applies_each_gain(
 def test_the_planned_acceleration_is_fed_forward(
     model: HandModel, motion_goals: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
-    """Without inertia feedforward, the force is smaller by the inertia times the planned acceleration."""
+    """Without inertia feedforward, the commanded force is smaller by the inertia times the planned acceleration."""
     without = model.gains.motion.model_copy(update={"inertia_share": 0.0})
     other = replace(model, gains=model.gains.model_copy(update={"motion": without}))
     acceleration = np.zeros(model.tendon_count)
@@ -98,7 +101,7 @@ def test_the_disturbance_estimate_is_subtracted_in_a_hold(model: HandModel) -> N
 def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     """After a tick without torque, the tension loop starts at the present tension.
 
-    Commands of earlier ticks have no effect on this start.
+    Commands of ticks before that have no effect on the tension loop.
     """
     state, tension = active_state(model), np.linspace(3.0, 4.0, model.tendon_count)
     for name in (

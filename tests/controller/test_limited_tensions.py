@@ -1,7 +1,8 @@
 """Test the control law with limits on the tensions.
 
-Tensions are limited while a drive is warm and while the safety monitor holds the hand (HOLD). The
-tests also check the trim force after a change of gains.
+The tensions of a hand are limited while a drive is warm, and while the safety monitor holds the
+hand (HOLD). The tests also check the force that prevents a step of the command after a change of
+gains.
 """
 
 import numpy as np

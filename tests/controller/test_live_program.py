@@ -1,4 +1,4 @@
-"""Test live targets and jogging: requests that are accepted or refused, and the end of a motion."""
+"""Test targets and jog requests that arrive during a run: which requests are refused, and when a motion ends."""
 
 import math
 from dataclasses import replace
@@ -28,7 +28,7 @@ def goal_of_request(text: str) -> MoveDigits | HoldTension:
 def begin_live_program(
     model: HandModel, estimate: SyntheticEstimate
 ) -> tuple[LiveProgram, ProgramProgress]:
-    """Return a live program that waits for requests, and the progress of this program."""
+    """Return a program that waits for live requests, and the progress of this program."""
     program = LiveProgram()
     progress, t = program.initial_progress(model), 0.0
     while progress.phase != "live":

@@ -1,6 +1,6 @@
 """Test ticks that the controller has missed.
 
-Planned motions continue during these ticks. The module test_estimator_gate tests the effect of
+Planned motions continue during missed ticks. The module test_estimator_gate tests the effect of
 missed ticks on the filter.
 """
 

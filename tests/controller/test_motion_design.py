@@ -1,6 +1,6 @@
 """The LQR gains make both control loops stable.
 
-The control loops have the margins of an LQR, but sampling may reduce these margins.
+The control loops have the stability margins of an LQR, as far as sampling permits.
 """
 
 import numpy as np
@@ -79,16 +79,19 @@ def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) ->
 
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0])
 def test_slow_rates_are_stable_too(model: HandModel, rate_hz: float) -> None:
-    """If the control rate is near the natural frequency of a tendon, the loops lose the LQR margins but stay stable."""
+    """Both control loops stay stable at a control rate near the natural frequency of a tendon.
+
+    At such a rate, the loops do not have the stability margins of an LQR.
+    """
     for F, G, K in control_loops(model, Gains(), 1.0 / rate_hz):
         assert spectral_radius(F - G @ K) < 1.0
 
 
 @pytest.mark.parametrize("rate_hz", CONTROL_RATES_HZ)
 def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
-    """From several initial states, gains that are close to the designed gains have no lower cost.
+    """Small changes of the designed gains do not reduce the LQR cost, from any of several initial states.
 
-    The cost of a motion is a sum over its ticks.
+    The cost of a motion is summed over the ticks of the motion.
     """
     gains, full = Gains(), min(1.0, (rate_hz / 500.0) ** 0.5)
     weights = [

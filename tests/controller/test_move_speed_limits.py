@@ -1,6 +1,6 @@
-"""Test that a task is refused if one of its moves is too fast for a rotor.
+"""Test that a task is refused if one of its moves turns a rotor too fast.
 
-A sudden stop from such a speed would tear a tendon.
+A sudden stop of such a rotor would tear its tendon.
 """
 
 from typing import Any

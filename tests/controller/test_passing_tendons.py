@@ -23,7 +23,8 @@ SIMULATOR_SEEDS = range(20) if NIGHTLY else range(1)
 TRACKING_LIMITS_DEG = {"jamia": 0.6, "n_plus_1": 0.6, "jamia11": 1.3}
 """Limit of the tracking error of each hand [deg].
 
-If the tendons pass through the axis of the wrist, the errors are 0.3, 0.15 and 1.0 deg.
+With tendons that pass through the axis of the wrist, the tracking errors of the three hands are
+0.3, 0.15 and 1.0 deg.
 """
 TESTED_HANDS = tuple(TRACKING_LIMITS_DEG) if NIGHTLY else ("jamia", "n_plus_1")
 WAVE_ANGLES_DEG = ((30.0, 0.0), (45.0, 20.0), (45.0, -20.0), (20.0, 10.0), (50.0, 10.0))
@@ -34,10 +35,10 @@ class ControlErrors(NamedTuple):
     """Errors of the controller in a simulated run.
 
     Attributes:
-        tracking_deg: RMSE of the digit angles against their commands, as a mean angle along each
-            tendon [deg].
-        wrist_deg: RMSE of the angle of the wrist against its command [deg].
-        external_N: mean unexplained tension of the tendon of the wrist [N].
+        tracking_deg: RMSE between commanded and true angle of the digits [deg]. The angle of a
+            digit is the mean of its joint angles along a tendon.
+        wrist_deg: RMSE between commanded and true angle of the wrist [deg].
+        external_N: mean tension of the wrist's tendon that the model does not explain [N].
     """
 
     tracking_error_deg: float
@@ -57,11 +58,9 @@ def waving_task(hand: Hand) -> Task:
 
 
 def simulate_control_errors(known: Hand, hand: Hand, seed: int) -> ControlErrors | None:
-    """Simulate the hand ``hand`` with a controller for the hand ``known``.
+    """Simulate the hand ``hand`` with a controller that was built for the hand ``known``.
 
-    Return the control errors.
-
-    The result is None if a fault ended the run.
+    Return the control errors, or None if a fault ended the run.
     """
     model = HandModel.from_hand(known, Gains(), RATE_HZ)
     # In a digit with one tendon, only the mean angle of the joints is controlled.
@@ -108,9 +107,10 @@ def test_a_digit_follows_while_the_wrist_turns(name: str, seed: int) -> None:
 
 
 def test_the_wrist_bears_the_tendons_that_pass_it() -> None:
-    """The controller includes the torque of the passing tendons on the wrist.
+    """The controller includes the torque that tendons of the fingers exert on the wrist.
 
-    If it neglected this torque, the tension of bent fingers would look like an object at the wrist.
+    If the controller neglected this torque, the tension of bent fingers would look like an object
+    that pushes the wrist.
     """
     hand = mount_on_wrist("jamia")
     aware = simulate_control_errors(hand, hand, 0)

@@ -44,8 +44,8 @@ PROTOCOLS_AND_SEEDS = [("mit", seed) for seed in SIMULATOR_SEEDS] + [
 ]
 """Protocol of the drives and seed of the simulator.
 
-MIT drives keep the commanded position until the next command. Moteus drives move the position on
-with the commanded velocity.
+Between two commands, an MIT drive keeps its position target constant. A moteus drive moves its
+position target with the commanded velocity.
 """
 RATE_HZ = 500.0
 STIFF_KP = 2.5
@@ -69,7 +69,7 @@ def hand_with_position_loop(
 ) -> Hand:
     """Return a packaged hand whose drives close the position loop.
 
-    For a moteus, the hand file contains both gains.
+    For moteus drives, the hand file contains both gains, kp and kd.
     """
     hand = with_position_loop(hand_with_protocol(name, protocol), kp_N_m_per_rad=kp)
     if protocol != "moteus":
@@ -104,7 +104,7 @@ def begin_to_and_fro(
 ) -> Iterator[SimulatedRun]:
     """Yield the run of a simulated hand that moves to and fro.
 
-    This run has reached the start of the first move.
+    The yielded run has just reached the start of the first move.
     """
     controller = make_controller(
         hand,
@@ -126,8 +126,8 @@ def sent_stiffness(run: SimulatedRun) -> np.ndarray:
 def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
     """Return the RMS error along each tendon (N,) [deg] while a hand moves, and the largest true tension [N].
 
-    The error is the error of the mean joint angle along a tendon. In ``jamia``, the springs
-    determine how the single joints share this error.
+    The error along a tendon is the error of the mean angle of the joints that the tendon passes. In
+    ``jamia``, the springs determine how the single joints share this error.
     """
     errors, peak = list[np.ndarray](), 0.0
     with begin_to_and_fro(hand, seed, moves=2) as run:
@@ -144,10 +144,10 @@ def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
 
 
 def moteus_command(data: bytes) -> tuple[float, ...]:
-    """Return the values in a command.
+    """Return the values in the payload of a moteus command.
 
-    The values are position [rad], velocity [rad/s], torque [N m], fractions of kp and kd, and limit
-    [N m].
+    The values are position [rad], velocity [rad/s], torque [N m], the fractions of kp and kd, and
+    the torque limit [N m].
     """
     assert len(data) == 48
     assert (data[:5], data[17:19], data[31:36]) == (
@@ -161,9 +161,10 @@ def moteus_command(data: bytes) -> tuple[float, ...]:
 
 @pytest.mark.parametrize("direction", [1, -1])
 def test_a_moteus_command_makes_the_predicted_torque(direction: int) -> None:
-    """In this protocol, the drive moves its target on with the commanded velocity.
+    """A moteus drive moves its position target with the commanded velocity.
 
-    On average, the target is therefore ahead of the command by the motion of half a period.
+    On average over a period, the target is therefore ahead of the commanded position by the motion
+    in half a period.
     """
     hand = hand_with_position_loop(protocol="moteus")
     motors = tuple(
@@ -223,8 +224,8 @@ def test_a_position_command_makes_the_predicted_torque() -> None:
                     + given.kd * (given.velocity - v)
                     + given.torque
                 )
-                # The tolerance is the sum of three torques: one count of position at this
-                # stiffness, one count of velocity, and one count of torque.
+                # The tolerance is the sum of three torques. The three torques correspond to the
+                # resolutions of position, velocity and torque in the command.
                 assert torque == pytest.approx(run.state.view("torque")[n], abs=2.0e-3)
                 sent += given.kp > 0.0
                 assert given.kp == pytest.approx(run.state.view("servo_kp")[n], abs=1e-9)
@@ -244,9 +245,9 @@ def test_a_stiff_drive_follows_twice_as_well(seed: int) -> None:
 
 
 LARGEST_ERROR_RATIO = {"jamia": 0.75, "jamia11": 0.85, "t42": 1.01}
-"""Largest ratio of the error with position loops to the error with torque commands.
+"""Largest permitted ratio of the tracking error with position loops to the error with torque commands.
 
-The error of ``t42`` is determined by its springs.
+The springs determine the tracking error of ``t42``.
 """
 
 
@@ -317,9 +318,9 @@ def test_an_obstacle_bounds_the_tension(kp: float | None, protocol: str, seed: i
 def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
     ahead_ms: int, seed: int
 ) -> None:
-    """When the host dies, a moteus drive moves its target on until its watchdog fires after 50 ms.
+    """When the host dies, a moteus drive continues to move its position target until its watchdog fires after 50 ms.
 
-    Without the torque limit in its command, the drive would pull with 70 N in this test.
+    Without the torque limit in the last command, the drive would pull with 70 N in this test.
     """
     with begin_to_and_fro(hand_with_position_loop(protocol="moteus"), seed) as run:
         for _ in range(round((0.1 + 0.06 * seed) * RATE_HZ)):
@@ -377,7 +378,7 @@ def test_relaxing_from_a_position_loop_raises_no_command(
 
 
 def lose_gains(run: SimulatedRun, name: str) -> None:
-    """Let a drive make only the torque in its commands, as if it ignored the gains kp and kd."""
+    """Make a drive ignore the gains kp and kd, so that it produces only the torque in its commands."""
     motor: Any = run.simulated_hand.world.plant.motors[name]  # type: ignore[attr-defined]
     motor.power_stage_fault = lambda _: float(
         np.clip(motor.servo.torque, -motor.servo.limit, motor.servo.limit)
@@ -388,7 +389,8 @@ EXPECTED_FAULTS = {
     "stuck encoder=index_motor": {"N04"},
     "swap node=index_motor with=thumb_motor": {"N05b", "N14", "N17"},
     "cross node=index_motor with=thumb_motor": {"N14", "N17", "N04", "T04b", "N05b"},
-    # Replayed replies of a moteus drive may arrive in addition to its real replies.
+    # With the fault "replay", old replies of a moteus drive arrive again, in addition to the
+    # present replies.
     "replay node=index_motor size=16": {"N05b", "N14", "N17", "N04", "B06", "N13"},
     "disobey node=index_motor size=0.4": {"N14", "N17"},
     "offset encoder=index_motor size=-0.5": {"N05b", "T02a", "T03", "N14"},
@@ -445,7 +447,7 @@ def test_a_report_is_predicted_within_the_limit_of_its_command(sign: int) -> Non
         limit = float(run.state.view("servo_limit")[1]) / run.controller.model.space.spool[1]
         run.state.view("servo_position")[1] += 2.0 * sign
         run.run_tick()
-        # The report that arrives in a tick answers the command before the last one.
+        # The report that arrives in tick k is the reply to the command of tick k - 2.
         run.run_tick()
         assert run.state.view("servo_report")[1] == pytest.approx(sign * limit)
         assert (
@@ -477,9 +479,9 @@ def test_a_moteus_without_gains_is_refused(key: str) -> None:
 @pytest.mark.parametrize("rate_hz", [100.0, 500.0])
 @pytest.mark.parametrize("gain", [0.9, 1.2])
 def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(gain: float, rate_hz: float) -> None:
-    """The fractions of kp and kd in a command are limited to 1.
+    """The fractions of kp and kd in a moteus command are limited to 1.
 
-    If the identified torque per command is below 1, larger fractions would be needed.
+    A drive that makes less torque than commanded would need larger fractions.
     """
     hand = hand_with_position_loop(protocol="moteus")
     model = HandModel.from_hand(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain))

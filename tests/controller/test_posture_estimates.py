@@ -1,6 +1,6 @@
-"""Compare estimated joint angles and their standard deviations with the true values of simulated grasps.
+"""Test estimated joint angles and their standard deviations in simulated grasps.
 
-Also compare the equations of the estimate with plain linear algebra.
+Other tests compare the equations of the estimate with plain linear algebra.
 """
 
 import os
@@ -48,11 +48,10 @@ HELD_PHASES, FREE_PHASES = ("close", "hold", "release"), ("tighten", "home")
 
 
 class PostureTick(NamedTuple):
-    """Values of one tick of a grasp.
+    """Values of one tick of a grasp: the phase, joint angles (J,) [rad], and the contact force on each digit [N].
 
-    The values are the phase, the true and the estimated joint angles, the standard deviation of the
-    estimate, the angles that a free digit would have (J,) [rad], and the contact force on each
-    digit [N].
+    The joint angles are the true ones, the estimated ones with their standard deviations, and those
+    that a digit without contact would have.
     """
 
     phase: str
@@ -68,7 +67,10 @@ def packaged_task(name: str) -> Path:
 
 
 def hand_file_with_encoders(folder: Path, joints: int | None = None) -> Path:
-    """Return the file of a jamia hand that has joint encoders at all joints, or at the first ``joints`` joints."""
+    """Write a hand file of jamia with encoders at all or at the first ``joints`` joints.
+
+    Return its path.
+    """
     text = packaged_task("jamia").read_text(encoding="utf-8")
     read = load_hand("jamia").joints[:joints]
     path = folder / "encoders.toml"
@@ -111,7 +113,7 @@ def test_the_truth_is_within_two_sigma_in_a_grasp(task: str, scene: str) -> None
     is no sign of a wrong standard deviation. The 95 % hold for the runs with all seeds together. In
     a single run, one joint may be outside.
 
-    During the hold, angles that are computed as for free digits have larger errors.
+    During the hold, angles that are computed without regard to the contact have larger errors.
     """
     within = []
     for seed in SIMULATOR_SEEDS:
@@ -157,7 +159,7 @@ def angles_of_tick(
     touched: np.ndarray,
     k: int,
 ) -> JointAngles:
-    """Return the joint angles that are estimated in tick k with unexplained tensions (D,) [N].
+    """Return the joint angles that are estimated in tick k with external tensions (D,) [N].
 
     The function also writes this tick into the state.
     """
@@ -230,7 +232,7 @@ def state_after_fusion(
 ) -> ControllerState:
     """Return a state after the readings of joint encoders were fused with the estimate.
 
-    Columns (C, J) and spread (J, N) determine the covariance before this.
+    ``columns`` (C, J) and ``spread`` (J, N) determine the covariance before the fusion.
     """
     after = state.copy()
     _fuse_encoders(
@@ -248,7 +250,7 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     """In this test, only one joint has an encoder.
 
     The covariances weight the estimate and the reading of this joint. The angles of the other
-    joints follow from their correlation with it.
+    joints are corrected through their correlation with this joint.
     """
     model = HandModel.from_hand(
         load_hand(str(hand_file_with_encoders(tmp_path, joints=1))), Gains(), RATE_HZ
@@ -278,10 +280,10 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed: int) -> None:
-    """The function fuses one encoder after the other.
+    """The estimator fuses one encoder after the other.
 
-    The result equals that of one update in matrix form. Both leave out readings from frames that
-    are too old.
+    One update in matrix form gives the same result. Both computations leave out readings from
+    frames that are too old.
     """
     model = HandModel.from_hand(load_hand(str(hand_file_with_encoders(tmp_path))), Gains(), RATE_HZ)
     rng, constants, state = (

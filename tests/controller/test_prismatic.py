@@ -78,7 +78,7 @@ def test_a_hand_is_commissioned_and_moves(name: str, seed: int) -> None:
                 errors.append(hand.display_units.displayed(run.state.view("q_goal") - q))
                 largest = np.maximum(largest, hand.display_units.displayed(q))
         assert run.state.mode == HandMode.DONE
-        # 1 mm or 1 deg rms.
+        # The RMS tracking error is at most 1 mm or 1 deg.
         assert np.sqrt(np.nanmean(np.square(errors), axis=0)).max() < 1.0
         assert largest[0] > 14.0
 
@@ -99,7 +99,7 @@ def test_the_mean_of_a_sliding_digit_is_its_position() -> None:
     q = np.array([[0.01, 0.02]])
     np.testing.assert_allclose(mean_angles(gripper, q), q)
     mixed = load_hand(FOLDER / "mixed_gripper.toml")
-    # A motion of the prismatic joint by 10 mm counts like 1 rad.
+    # The test treats 10 mm of the prismatic joint like 1 rad of a revolute joint.
     mean = mean_angles(mixed, np.array([[0.005, 0.01, 1.0]]))
     np.testing.assert_allclose(mean, [[0.005, 1.0]])
     assert mixed.display_units.names == ("mm", "mm", "deg")
@@ -124,7 +124,8 @@ def test_thresholds_count_10_mm_as_1_rad() -> None:
         for name in ("joint_scale", "arms_sum", "encoder_variance")
     }
     np.testing.assert_allclose(view["joint_scale"], [0.01, 0.01, 1.0])
-    # The tendons jaw_close, jaw_open and finger_slide, and finger_bend with a moment arm of 10 mm.
+    # The order is jaw_close, jaw_open, finger_slide, finger_bend. finger_bend has a moment arm of
+    # 10 mm.
     np.testing.assert_allclose(view["arms_sum"], [0.01, 0.01, 0.01, 0.015])
     np.testing.assert_allclose(view["encoder_variance"][0], 4e-10 + 25e-10 / 12.0)
 

@@ -1,9 +1,9 @@
 """Random streamed targets cause no fault that stops the hand.
 
-The targets are within their ranges, reach both ends of the ranges, and change at any speed. In one
-test, streams of tensions go to one digit of each packaged hand with springs. In another test,
-streams of angles go to all digits of each packaged hand. The digits then touch each other. The
-warning T02a (a tendon is slack) is no failure of the test.
+The targets stay within the range of each joint or tendon, reach both ends of this range, and change
+at any speed. In one test, a client streams tensions to one digit of each packaged hand with
+springs. In another test, a client streams angles to all digits of each packaged hand, so that
+digits touch each other. The warning T02a (a tendon is slack) is no failure of the test.
 """
 
 import os
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 STREAM_DURATION_S = 3.0
 STREAM_RATE_HZ = 100.0
-"""Rate of the streams [Hz]. A control loop with a lower rate gets targets at its own rate."""
+"""Rate of the streamed targets [Hz]. A control loop with a lower rate gets one target per tick."""
 
 
 @cache
@@ -61,7 +61,7 @@ def sine_targets(rng: np.random.Generator, low: Array, high: Array, t: Array) ->
 def random_walk_targets(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
     """Return targets that walk at random within the limits.
 
-    The random walk takes 50 steps a second.
+    The random walk takes 50 steps per second.
     """
     steps_of_walk = (
         rng.normal(0.0, 0.125, (len(t), len(low))) * (np.arange(len(t)) % 2 == 0)[:, None]
@@ -131,8 +131,8 @@ def test_random_targets_cause_no_fault(
 ) -> None:
     """Reproduce a defect: random streams ended within 45 ms with the fault T01 (a tendon snapped).
 
-    The tension setpoint went ahead of a free digit, or the reference angle went ahead of a held
-    digit.
+    The tension setpoint was far ahead of a digit that moved freely, or the reference angle was far
+    ahead of a digit in contact.
     """
     model = model_of(hand)
     digit = model.hand.digit_names[0]

@@ -156,7 +156,8 @@ def test_a_run_with_its_own_goals_refuses_goals_of_clients(
 ) -> None:
     """The goals of a client are refused while the hand is commissioned.
 
-    If a load cell were tared under tension, all readings of later runs would be wrong.
+    A goal could tension a tendon while its load cell is tared. All readings of this load cell would
+    then be wrong in later runs.
     """
     run = make_controller_bench(low_rate_jamia, CommissionProgram())
     run.run_until_mode(HandMode.ACTIVE)

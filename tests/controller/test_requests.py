@@ -1,4 +1,7 @@
-"""Test valid and invalid requests to the control loop. No datagram that another program sends can stop the loop."""
+"""Test valid and invalid requests to the control loop.
+
+No datagram of another program can stop the control loop.
+"""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Test the positions of digits on their trajectories, and the tensions that each digit requires for its motion."""
+"""Test the planned positions of digits during a motion, and the tensions that this motion requires."""
 
 from dataclasses import replace
 
@@ -23,7 +23,10 @@ def motion_goals(
 def test_a_motion_depends_on_the_time_since_its_start_only(
     hand: str, durations: tuple[float, ...], request: pytest.FixtureRequest
 ) -> None:
-    """In one case, all digits move for the same duration. In another case, the durations differ."""
+    """In one case, all digits move for the same duration.
+
+    In another case, the durations of the digits differ.
+    """
     model: HandModel = request.getfixturevalue(hand)
     first, later = (motion_goals(model, since, durations) for since in (0.0, 2.0))
     motion = joint_motion_at(model, first, 0.1)
@@ -48,9 +51,9 @@ def required_tensions_by_digit(model: HandModel, motion: np.ndarray) -> np.ndarr
 def test_the_load_of_each_digit_is_limited_separately(
     hand: str, request: pytest.FixtureRequest
 ) -> None:
-    """Some digits in this test have all tensions within their bounds, and others have tensions at a bound.
+    """In this test, some digits require a tension at its bound, and others do not.
 
-    If a tension of one digit is at its bound, the tensions of other digits do not change.
+    A tension at its bound in one digit does not change the tensions of other digits.
     """
     model: HandModel = request.getfixturevalue(hand)
     goals, rng = motion_goals(model, 0.0, (0.5, 0.4, 0.5, 0.6)), np.random.default_rng(4)

@@ -1,4 +1,4 @@
-"""The solutions of Riccati equations equal those of the Python package ``control`` to the last bit."""
+"""handctl solves Riccati equations with the same result as the Python package ``control``, to the last bit."""
 
 import control
 import numpy as np

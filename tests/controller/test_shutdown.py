@@ -49,7 +49,7 @@ def test_shutdown_waits_until_each_motor_reports_off(
 def test_shutdown_after_arming_waits_for_a_drive_that_is_being_set_up_again(
     protocol: str, phase: DrivePhase, tmp_path: Path
 ) -> None:
-    """Only a report of the drive confirms that it is disabled, as in the mode DISARM."""
+    """The shutdown waits for a report of the drive that it is disabled, as the mode DISARM does."""
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
     with homed_run(hand, 500.0, 1) as course:
         assert course.run_until(lambda out: out.mode == HandMode.ARMING, 3.0), course.state.failure

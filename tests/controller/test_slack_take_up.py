@@ -1,4 +1,4 @@
-"""Test the time until a tendon counts as taut again."""
+"""Test how long the filter takes to detect that a slack tendon has become taut."""
 
 import pytest
 
@@ -20,7 +20,7 @@ SLACK_REGIME = int(TendonRegime.SLACK)
 def test_a_tendon_whose_length_is_known_is_taut_at_the_first_clear_sample(
     length_is_known: bool, samples: int
 ) -> None:
-    """At 200 Hz the tension of a tendon grows by 1 N from one sample to the next.
+    """In this test at 200 Hz, the tension grows by 1 N from one load-cell reading to the next.
 
     The filter must therefore use the first reading that clearly shows tension.
     """

@@ -1,4 +1,4 @@
-"""Test the slip of an object that a hand holds.
+"""Test the detection of an object that slips out of a hand, and the reaction to it.
 
 Slip is detected when the object pushes a digit open. The grasp program then raises the force up to
 the limit of the task.
@@ -30,7 +30,7 @@ HELD_TENSION_N = 20.0
 
 
 class GraspRun:
-    """A grasp with all digits except the last.
+    """A grasp in which every digit except the last one holds the object.
 
     The grasp runs tick by tick with generated estimates.
     """

@@ -1,6 +1,6 @@
-"""Test spool pairs: hand file, controller and simulator.
+"""Test hands in which two antagonistic tendons share one motor (a spool pair).
 
-In a spool pair, two antagonistic tendons share one motor.
+The tests cover hand file, controller and simulator.
 """
 
 import os
@@ -45,9 +45,9 @@ SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 
 @cache
 def spool_finger() -> Hand:
-    """Return a hand with one finger that has a spool pair at each of its two joints.
+    """Return a hand with one finger that has two joints.
 
-    Each of its two joints has a spool pair.
+    At each joint, two antagonistic tendons share one motor.
     """
     return load_hand(SPOOL_FINGER_FILE)
 
@@ -60,8 +60,8 @@ def test_the_net_tension_is_the_difference_of_two_tensions_that_only_pull(seed: 
     random = np.random.default_rng(seed)
     net, pretension = random.uniform(-60.0, 60.0), random.uniform(0.0, 20.0)
     assert uncompiled_function(net_tension_at_joint)(net, pretension, 1.0) == pytest.approx(net)
-    # The net tension for half the first tendon's tension and twice the second gives another
-    # equation for the two tensions.
+    # A second net tension, with half the tension of the first tendon and twice that of the second,
+    # gives a second equation for the two tensions.
     halved = uncompiled_function(net_tension_at_joint)(net, pretension, 0.5)
     first = (2.0 * net - halved) / 1.5
     second = first - net
@@ -82,8 +82,8 @@ def test_friction_of_both_tendons_is_subtracted_and_added_back(seed: int) -> Non
     assert uncompiled_function(net_tension_at_spool)(behind, pretension, passed) == pytest.approx(
         net, abs=1e-9
     )
-    # Even without net tension, the pretension of a pair causes friction. The tendon that is wound
-    # up loses tension, and the other tendon gains tension.
+    # The pretension of a spool pair causes friction even without net tension. Friction reduces the
+    # tension of the tendon that is wound up, and raises the tension of the other tendon.
     lost = net - uncompiled_function(net_tension_at_joint)(
         net, pretension, min(passed, 1.0 / passed)
     )
@@ -151,9 +151,9 @@ MOVES_TASK = Task.model_validate(
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
-    """Commissioning finds the motor zeros that the simulator has.
+    """Commissioning finds the true motor zeros of the simulated hand.
 
-    The joints follow their goals within a degree, and no tendon exceeds its tension limit.
+    The joints follow their goals within one degree, and no tendon exceeds its tension limit.
     """
     hand = spool_finger()
     with SimulatorSettings(hand, None, seed).simulated_hand(round(1e9 / RATE_HZ)) as peer:
@@ -169,8 +169,8 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
             row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.8)
             for row in calibration.tendon.values()
         )
-        # Without load cells and joint encoders, friction makes each motor zero uncertain by 0.1 mm.
-        # This is half a degree.
+        # Without load cells and joint encoders, friction makes each motor zero uncertain by 0.1 mm
+        # of tendon. An error of 0.1 mm corresponds to half a degree of joint angle.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         wound = [tendon.extra_length + hand.tendon[i].pretension_N / hand.tendon[i].stiffness_N_per_m
                  for i, (tendon, _) in enumerate(plant.tendons[: len(hand.tendon)])]  # fmt: skip

@@ -59,7 +59,7 @@ def field_names(block_fields: list[BlockField]) -> list[str]:
     return [field.name for field in block_fields]
 
 
-# BlockSchema of a block and its layout.
+# Schema of a state block, and the layout that follows from it.
 
 
 def small_schema() -> tuple[BlockSchema, dict[str, int]]:
@@ -142,7 +142,7 @@ def state(request: pytest.FixtureRequest) -> ControllerState:
 
 
 def constants_by_field(module: Any) -> dict[str, str]:
-    """Return, for each field, the name of the constant that contains its first row.
+    """Return, for each field, the name of the module constant that holds the number of its first row.
 
     The function reads the names from the source text of a module.
     """
@@ -202,7 +202,7 @@ def test_a_copy_is_another_block_of_the_same_numbers(state: ControllerState) -> 
 def test_a_difference_names_its_field(state: ControllerState, field: BlockField) -> None:
     """The message names the first field that differs, in the order of the schema.
 
-    The message also contains the element and its two values.
+    The message also names the element that differs, and gives the two values of this element.
     """
     other = state.copy()
     values = other.view(field.name).reshape(-1)
@@ -339,7 +339,7 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
 def test_every_element_of_every_field_changes_the_digest(
     active_bench: ControllerBench, field: BlockField
 ) -> None:
-    """Change each element of a state by one unit in the last place.
+    """Change each element of a state by the smallest possible amount.
 
     Each change must give another digest.
 
@@ -381,9 +381,9 @@ def changed_goals() -> Iterator[tuple[str, DigitGoal]]:
 
 
 def changed_progresses(before: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
-    """Yield the progress of a program with one part changed, once for each of its parts.
+    """For each part of a program's progress, yield a copy of the progress in which only this part is changed.
 
-    The goals are changed part by part.
+    The test changes the goals one by one.
     """
     grip = GripState(np.full(4, 20.0), np.full(4, np.nan), 1.0)
     values: dict[str, list[Any]] = {
@@ -411,7 +411,7 @@ OTHER_STREAM_VALUES = {
 
 
 def changed_decisions(before: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
-    """Yield the decisions of a controller with one part changed, once for each of their parts."""
+    """For each part of a controller's decisions, yield a copy of the decisions in which only this part is changed."""
     pending = PendingGains(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
         "drives": [before.drives[::-1]],
@@ -470,9 +470,9 @@ def test_every_decision_changes_the_digest(active_bench: ControllerBench) -> Non
 
 
 def other_values(value: Any) -> list[Any]:
-    """Return other values of the same type as a given value.
+    """Return values that differ from a given value and have the same type.
 
-    If the value is a named tuple, each returned value differs in one part.
+    For a named tuple, each returned tuple differs from it in one part.
     """
     if isinstance(value, bool):
         return [not value]
@@ -499,7 +499,7 @@ def other_values(value: Any) -> list[Any]:
 def test_everything_that_is_known_of_a_drive_changes_the_digest(
     active_bench: ControllerBench, name: str
 ) -> None:
-    """The digest depends on the values of a drive (in the block) and on its set-up (in the decisions)."""
+    """The digest depends on the measured values of a drive, and on the progress of its set-up."""
     state = active_bench.state
     seen = {state.digest()}
     for n, drive in enumerate(state.drives):

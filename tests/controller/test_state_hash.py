@@ -1,6 +1,7 @@
 """Test the hash of the decisions of the controller.
 
-The hash function reuses parts of the hash of the last tick, but never for a value that has changed.
+The hash function reuses parts of the last tick's hash. Parts of values that have changed are never
+reused.
 """
 
 from dataclasses import replace
@@ -36,7 +37,7 @@ def test_values_of_same_objects_are_taken_over() -> None:
 def test_a_sequence_cache_gives_the_same_values_as_its_function(seed: int) -> None:
     """In this test, two controllers in one process use the same cache.
 
-    The sequences that they hash have different lengths.
+    The controllers compute hashes of sequences with different lengths.
     """
     draw = np.random.default_rng(seed)
     items = [(i, float(i)) for i in range(6)] + [(1, 1), (True, 1.0)]

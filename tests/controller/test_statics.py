@@ -1,4 +1,7 @@
-"""Compare known forces along the tendons with energies, and the tip-equivalent force with virtual work."""
+"""Test static forces.
+
+Forces along the tendons must agree with energies, and fingertip forces with virtual work.
+"""
 
 import math
 
@@ -36,7 +39,7 @@ def static_torque_of(model: HandModel, q: np.ndarray) -> np.ndarray:
 
 
 def filter_table_at(model: HandModel, theta: list[np.ndarray], speed: float = 0.0) -> np.ndarray:
-    """Return filter states (N, 7) of a hand whose digits have given coordinates."""
+    """Return filter states (N, 7) of a hand whose digits have the joint angles ``theta``."""
     table = np.zeros((model.tendon_count, STATE_COUNT))
     for digit, tendons, one in zip(model.digits, model.digit_tendons, theta, strict=True):
         table[tendons, S] = digit.reduced_moment_arms @ one
@@ -91,10 +94,9 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
 
 
 def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> None:
-    """The pull at the joints is the tension that is left after the capstan friction at each pulley.
+    """The force that reaches the joints is the tension minus the capstan friction at each pulley.
 
-    The test covers every state of friction, for a tendon that is wound up and for a tendon that is
-    paid out.
+    The test covers friction of every size and of both directions.
     """
     rng = np.random.default_rng(7)
     theta = [rng.uniform(0.1, 1.4, digit.coupling.shape[1]) for digit in model.digits]
@@ -166,7 +168,10 @@ def test_lever_is_the_jacobian_along_the_normal(model: HandModel) -> None:
 
 
 def test_a_tip_force_is_recovered_from_its_tensions(model: HandModel) -> None:
-    """From the tensions that balance a normal force at the tip, the function computes the same force again."""
+    """A normal force at the tip is converted to the tensions that balance it.
+
+    From these tensions, the function recovers the same force.
+    """
     rng = np.random.default_rng(6)
     for digit in model.digits:
         for force in (0.5, 6.0, 40.0):

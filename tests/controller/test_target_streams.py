@@ -1,4 +1,4 @@
-"""Test streamed targets in lockstep: interpolation, limits, stale streams, faulty clients, right to command."""
+"""Test streamed targets in lockstep: interpolation, limits, late targets, faulty clients, and the right to command."""
 
 import json
 import math
@@ -46,7 +46,7 @@ class StreamClient:
     Attributes:
         run: the simulation of the hand.
         sent: number of targets that the client has sent so far.
-        tick_outputs: outputs of all ticks since the hand started to wait for requests.
+        tick_outputs: outputs of all ticks since the controller started to wait for requests.
     """
 
     def __init__(self, run: SimulatedRun, model: HandModel, name: str = "one") -> None:
@@ -261,7 +261,10 @@ def test_a_jump_is_bounded_in_speed_acceleration_and_range(
 
 
 def test_a_random_stream_never_leaves_the_limits(jamia: HandModel) -> None:
-    """The targets are like those of a policy that has failed: random angles at random times, with twenty seeds."""
+    """The targets are random angles at random times, as a failed policy would send them.
+
+    The test runs with twenty seeds.
+    """
     limits, period = jamia.hand.stream, jamia.period
     with live_client(jamia) as client:
         for seed in range(20):
@@ -308,9 +311,9 @@ def test_a_stale_stream_holds_then_relaxes(jamia: HandModel) -> None:
 
 
 def test_a_late_target_waits_at_the_last_one(jamia: HandModel) -> None:
-    """While a target is late, the stream is not extrapolated.
+    """While a target is late, the controller does not extrapolate the stream.
 
-    The reference angle goes beyond the last target only by its own braking distance.
+    The reference angle passes the last target only by the distance that it needs to brake.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -368,9 +371,10 @@ def test_a_text_that_is_no_target_is_counted(text: str) -> None:
 
 @pytest.mark.parametrize("value", [0.1 + 0.2, 1e308, -0.0, 5e-324, math.inf, math.nan])
 def test_a_target_survives_the_log(value: float) -> None:
-    """A run receives decoded targets, and its re-execution receives their texts.
+    """A run receives decoded targets.
 
-    Both must be equal to the last bit.
+    A re-execution of the run decodes the targets from the texts in the log. A target must be equal
+    in both runs, to the last bit.
     """
     target = StreamTarget("17-3", 2**62, -(2**40), (value, 1.0 / 3.0))
     again = parse_target(target_request_text(target))
@@ -387,8 +391,8 @@ def test_integers_beyond_64_bits_do_not_end_the_run(
 ) -> None:
     """Reproduce a defect.
 
-    Earlier defect: such a number in the text of a target raised OverflowError in the tick. This
-        error cut the torque.
+    An integer of more than 64 bits in the text of a target raised OverflowError in the tick. The
+    controller then disabled all motors.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -428,7 +432,8 @@ def test_a_target_from_the_future_counts_as_sent_now(jamia: HandModel) -> None:
 def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandModel) -> None:
     """If a target was sent after the deadline of a late tick, it counts as sent at this tick.
 
-    Earlier defect: the second target was refused, because the first one seemed to be later.
+    Earlier defect: the target after such a late one was refused, because the late one seemed to be
+    newer.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -442,7 +447,7 @@ def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandMo
 def test_a_jittering_stream_is_smooth(jamia: HandModel) -> None:
     """Targets arrive up to 8 ms late, and some are lost.
 
-    The reference still follows the motion, and no fault occurs.
+    The reference angle still follows the streamed motion, and no fault occurs.
     """
     random = np.random.default_rng(4)
     with live_client(jamia) as client:
@@ -487,9 +492,9 @@ def test_a_stream_goes_on_from_a_moving_digit(jamia: HandModel) -> None:
 
 
 def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
-    """Reproduce a defect: after each new goal, the trajectory started at rest at the estimated angle.
+    """Reproduce a defect: each new goal began a trajectory that started at the estimated angle with zero speed.
 
-    With 50 goals per second, a hand therefore did not move.
+    With 50 goals per second, the hand therefore did not move.
     """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": SINE_MIDDLE_DEG})
@@ -507,10 +512,10 @@ def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
 
 
 def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
-    """The motion does not go beyond its end.
+    """The motion does not pass its target.
 
-    A quintic polynomial that starts at 300 deg/s and lasts five seconds would go 280 degrees beyond
-    its end.
+    A quintic polynomial that starts at 300 deg/s and lasts five seconds would pass its target by
+    280 degrees.
     """
     reference = np.radians([[90.0], [300.0], [0.0]])
     reach = np.radians([0.0]), np.radians([100.0])
@@ -591,7 +596,7 @@ def test_streams_that_do_not_suit_the_hand_are_refused(jamia: HandModel) -> None
 def test_joint_angles_become_coordinates(model: HandModel) -> None:
     """A stream of angles of single joints moves the digits.
 
-    Coupled joints turn by the common angle that is nearest to their targets.
+    Coupled joints all turn by the same angle, the one nearest to their targets.
     """
     names = model.hand.joints
     where = mapping_of_stream(model, "joint", names)
@@ -640,8 +645,8 @@ def test_tensions_follow_a_stream(jamia: HandModel) -> None:
         goal = np.array([out.telemetry.tension_goal[0] for out in client.tick_outputs[-1000:]])
         felt = np.array([out.telemetry.tension[0] for out in client.tick_outputs[-1000:]])
         assert np.ptp(goal) == pytest.approx(6.0, abs=0.3)
-        # The tolerance is half of the Coulomb friction of the motor, which is 3 N. A free finger
-        # that moves meets this friction in both directions.
+        # The tolerance is 1.5 N, half of the motor's Coulomb friction of 3 N. This friction opposes
+        # a freely moving finger in both directions.
         assert np.sqrt(np.mean((goal - felt) ** 2)) < 1.5
         rate = np.abs(np.diff(goal)).max() / jamia.period
         assert rate < 1.5 * 3.0 * math.pi, "a ramp between targets, no steps"
@@ -744,9 +749,9 @@ def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
 def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(
     jamia11: HandModel,
 ) -> None:
-    """To bend an outer joint alone, an inner tendon would have to push.
+    """The outer joint cannot bend alone, because a tendon of an inner joint would have to push.
 
-    Earlier defect: the safety monitor regarded this tendon as slack and relaxed the hand.
+    Earlier defect: the safety monitor reported this tendon as slack and relaxed the hand.
     """
     digit = jamia11.digits[0]
     floor = jamia11.floor[digit.tendons]

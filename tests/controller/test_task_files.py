@@ -1,7 +1,7 @@
 """Test task files.
 
-The packaged tasks are valid for all hands that can follow them. The error for a wrong task names
-the wrong key.
+Each packaged task is valid for all packaged hands that have the necessary digits and tendons. The
+error for a wrong task names the wrong key.
 """
 
 from pathlib import Path
@@ -118,7 +118,7 @@ def test_a_list_has_one_number_for_each_coordinate_of_the_digit(tmp_path: Path) 
 
 
 def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_path: Path) -> None:
-    """For a digit with n joints and n + 1 tendons, a task contains n angles and n + 1 tensions."""
+    """For a digit with n joints and n + 1 tendons, a task gives n angles and n + 1 tensions."""
     hand = hand_with_an_extensor()
     assert shapes_of_digits(hand)["thumb"] == DigitShape(2, 3, ("thumb_j1", "thumb_j2"))
     for angles, tensions, wrong in (

@@ -1,6 +1,6 @@
 """Test minimum-jerk trajectories: their start, their end and their derivatives.
 
-No other trajectory between the same ends is smoother.
+No other trajectory between the same ends has a smaller integral of the squared jerk.
 """
 
 import numpy as np
@@ -62,9 +62,9 @@ def test_move_stays_between_its_ends_and_below_its_peak_speed(
 
 
 def test_no_admissible_bump_has_less_jerk() -> None:
-    """The integral of the squared jerk grows if a bump is added to the move.
+    """A disturbance that is added to a minimum-jerk move increases the integral of the squared jerk.
 
-    This bump is at rest at both of its ends.
+    At both ends, the added disturbance has zero position, speed and acceleration.
     """
     move, t = MinimumJerk(np.array([0.0]), np.array([1.0]), 1.0), np.linspace(0.0, 1.0, 20001)
     acceleration = np.array([move.motion_at(one)[2][0] for one in t])
@@ -127,7 +127,7 @@ def test_curve_derivatives_match_differences(points: list[float], share: float) 
 
 
 def test_every_number_of_a_way_is_in_its_plain_form() -> None:
-    """The plain form of a trajectory contains all of its numbers.
+    """The plain form of a trajectory contains every number of the trajectory.
 
     The hash of the state is computed from this form.
     """

@@ -1,7 +1,7 @@
 """Test trajectory files.
 
-The curve passes through all points, and begins and ends at rest. A wrong trajectory file is refused
-before any motion.
+The curve passes through all points of the file, and begins and ends at rest. A wrong trajectory
+file is refused before any motion.
 """
 
 import math
@@ -100,7 +100,7 @@ def test_radians_are_not_degrees(tmp_path: Path) -> None:
 def test_very_close_times_do_not_bypass_the_speed_limit(gap, recwarn):
     """If two times are very close, the coefficients of the spline overflow.
 
-    A speed of NaN is refused in the same way as a speed above the limit.
+    The computed speed is then NaN, which is refused in the same way as a speed above the limit.
     """
     angles = {"index": (0.0, 1.0, 0.0)}
     with pytest.raises(ValueError, match="at most 700 deg/s"):

@@ -1,6 +1,6 @@
 """Test a digit that touches an object although no contact is planned.
 
-An event reports the contact, and the digit presses with a bounded tension.
+An event reports the contact. The digit then presses on the object with a bounded tension.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ from tests.controller.synthetic_states import (
 def estimate_with_unexplained_tension(
     model: HandModel, unexplained_tension: float
 ) -> SyntheticEstimate:
-    """Return the estimate of a hand at rest whose tendons all have the same unexplained tension [N]."""
+    """Return the estimate of a hand at rest in which an object causes the same tension [N] in every tendon."""
     return exact_estimate(model, balanced_state(model, 0.5))._replace(
         external_tension=np.full(model.tendon_count, unexplained_tension)
     )
@@ -66,9 +66,9 @@ def test_only_digits_blocked_on_their_way_are_restrained(model: HandModel) -> No
 def run_against_palm(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[str, PlantRun]:
-    """Return a hand and its run.
+    """Return the name of a hand and the record of a run of this hand.
 
-    In this run, the index finger moves towards 100 degrees, but touches the palm before.
+    In this run, the index finger moves towards 100 degrees, but touches the palm on the way.
     """
     move = JogProgram(MoveDigits(do="move", angle_deg={"index": 100.0}, duration_s=1.0), 1.6)
     return request.param, run_on_plant(

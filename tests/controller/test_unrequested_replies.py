@@ -1,4 +1,7 @@
-"""Test replies that no request explains: the fault that they cause, and the frames that count as replies."""
+"""Test replies for which the controller sent no request.
+
+The tests check the resulting fault, and which frames count as replies.
+"""
 
 import pytest
 
@@ -123,10 +126,7 @@ def with_other_tension(cell: Frame) -> Frame:
 def test_only_replies_in_excess_are_compared_with_the_expected_reply(
     active_bench, outstanding, came, found
 ) -> None:
-    """A late reply to an older request is not an excess reply.
-
-    The bytes of a late reply may differ from the bytes of the new reply.
-    """
+    """A late reply to an older request is expected, so its bytes may differ from those of the newest reply."""
     if outstanding == 2:
         active_bench.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x11]
         active_bench.tick()
@@ -138,10 +138,10 @@ def test_only_replies_in_excess_are_compared_with_the_expected_reply(
 
 
 def change_first_motor(answer: Frame, kinds: str) -> list[Frame]:
-    """Return the reply of a motor once for each letter of a text.
+    """Return one copy of a motor's reply for each letter of ``kinds``.
 
-    For the letter A, the reply is unchanged. For B, it has another temperature. Only the replies of
-    the first motor are repeated in this way.
+    The copy for A is unchanged. The copy for B has another temperature. Replies of other motors
+    than the first are returned once.
     """
     if answer.can_id != 0x11:
         return [answer]

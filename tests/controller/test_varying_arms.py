@@ -133,7 +133,7 @@ def test_arm_and_slope_are_derivatives_of_the_excursion() -> None:
 def task_of_moves(*angles: tuple[float, float]) -> Task:
     """Return a task that consists of moves.
 
-    Each pair is the angle of all joints [deg] and the duration of one move [s].
+    Each pair contains one angle for all joints [deg] and the duration of the move [s].
     """
     phases = [
         {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
@@ -145,7 +145,7 @@ def task_of_moves(*angles: tuple[float, float]) -> Task:
 
 
 def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
-    """Return the RMSE of the true joint angles against their commands [deg] while a simulated hand moves."""
+    """Return the RMSE between true and commanded joint angles [deg] while a simulated hand moves."""
     task = TaskProgram(
         task_of_moves((5.0, 0.5), (42.0, 0.7), (15.0, 0.6), (45.0, 0.6), (10.0, 0.6))
     )
@@ -169,7 +169,8 @@ def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
 def test_arms_by_angle_track_better_than_constant_arms(name: str, seed: int) -> None:
     """The moment arms in the simulator vary by 30 % with the joint angle.
 
-    A controller that uses the mean moment arms R computes the excursions as R q.
+    The controller for comparison uses the mean moment arms R. This controller computes the
+    excursions as R q.
     """
     hand = with_varying_arms(name, 0.3, encoders=False)
     constant = with_varying_arms(name, 0.0, encoders=False)

@@ -90,8 +90,8 @@ CYLINDER_TASK = Task.model_validate(
 class RunWithoutCells:
     """Record of a run without load cells: one row for each tick, and all events.
 
-    A row contains the phase, and for each tendon (N,) the estimated tension, its standard deviation
-    and the true tension [N]. The record also contains the last height of the object.
+    A row contains the phase and, for each tendon (N,), the estimated tension with its standard
+    deviation, and the true tension [N]. The record also contains the last height of the object.
     """
 
     phase_name: list[str] = field(default_factory=list)
@@ -102,7 +102,7 @@ class RunWithoutCells:
     object_height: float = 0.0
 
     def normalized_errors(self, *phases: str) -> np.ndarray:
-        """Return the errors of the estimate in some phases, divided by its standard deviation."""
+        """Return the errors of the tension estimate in some phases, divided by the estimated standard deviation."""
         rows = np.isin(self.phase_name, phases)
         return (np.array(self.tension)[rows] - np.array(self.true_tension)[rows]) / np.array(
             self.sigma
@@ -112,9 +112,10 @@ class RunWithoutCells:
 def run_without_sensors(
     program: Program, scene: str | None, seed: int, *faults: str, limit_s: float = 30.0
 ) -> RunWithoutCells:
-    """Run a program on a hand without sensors whose motor zeros are known.
+    """Run a program on a hand without load cells and encoders.
 
-    The text of each injected fault contains its time.
+    The controller knows the motor zeros. Each text in ``faults`` describes an injected fault and
+    contains its time.
     """
     rows = RunWithoutCells()
     with SimulatorSettings(hand_without_cells(), scene, seed, homed=True).begin_run(

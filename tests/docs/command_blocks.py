@@ -19,7 +19,7 @@ READY_TIMEOUT_S = 120.0
 """Longest time until a process prints its first line [s], including compilation."""
 
 BLOCK_TIMEOUT_S = 600.0
-"""Longest time that a block of commands may run on a busy machine [s]."""
+"""Longest time that the commands of a block may take together on a busy machine [s]."""
 
 
 class FencedBlock(NamedTuple):
@@ -42,7 +42,7 @@ def read_blocks(path: Path) -> list[FencedBlock]:
 
 
 def is_executed(block: FencedBlock) -> bool:
-    """Return True for a block of commands that a test executes, and for a block that a test writes to a file."""
+    """Return True if a test executes the block, or writes the block to a file."""
     return (block.language == "sh" and "not run" not in block.title) or is_file_block(block)
 
 
@@ -69,7 +69,8 @@ def run_blocks(
     """Execute the commands of a page in an empty folder.
 
     Args:
-        page_blocks: blocks of the page. The files of the page are written first.
+        page_blocks: blocks of the page. The function writes the files of the page before it
+            executes commands.
         prepare: function that writes further files into the folder.
         parallel_commands: further commands, which run during the commands of the page.
     """
@@ -124,6 +125,6 @@ def start_beside(
 def with_local_bus(text: str) -> str:
     """Return the commands with a local bus in place of each SocketCAN bus.
 
-    Not every kernel has SocketCAN.
+    Not every Linux kernel has SocketCAN.
     """
     return re.sub(r"socketcan:(v?can\d)", r"local:\1", text)

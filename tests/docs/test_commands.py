@@ -1,6 +1,6 @@
 """The command blocks of the pages in Start and Tutorials run as they are written.
 
-The blocks of a page run in a separate folder.
+The command blocks of a page run in a folder of their own.
 
 A block with "not run" in its title is not executed, because it needs hardware, root rights or a
 screen. A block with "stays open" in its title continues to run while the later blocks run.
@@ -39,7 +39,7 @@ The title of such a block is the name of the file.
 LONG_PAGES = ("start/first-hand.md", "tutorials/policy.md", "tutorials/tune-gains.md")
 """Pages whose commands run only in nightly test runs.
 
-Each of these pages takes a minute, and other pages also contain its commands.
+Each of these pages takes a minute. Ordinary test runs execute the same commands on other pages.
 """
 
 

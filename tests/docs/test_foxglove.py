@@ -1,6 +1,6 @@
 """The layout file for Foxglove contains only topics and fields that a log has.
 
-In the layout, the label of each value consists of its name and its unit.
+In the layout, the label of a value consists of the name and the unit of this value.
 """
 
 import json
@@ -19,7 +19,7 @@ FOXGLOVE_LAYOUT = json.loads(
 LAYOUT_PANELS = FOXGLOVE_LAYOUT["configById"]
 MESSAGE_PATH_PATTERN = re.compile(r"(/[a-z_/]+)\.([a-z]+)(?:\[(\d+)\])?")
 PANEL_KINDS = {"3D", "Plot", "RosOut", "StateTransitions"}
-"""Kinds of panels, as a layout that Foxglove has exported names these kinds."""
+"""Kinds of panels, with the names that Foxglove itself writes when it exports a layout."""
 
 
 def text_leaves(node: Any) -> list[str]:

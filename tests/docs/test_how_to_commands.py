@@ -1,6 +1,6 @@
 """The command blocks of the README, the How-to pages and the page about tasks run as they are written.
 
-While a block that needs a hand runs, a simulated hand also runs.
+A simulated hand runs beside each command block that needs a hand.
 
 The pages use files and hands that belong to the reader. The tests replace these files
 and hands by packaged ones.
@@ -43,7 +43,8 @@ EXECUTED_BLOCKS = {
 SHORT_PAGES = ("how-to/logs.md", "how-to/other-tools.md")
 """Pages whose commands run in ordinary test runs.
 
-The other pages run in nightly test runs, because each takes from ten seconds to minutes.
+The commands of the other pages run in nightly test runs, because each page takes from ten seconds
+to minutes.
 """
 SIMULATED_HAND = "handctl sim --hand jamia --bus local:lab --time-scale 0.5"
 SIMULATOR_COMMANDS = {
@@ -76,7 +77,7 @@ def prepare_folder(golden: str, folder: Path) -> None:
 
 
 def files_for(page: str) -> Callable[[Path], None]:
-    """Return the function that writes the files of a page.
+    """Return the function that writes the files which a page needs.
 
     The page about ended runs needs a log that contains a fault.
     """
@@ -138,8 +139,8 @@ def test_the_commands_of_the_readme_run() -> None:
     assert len(simulators) == 1
     assert len(lines) == 6
     commands = [FencedBlock("sh", "", line) for line in lines if line.strip() not in simulators]
-    # The README recommends a smaller time scale for a slow machine. This machine is slow while
-    # other tests run.
+    # Use a smaller time scale, as the README recommends for a slow machine. The machine of the test
+    # is slow while other tests run.
     run_blocks(
         commands, partial(prepare_folder, "jamia-grasp"), [f"{simulators[0]} --time-scale 0.3"]
     )

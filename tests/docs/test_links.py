@@ -1,4 +1,7 @@
-"""Every link in the documents leads to an existing page and heading, and every page is in the navigation."""
+"""Every link in the documents leads to an existing page and heading.
+
+The navigation contains every page.
+"""
 
 import re
 from fnmatch import fnmatch

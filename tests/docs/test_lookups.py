@@ -1,7 +1,8 @@
-"""A reader needs few clicks to find the answers to frequent questions, and few words above the answer.
+"""A reader finds the answer to a frequent question after few clicks and after few words on the page.
 
-At an easy pace, a reader takes two minutes for 400 words. Words are counted from the target of the
-last click to the answer. This count is an upper bound, because readers skip rows of a table.
+A reader takes two minutes for 400 words. The test counts the words from the target of the last
+click to the answer. The number of words that are really read is smaller, because readers skip rows
+of a table.
 """
 
 import re
@@ -15,9 +16,10 @@ REPOSITORY_ROOT = Path(__file__).parents[2]
 DOCS_FOLDER = REPOSITORY_ROOT / "docs"
 LOOKUPS_PAGE = DOCS_FOLDER / "evidence" / "lookups.md"
 MOST_CLICKS, MOST_WORDS, TOLERANCE_WORDS = 3, 400, 50
-"""Limits of clicks and of words above an answer.
+"""Largest permitted number of clicks to an answer, and of words above the answer.
 
-The last number limits the difference between the counted words and the number on the evidence page.
+The third number limits the difference between the counted words and the number of words that the
+evidence page states.
 """
 ANSWER_BY_QUESTION = {
     "How do I stop the hand?": ("index.md", "", r"press Ctrl-C, or run `handctl stop"),

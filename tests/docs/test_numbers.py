@@ -17,7 +17,7 @@ PAGES_WITH_NUMBERS = [
 ]
 NUMBER_PATTERN = re.compile(r"\d+(?:\.\d+)?")
 RELATIVE_TOLERANCE, ROUNDING_TOLERANCE = 0.1, 0.051
-"""Permitted relative difference of results from another processor, and half a unit of the last printed digit."""
+"""Permitted relative difference between two processors, and permitted rounding error of a printed number."""
 
 
 def test_the_numbers_are_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

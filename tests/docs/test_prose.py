@@ -50,8 +50,8 @@ def test_no_paragraph_is_long(path: Path) -> None:
     "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_a_second_paragraph_of_a_list_entry_is_indented_by_four(path: Path) -> None:
-    # After an indentation of fewer than four spaces, the site ends the list and shows the marks of
-    # later entries as text.
+    # If the text of a list entry is indented by fewer than four spaces, the site ends the list. The
+    # site then shows the marks of later list entries as text.
     text = FENCE_PATTERN.sub("", path.read_text(encoding="utf-8"))
     assert re.findall(r"\n\n {1,3}\S.*", text) == []
 
@@ -60,8 +60,8 @@ def test_a_second_paragraph_of_a_list_entry_is_indented_by_four(path: Path) -> N
     "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_no_line_begins_with_a_number_that_ends_a_sentence(path: Path) -> None:
-    # The site shows a line such as "126. The identifiers" as a list entry. In a real list, the
-    # first number is 1.
+    # The site shows a line that begins like "126. The identifiers" as a list entry. A real list
+    # begins with the number 1.
     text = FENCE_PATTERN.sub("", path.read_text(encoding="utf-8"))
     numbers = [int(number) for number in re.findall(r"^ *(\d+)\. ", text, re.MULTILINE)]
     assert [b for a, b in zip([0, *numbers], numbers, strict=False) if b not in (1, a + 1)] == []
@@ -71,7 +71,7 @@ def test_no_line_begins_with_a_number_that_ends_a_sentence(path: Path) -> None:
     "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_no_code_has_a_bar_behind_a_backslash(path: Path) -> None:
-    # The site would show the backslash of an escaped bar. Site and GitHub show
+    # In a table, the site would show the backslash of an escaped bar. The site and GitHub both show
     # `<code>A&#124;B</code>` correctly.
     text = FENCE_PATTERN.sub("", path.read_text(encoding="utf-8"))
     assert re.findall(r"`[^`\n]*\\\|[^`\n]*`", text) == []

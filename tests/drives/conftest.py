@@ -1,4 +1,4 @@
-"""Test fixtures: a drive and a scripted motor.
+"""Test fixtures: a drive of handctl, and the model of a motor.
 
 The drive runs tick by tick, as in the controller.
 """
@@ -66,7 +66,7 @@ class MotorRig:
     ) -> DriveState:
         """Run ticks until the drive is in one of the given phases.
 
-        If it does not reach one, the test fails.
+        If the drive does not reach any of these phases, the test fails.
         """
         for _ in range(ticks):
             if self.tick(target).phase in phases:

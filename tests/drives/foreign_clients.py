@@ -3,8 +3,8 @@
 The clients command simulated drives of ``python -m firmware_sim drive`` on any bus.
 
 Each function enables a drive, commands a torque, checks that the free shaft turns, and disables the
-drive. The clients themselves wait for replies for 0.4 s to 1 s. The functions here wait longer than
-that.
+drive. The clients give up after waiting 0.4 s to 1 s for a reply. The functions of this module wait
+longer for a reply.
 """
 
 import asyncio
@@ -100,8 +100,8 @@ def use_odrive_can(bus: can.BusABC, node: int = 1) -> None:
 async def _use_odrive(bus: can.BusABC, node: int) -> None:
     """Use odrive-can within its event loop.
 
-    The client reads positions from the cyclic message of the drive. If it requested this message
-    with a remote frame, it could wait forever.
+    The function reads positions from the cyclic message of the drive. A request with a remote frame
+    could wait forever.
     """
     drive = ODriveCAN(axis_id=node, can_bus=bus)
     seen = [0.0]
@@ -160,7 +160,7 @@ async def _set_control_mode(
 ) -> None:
     """Set a drive to idle, set its control mode, and then set another state.
 
-    The functions of the client that wait are not used, because they give up after a second.
+    The waiting functions of the client are not used, because they give up after a second.
     """
     drive.set_axis_state_no_wait("IDLE")
     await _wait_for_async(lambda: drive.axis_state == "IDLE", "idle")

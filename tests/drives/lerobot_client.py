@@ -1,4 +1,4 @@
-"""Use of LeRobot's bus class for RobStride motors.
+"""Use LeRobot's bus class for RobStride motors.
 
 The client commands simulated motors of ``python -m firmware_sim drive robstride_mit`` on any bus.
 """
@@ -13,8 +13,8 @@ from lerobot.motors.robstride import RobstrideMotorsBus
 REPLY_TIMEOUT_S = 0.5
 """Time that the client waits for a reply [s].
 
-The client's default of 1 ms is too short on a busy machine, where the simulated motor is another
-process.
+The client's default of 1 ms is too short, because the simulated motor is another process and the
+machine may be busy.
 """
 WAIT_TIMEOUT_S = 20.0
 

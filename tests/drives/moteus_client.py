@@ -1,4 +1,4 @@
-"""Use of the vendor's Python client for moteus controllers.
+"""Use the vendor's Python client for moteus controllers.
 
 The client commands a simulated drive of ``python -m firmware_sim drive moteus`` on any bus.
 """

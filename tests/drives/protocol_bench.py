@@ -25,7 +25,7 @@ OPTIONS_TEXT_BY_PROTOCOL = {
     else ""
     for name, traits in PROTOCOL_TRAITS.items()
 }
-"""Options that a motor needs in each protocol, as text of a section of the hand file."""
+"""For each protocol, the necessary options of a motor, as text of a section of the hand file."""
 
 
 def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
@@ -35,8 +35,8 @@ def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
 
     Args:
         folder: folder of the new file.
-        protocols: protocol of each motor, in the order of the motors. If there are more motors, the
-            last protocol is used for them.
+        protocols: protocol of each motor, in the order of the motors. All remaining motors get the
+            last protocol.
         extra: text with further options of every motor.
     """
     head, *motors = load_hand("jamia").to_toml().split("[[motor]]")
@@ -117,7 +117,7 @@ class ProtocolBench:
     def run_until_phase(self, target: DriveTarget, phase: DrivePhase, ticks: int = 400) -> None:
         """Run ticks until all drives are in a given phase.
 
-        If they do not reach it, the test fails.
+        If the drives do not all reach this phase, the test fails.
         """
         for _ in range(ticks):
             self.tick(target)

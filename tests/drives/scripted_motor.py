@@ -14,10 +14,13 @@ INTEGER_REGISTERS = {9: 0, 10: 1, 15: 0x1234}
 
 @dataclass
 class ScriptedMotor:
-    """A motor with a state, codes of position, velocity and torque, registers, and faults that a test sets.
+    """A motor with a state, registers, and faults that a test sets.
+
+    Position, velocity and torque of the motor are integer codes, as in a frame.
 
     Attributes:
-        unanswered_registers: registers whose requests the motor does not answer.
+        unanswered_registers: numbers of registers. The motor does not answer requests for these
+            registers.
         fixed_registers: registers that keep their value when a host writes them.
         ignored_commands: codes of special commands that have no effect.
         sends_nothing: True if the motor sends no replies at all.

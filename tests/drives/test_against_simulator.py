@@ -1,6 +1,6 @@
 """Test the drives and the sensor node of the packaged hand with the simulated firmware.
 
-The simulated firmware shares no code with them.
+The simulated firmware shares no code with handctl.
 """
 
 from collections.abc import Iterator
@@ -61,7 +61,7 @@ class PackagedHandBench:
     def run_until_phase(self, target: DriveTarget, phase: DrivePhase, ticks: int = 200) -> None:
         """Run ticks until all drives are in a given phase.
 
-        If they do not reach it, the test fails.
+        If the drives do not all reach this phase, the test fails.
         """
         for _ in range(ticks):
             self.tick(target)

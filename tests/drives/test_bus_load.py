@@ -1,4 +1,8 @@
-"""Compare the predicted bus load with a table of counted bits, and with frames whose stuff bits are counted."""
+"""Test the predicted bus load.
+
+The expected values come from a table of frame lengths in bits, and from frames whose stuff bits are
+counted.
+"""
 
 import pytest
 from hypothesis import given
@@ -81,7 +85,7 @@ def test_no_classical_frame_takes_longer_than_its_worst_case(can_id: int, data: 
 
 
 def test_the_worst_case_can_nearly_happen() -> None:
-    """A classical frame of zeros has more than 85 % of the bits of the longest frame of equal payload."""
+    """A classical CAN frame of zeros reaches more than 85 % of the largest possible length [bits]."""
     body = "0" * 19 + "0" * 64
     bits = len(stuff_bits(body + crc15(body))) + 13
     assert bits > 0.85 * 135

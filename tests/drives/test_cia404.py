@@ -72,8 +72,7 @@ def test_hand_made_frames_become_newtons() -> None:
     assert cells.ids == (0x1A1, 0x1A2)
     wired = WiredDrives((), cells)
     assert wired.begin_tick_with_sync(7) == Frame(0x080, b"")
-    # In these frames, a count is 0.001 N, and the lowest byte comes first. A count is 0.001 N, and
-    # the lowest byte is first.
+    # In these frames, a count is 0.001 N, and the lowest byte comes first.
     first, second = bytes.fromhex("39300000 0cfeffff"), bytes.fromhex("df930400")
     wired.receive(
         [Frame(0x1A1, first, t_ns=REPLY_DELAY_NS), Frame(0x1A2, second, t_ns=REPLY_DELAY_NS)]
@@ -176,7 +175,7 @@ class AmplifierBench:
     def run_until_phase(self, phase: DrivePhase, ticks: int = 400) -> None:
         """Run ticks until all amplifiers are in a given phase.
 
-        If they do not reach it, the test fails.
+        If the amplifiers do not all reach this phase, the test fails.
         """
         for _ in range(ticks):
             self.tick()
@@ -193,7 +192,7 @@ def bench(tmp_path: Any) -> Iterator[AmplifierBench]:
 
 
 def make_bench(folder: Any, **changed: Any) -> AmplifierBench:
-    """Return a bench of a hand with some keys of its sensor section changed."""
+    """Return a bench whose hand has other values for some keys of its sensor section."""
     hand = hand_with_amplifiers(**changed)
     path = folder / "hand.toml"
     path.write_text(hand.to_toml())
@@ -240,7 +239,7 @@ def test_nothing_but_sdo_nmt_and_sync_is_sent(bench: AmplifierBench) -> None:
 
 
 def ignore_unit_writes(node: Any) -> None:
-    """Let an amplifier confirm each write of its unit, although it keeps the old unit."""
+    """Make an amplifier confirm each write of its unit, but keep the old unit."""
     write = node.objects.write
     node.objects.write = lambda key, raw: None if key == (0x6131, 2) else write(key, raw)
 
@@ -250,7 +249,7 @@ def identify_as_drive(node: Any) -> None:
 
 
 def ignore_transmission_type(node: Any) -> None:
-    """Let an amplifier keep its transmission type, although the host sets it to synchronous."""
+    """Make an amplifier keep its transmission type when the host sets the type to synchronous."""
     write = node.objects.write
     node.objects.write = lambda key, raw: None if key == (0x1800, 2) else write(key, raw)
 
@@ -287,9 +286,9 @@ def test_a_missing_amplifier_is_named() -> None:
 
 
 def test_frames_before_the_set_up_are_not_used() -> None:
-    """In this test, the amplifiers have been running since an earlier run, and send in the unit as delivered.
+    """In this test, the amplifiers already send before their set-up, in the unit of a new amplifier.
 
-    The numbers in this unit are 100 times the tension.
+    In this unit, the numbers are 100 times the tension.
     """
     with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
         for node in nodes_of(simulation):
@@ -330,8 +329,8 @@ def faults_of(
 ) -> tuple[set[str], int]:
     """Disturb a grasp.
 
-    Return the faults that occur, and the number of ticks until the controller reacts. If the
-    controller does not react, the number is -1.
+    Return the faults that occur, and the number of ticks until the controller reacts, or -1 if it
+    does not react.
     """
     with homed_run(hand, 500.0, seed) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)
@@ -381,14 +380,14 @@ def test_a_fault_is_found_as_with_the_sensor_node_of_handctl(name: str) -> None:
 def test_amplifiers_that_restart_in_a_grasp_relax_the_hand() -> None:
     found, ticks = faults_of(hand_with_amplifiers(), 0, restart_all)
     assert "N02" in found
-    assert 0 <= ticks <= 17  # silence of 30 ms is a fault
+    assert 0 <= ticks <= 17  # an amplifier that is silent for 30 ms causes a fault
 
 
 def test_late_answers_are_delays_and_no_second_node() -> None:
     """Frames of an amplifier have no counter.
 
-    Earlier defect: the controller regarded a late reply and the next reply as those of a second
-    node (B06).
+    Earlier defect: a late reply and the next reply of the same amplifier caused the fault B06 (a
+    conflicting duplicate frame).
     """
     found, ticks = faults_of(
         hand_with_amplifiers(), 0, fault_injection("delay node=sensors size=2.5 p=0.05")

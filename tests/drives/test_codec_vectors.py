@@ -19,7 +19,7 @@ STATE_BY_STATUS_WORD = {
 
 
 def test_a_tpdo_is_a_status_word_a_position_and_a_torque() -> None:
-    """In a TPDO, the position is in counts, and the torque is in thousandths of the rated torque."""
+    """In a TPDO of a CiA 402 drive, the position is in counts, and the torque is in thousandths of the rated torque."""
     message = cia402.feedback_message(5, 1, 1.0, 1.0, 0.0)
     table = SignalTable(
         message._replace(signals=tuple(signal._replace(scale=1.0) for signal in message.signals))

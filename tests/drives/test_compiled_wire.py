@@ -1,6 +1,7 @@
-"""Compare the compiled code that receives and sends frames with the Python code of each drive.
+"""Test the compiled code that receives and sends frames.
 
-For any input, both kinds of code give equal values and equal frames.
+For any input, compiled code gives the same values and the same frames as the Python code of each
+drive.
 """
 
 import math
@@ -29,14 +30,14 @@ DRIVE_VARIANTS = FUZZED_DRIVES | {
     "odrive-torque": FuzzedDrive("odrive", "torque_feedback = true\n"),
 }
 UNCHECKED_VARIANTS = ("moteus", "cubemars", "odrive-0.5", "robstride_mit")
-"""Variants without settings that one frame requests and one frame answers."""
+"""Drive variants whose settings cannot be read with one request frame and one reply frame."""
 RANDOM_FRAME_SEEDS, TICKS_PER_SEED = range(20), 150
 NO_SENSORS = SensorNode(0, 0x7F0, (0x7F1,), ((),), (1,), 0, (-1,), 1)
 
 
 @cache
 def enable_drive(name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
-    """Return an enabled drive, its state, the time [ns], and the frames that the drive has sent in some ticks."""
+    """Return an enabled drive, the state of the drive, the time [ns], and frames that the drive has sent."""
     variant = DRIVE_VARIANTS[name]
     with TemporaryDirectory() as folder:
         path = hand_file(Path(folder), [variant.protocol], variant.options)
@@ -86,8 +87,8 @@ def random_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> 
 def are_states_equal(one: DriveState, other: DriveState, drive: Drive) -> bool:
     """Return True if two states of a drive are equal.
 
-    One of two equal states of a CiA 402 drive may store the time of its last heartbeat as the time
-    of its feedback.
+    For CiA 402 drives, one state may have the time of the last heartbeat where the other has the
+    time of the last feedback. Such states count as equal.
     """
     if isinstance(drive, Cia402Drive):
         one, other = (
@@ -141,9 +142,9 @@ def test_compiled_code_and_state_machine_give_equal_results(name: str, seed: int
 
 
 def enabled_now(state: DriveState, node_id: int, t_ns: int) -> DriveState:
-    """Return the state of an enabled drive with other times, as if it had been enabled at ``t_ns``.
+    """Return the state of an enabled drive with its times changed as if it had been enabled at ``t_ns``.
 
-    A setting is read again within a period.
+    In this state, the next repeated reading of a setting is due within one period.
     """
     private = state.private
     clocks = ("heartbeat_ns", "life_sign_ns", "heartbeat_sent_ns", "temperature_request_ns")
@@ -153,7 +154,10 @@ def enabled_now(state: DriveState, node_id: int, t_ns: int) -> DriveState:
 
 
 def open_reply(drive: Drive, state: DriveState) -> list[Frame]:
-    """Return the right reply to the open request of the repeated read-back, several times to make it frequent."""
+    """Return copies of the right reply to the pending request of a setting.
+
+    Several copies make the right reply frequent among random frames.
+    """
     if not (state.recheck.waiting and drive.rechecks):
         return []
     return [drive.rechecks[state.recheck.step].reply] * 20
@@ -164,7 +168,10 @@ RECHECKED_VARIANTS = [name for name in DRIVE_VARIANTS if name not in UNCHECKED_V
 
 @pytest.mark.parametrize("name", RECHECKED_VARIANTS)
 def test_compiled_code_reads_every_setting_again(name: str) -> None:
-    """Compiled code sends each request and accepts each right reply. The state machine gets only a wrong reply."""
+    """Compiled code sends each request and accepts each right reply.
+
+    Only wrong replies reach the Python state machine of the drive.
+    """
     drive, state, t_ns, _ = enable_drive(name)
     wired = WiredDrives([drive], NO_SENSORS)
     count = len(drive.rechecks)
@@ -240,9 +247,9 @@ def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
 
 @pytest.mark.parametrize("name", DRIVE_VARIANTS)
 def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
-    """The bus load is planned for the cyclic commands and replies of a drive.
+    """`bus plan` computes the bus load from the cyclic commands and replies of a drive.
 
-    The drive may decode further messages. They are unsolicited or rare.
+    Other messages that handctl decodes are unsolicited or rare.
     """
     drive, _, _, _ = enable_drive(name)
     command_layouts = sorted(

@@ -110,7 +110,8 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(
 def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
     """An AK80-9 motor obeys commands up to 18 N m.
 
-    Only the host limits the torque to the limit in the hand file.
+    The motor itself has no smaller limit, so only the host can keep the torque below the limit in
+    the hand file.
     """
     protections = " ".join(
         ProtocolBench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_protections
@@ -125,9 +126,9 @@ def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
 
 
 def test_the_help_names_the_motor_types_of_the_drives() -> None:
-    """A help text must not import the code of the drives.
+    """A command must print its help without importing the code of the drives.
 
-    The list of protocols for it therefore repeats their names.
+    The help text therefore has its own list of protocol names.
     """
     ranges = {
         "cubemars": MOTOR_MODEL_RANGES,
@@ -141,7 +142,7 @@ def test_the_help_names_the_motor_types_of_the_drives() -> None:
 def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
     """The byte of a temperature covers -40 to 215 degC. Source: CubeMars AK Series Actuator Driver Manual, 5.3.
 
-    Some motors send the temperature without this offset.
+    Some motors send the temperature without the offset of 40.
     """
     for more, temperature in (
         ({}, 45.0),
@@ -231,7 +232,7 @@ def test_options_that_make_no_motor_are_refused(options: dict[str, object], said
 
 
 def test_tmotorcancontrol_decodes_the_same_values() -> None:
-    """TMotorCANControl decodes the same values from commands of handctl and from replies of the simulated motor."""
+    """TMotorCANControl decodes the right values from commands of handctl and from replies of the simulated motor."""
     mit_can = pytest.importorskip("TMotorCANControl.mit_can")
     manager = object.__new__(mit_can.CAN_Manager)
     mit_can.CAN_Manager.__del__ = lambda self: None

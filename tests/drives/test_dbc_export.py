@@ -115,7 +115,7 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
 def is_torque_command(dbc: Database, frame: Frame, bench: ProtocolBench, torque: float) -> bool:
     """Return True if a frame is a torque command.
 
-    Also check that the torque in it equals the commanded torque within one count.
+    Also check that the torque in the frame equals the commanded torque within one count.
     """
     for drive in bench.drives:
         for message in drive.cyclic_messages.commands:
@@ -124,7 +124,7 @@ def is_torque_command(dbc: Database, frame: Frame, bench: ProtocolBench, torque:
             ]
             same = message.can_id == frame.can_id and message.length == len(frame.data)
             # A frame that writes a setting may have the identifier and the length of a torque
-            # command. Its first bytes differ.
+            # command. Only the first bytes tell the two apart.
             first = min((signal.start for signal in message.signals), default=0) // 8
             big = any(signal.big_endian for signal in message.signals)
             same = same and (big or frame.data[:first] == message.base[:first])

@@ -1,6 +1,6 @@
 """Test the options of a drive that a hand file may contain.
 
-No accepted value of an option may lead to a failure in the arithmetic of the drive.
+Every accepted option value must give finite numbers in the computations of the drive.
 """
 
 import math
@@ -78,7 +78,8 @@ def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
 def test_position_step_is_reported() -> None:
     """The tension filter needs the resolution of the position that a drive reports.
 
-    An encoder with 1000 counts per turn is coarser than a position report of 16 bits.
+    In this test, the encoder has 1000 counts per turn, which is coarser than the 16 bits of a
+    position report.
     """
     coarse = CIA402_OPTIONS | {"counts_per_turn": 1000, "gear_ratio": 2.0}
     assert make_drive(motor_on_bench("cia402", 1, 0.01, coarse), 0).position_step == pytest.approx(
@@ -133,7 +134,8 @@ def test_a_declared_option_is_known(protocol: str, key: str) -> None:
 
 def test_every_option_that_a_drive_reads_is_declared() -> None:
     folder = Path(__file__).parents[2] / "src" / "handctl" / "drives"
-    # The options for drive modes are options of ``handctl jog``. A hand file must not contain them.
+    # The options for drive modes are options of ``handctl jog``. A hand file must not contain
+    # options of ``handctl jog``.
     files = [path for path in folder.glob("*/*.py") if path.name != "modes.py"]
     read = {
         key for path in files for key in re.findall(r'options\.pop\(\s*"(\w+)"', path.read_text())

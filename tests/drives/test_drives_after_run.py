@@ -1,7 +1,7 @@
 """Test the state of the drives after a run.
 
-Between two runs the host sends nothing. For the drives, this silence is a fault only after a run
-that has failed.
+Between two runs, the host sends nothing. A drive reports this silence as a fault only if the first
+run has failed.
 """
 
 from pathlib import Path
@@ -22,10 +22,7 @@ def run_until_mode(simulated_run: SimulatedRun, mode: HandMode) -> None:
 
 
 def run_again(simulated_run: SimulatedRun) -> SimulatedRun:
-    """Return a second run with the same drives.
-
-    It starts one second after the end of the first run.
-    """
+    """Return a second run with the same drives, which starts one second after the end of the first run."""
     for k in range(SILENCE_TICKS):
         simulated_run.simulated_hand.step((simulated_run.k + k) * simulated_run.period_ns, [])
     return SimulatedRun(

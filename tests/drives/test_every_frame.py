@@ -39,7 +39,10 @@ def bench(
 
 
 def extended_ids(bench: ProtocolBench, chance: random.Random) -> set[int]:
-    """Return 29-bit identifiers: random ones, some of a drive and its host, and all with one bit changed."""
+    """Return random 29-bit identifiers, and some 29-bit identifiers that a drive and its host use.
+
+    Each identifier also appears with one bit changed.
+    """
     ours = sorted(
         one for one in bench.drives[0].node_ids | bench.drives[0].host_ids if one & EXTENDED_FLAG
     )
@@ -132,7 +135,7 @@ def test_a_number_is_refused_or_arrives_as_it_is(protocol: str, torque: float) -
         _, frames = rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, torque)
         virtual_bench.send(frames)
         # In these two protocols, the motor model determines the range of the torque codes. In the
-        # other protocols, the torque limit determines it.
+        # other protocols, the torque limit determines this range.
         step = {"cubemars": 36.0 / 4095, "robstride_mit": 11.0 / 4095}.get(
             protocol, TORQUE_LIMIT_N_M / 1000
         )

@@ -1,4 +1,8 @@
-"""Compare codecs with those of others: ODrive's own DBC file, and canopen with the packaged EDS file."""
+"""Compare encoded and decoded frames with those of other software.
+
+Frames of an ODrive are compared with ODrive's own DBC file. Frames of CiA 402 drives are compared
+with the package canopen and the packaged EDS file.
+"""
 
 import struct
 from pathlib import Path

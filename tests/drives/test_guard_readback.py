@@ -1,6 +1,6 @@
 """A drive is not armed if the read-back of a protection is wrong.
 
-Protections are the watchdog, the supervision of the heartbeat and the torque limit.
+The protections of a drive are its watchdog, its heartbeat supervision and its torque limit.
 """
 
 import pytest
@@ -27,7 +27,7 @@ GUARDS_BY_PROTOCOL = {
     },
     "robstride": {0x7005: "run_mode", 0x700B: "limit_torque", 0x7028: "canTimeout"},
 }  # fmt: skip
-"""Guarding settings of each protocol, with the name that the refusal to arm gives them."""
+"""For each protocol, the settings that protect the hand, with their names in the message that refuses to arm."""
 PROTOCOLS_AND_GUARDS = [
     (protocol, guard, name)
     for protocol, guards in GUARDS_BY_PROTOCOL.items()
@@ -36,7 +36,7 @@ PROTOCOLS_AND_GUARDS = [
 
 
 def keep_setting(virtual_bench: VirtualBench, guard) -> None:
-    """Let a simulated drive keep the value of a setting, although it confirms each write of this setting."""
+    """Make a simulated drive confirm each write of a setting, but keep the old value."""
     node = virtual_bench.bench.nodes[0]
     if isinstance(node, MitNode):
         write = node.registers.write
@@ -125,8 +125,8 @@ def test_an_unverifiable_guard_is_shown(tmp_path, capsys):
 def test_drives_with_the_same_caution_share_a_line_and_the_watchdog_is_first(tmp_path, capsys):
     """Reproduce a defect.
 
-    Earlier defect: for four CubeMars drives, handctl printed 20 lines, and a hint about the
-    temperature was one of five cautions.
+    For four CubeMars drives, handctl printed 20 lines of cautions, five for each drive. One of the
+    five was only a hint about the temperature.
     """
     path = hand_file(tmp_path, ["odrive", "cubemars"])
     path.write_text(path.read_text().replace(OPTIONS_TEXT_BY_PROTOCOL["odrive"], ""))

@@ -1,4 +1,4 @@
-"""Test the reference firmware of the node for load cells.
+"""Test the reference firmware for a node that reads load cells.
 
 The firmware is compiled for the host, and runs with a model of its analogue-to-digital converter
 (ADC). The test compares the frames of the firmware with the DBC file.
@@ -82,7 +82,7 @@ class Ads131m04Struct(ctypes.Structure):
 
 
 class LoadCellNodeStruct(ctypes.Structure):
-    """The C structure ``struct node`` of the firmware."""
+    """The C structure ``struct node`` of the firmware of the load cell node."""
 
     _fields_ = [
         ("settings", NodeSettings),
@@ -113,10 +113,10 @@ class Ads131m04Chip:
     corrupt_reply: Callable[[bytes], bytes] = bytes
     """Function that changes the reply on its way, to simulate faults of transmission."""
     writable_registers: frozenset[int] = frozenset((MODE_REGISTER, CLOCK_REGISTER, GAIN_REGISTER))
-    """Registers that take the values that are written to them."""
+    """Registers that store a value when a host writes it."""
 
     def transfer_frame(self, out: bytes) -> bytes:
-        """Take one frame of 18 bytes and return another frame, as in an SPI transfer."""
+        """Receive a frame of 18 bytes and return the reply of the chip, as in an SPI transfer."""
         status = (self.registers[MODE_REGISTER] & RESET_FLAG) | 0x0100 | self.new_channels
         words = [self.answer if self.answer is not None else status]
         data = words[0].to_bytes(2) + b"\0"
@@ -134,7 +134,7 @@ class Ads131m04Chip:
 
 
 class FirmwareBench:
-    """The compiled firmware on a board whose chips are models.
+    """The compiled firmware on a board with simulated chips.
 
     The bench collects the frames that the firmware sends.
     """
@@ -162,7 +162,10 @@ class FirmwareBench:
         ]
 
     def initialize_firmware(self) -> bool:
-        """Initialize the firmware with its settings. Return whether it has accepted them."""
+        """Initialize the firmware with its settings.
+
+        Return True if the firmware has accepted the settings.
+        """
         return bool(
             self.library.node_init(
                 ctypes.byref(self.node), ctypes.byref(self.settings), ctypes.byref(self.board)
@@ -233,7 +236,7 @@ def test_frames_are_those_of_the_simulated_node_and_of_the_dbc(
 ) -> None:
     """The frames of the firmware equal those of the simulator.
 
-    With the DBC file, cantools decodes the tensions and the counter in these frames.
+    With the DBC file, cantools decodes the right tensions and the right counter from these frames.
     """
     chance = random.Random(seed)
     database: Any = cantools.database.load_file(SENSOR_NODE_DBC)
@@ -322,9 +325,9 @@ def test_a_flipped_bit_is_no_tension(firmware_library: Any, seed: int) -> None:
 
 
 def test_a_chip_that_was_reset_is_set_up_again(firmware_library: Any) -> None:
-    """If the chip is not set up again, its gain is 1 instead of 128.
+    """After a reset, the gain of the chip is 1 instead of 128.
 
-    Every tension then reads near zero.
+    Without a new set-up, every tension would read near zero.
     """
     bench = FirmwareBench(firmware_library, 4)
     bench.set_cell_tensions([100.0] * 4)

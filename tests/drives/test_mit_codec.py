@@ -186,8 +186,8 @@ drive_states = st.builds(
         disabling_ns=st.integers(0, 10),
         clearing=st.integers(0, 6),
     ),
-    # Without this strategy, hypothesis would generate the index of a setting that does not
-    # exist.
+    # Draw only indices of existing settings. Without this limit, hypothesis would generate an index
+    # that no setting has.
     recheck=st.builds(
         RecheckCursor,
         st.integers(0, len(mit_drive_of().rechecked_settings) - 1),

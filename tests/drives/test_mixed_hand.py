@@ -48,7 +48,7 @@ def test_two_buses_and_three_protocols_work_as_one_hand(tmp_path: Path) -> None:
 def test_no_drive_is_silent_while_the_others_are_enabled(tmp_path: Path) -> None:
     """Reproduce a defect: an ODrive verified its settings again before it was enabled.
 
-    During this time, the drive was silent for five ticks. This counted as a fault.
+    During this verification, the drive sent no feedback for five ticks, which counted as a fault.
     """
     bench = ProtocolBench(hand_file(tmp_path, ["mit", "odrive", "cubemars", "cia402"]))
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
@@ -153,9 +153,9 @@ def test_can_fd_needs_its_data_bit_rate(tmp_path: Path) -> None:
 def test_the_load_is_that_of_the_table(
     tmp_path: Path, protocol: str, extra: str, microseconds: float
 ) -> None:
-    """The bus load includes the frames of the motors and one frame with 8 bytes of tensions.
+    """The bus load includes the frames of the motors and one load-cell frame with 8 bytes.
 
-    With CiA 402 drives, it also includes an empty SYNC frame.
+    With CiA 402 drives, the bus load also includes an empty SYNC frame.
     """
     bench = ProtocolBench(hand_file(tmp_path, [protocol], extra))
     frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.frames_per_tick] + [
@@ -174,8 +174,7 @@ def test_the_load_is_that_of_the_table(
 def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canopen() -> None:
     """Reproduce a defect: the page recommended the node number 0x10 for an ODrive.
 
-    The identifiers of an ODrive with this number overlap with those of RPDO1 of CANopen nodes 1 to
-    31.
+    An ODrive with this node number uses the same identifiers as RPDO1 of the CANopen nodes 1 to 31.
     """
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "adding-a-drive.md").read_text(
         encoding="utf-8"

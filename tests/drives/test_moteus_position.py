@@ -1,4 +1,4 @@
-"""Test a moteus drive that closes a position loop: its commands, its settings, and the loss of its settings."""
+"""Test a moteus drive that closes a position loop: commands, settings, and the loss of settings."""
 
 import math
 import os
@@ -137,7 +137,10 @@ def test_a_setting_that_is_lost_while_enabled_is_found(item: str) -> None:
 
 
 def test_a_restart_is_found_by_two_reads() -> None:
-    """After a restart of the drive, at least one of any two consecutive settings has another value."""
+    """The controller reads one setting after the other.
+
+    After a restart of the drive, one of any two consecutive settings has another value than before.
+    """
     items = position_configuration(codec.PositionGains(*GAIN_BY_ITEM.values()))
     for one, two in zip(items, items[1:] + items[:1], strict=True):
         assert not all(
@@ -178,7 +181,8 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(row: int, valu
         layout, tables = run.state.layout, run.controller.derived.wire
         torque = run.state.tendon[s.TORQUE].copy()
         if row == s.SERVO_KP and math.isnan(value):
-            # A kp of NaN is not above 0, so the command is a torque command in any case.
+            # A comparison of NaN with 0 is false. A command with a kp of NaN is therefore always a
+            # torque command.
             value = math.inf
         block = run.state.block.copy()
         assert len(sent_frames(block, layout, tables, torque)) == 4
@@ -217,7 +221,10 @@ def test_every_signal_has_its_range() -> None:
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
-    """The loss of the gains changes the torque at once, and the read-back finds the lost settings."""
+    """A moteus that loses its gains changes its torque at once.
+
+    The repeated read-back of the settings then finds the loss.
+    """
     hand = hand_with_position_loop(protocol="moteus")
     with homed_run(hand, 500.0, seed) as course:
         advance_to_stage(course, FREE_STAGE)

@@ -1,7 +1,7 @@
 """Test ODrives with firmware 0.5.x.
 
-The life cycle of these drives equals that of drives with later firmware, but the heartbeat differs.
-The protections of these drives, such as the watchdog, cannot be verified.
+Such ODrives are set up, enabled and disabled like ODrives with later firmware, but have another
+heartbeat. handctl cannot verify protections of these drives such as the watchdog.
 """
 
 import struct

@@ -68,9 +68,9 @@ def lose_first_frames(
 ) -> list[WireFrame]:
     """Drop the first frames of a command to the first ODrive.
 
-    The function returns a list in which the dropped frames are collected.
+    The returned list collects the dropped frames.
 
-    If ``start`` is given, only frames whose data begin with it are dropped.
+    If ``start`` is given, drop only frames whose data begin with ``start``.
     """
     taken, lost = node.receive, list[WireFrame]()
 
@@ -91,7 +91,7 @@ def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(
 ) -> None:
     """After a restart, an ODrive is in position control and has no watchdog.
 
-    Only the state idle of the drive shows that it has restarted.
+    The host can detect the restart only by the axis state idle of the drive.
     """
     node = first_odrive_node(odrive_bench)
     odrive_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
@@ -117,7 +117,7 @@ def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(
 ) -> None:
     """An ODrive does not confirm the commands that set its control mode and its limits.
 
-    If it stayed in position control, the first torque command would cause a position jump.
+    An ODrive that has stayed in position control would jump at the first torque command.
     """
     node = first_odrive_node(odrive_bench)
     lost = lose_first_frames(node, command)
@@ -132,11 +132,7 @@ def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(
 def test_a_setting_that_is_lost_on_the_wire_is_written_again(
     odrive_bench: ProtocolBench, losses: int
 ) -> None:
-    """No reply confirms that a setting was written.
-
-    An ODrive that somebody calibrates over USB makes torque without a command, and reports no
-    error.
-    """
+    """An ODrive does not confirm that it has written a setting."""
     node = first_odrive_node(odrive_bench)
     lost = lose_first_frames(node, codec.RX_SDO, bytes((codec.SDO_WRITE,)), losses)
     if losses < 3:
@@ -176,7 +172,7 @@ def test_an_odrive_that_is_left_enabled_is_made_idle_first(odrive_bench: Protoco
 def test_odrive_in_another_axis_state_is_a_fault_and_is_stopped(
     odrive_bench: ProtocolBench, target: DriveTarget
 ) -> None:
-    """Let the CiA 402 drives of a bench ignore a SYNC frame with data, and return the bench."""
+    """An ODrive that is calibrated over USB makes torque without a command from the host, and reports no error."""
     odrive_bench.run_until_phase(
         target, DrivePhase.ENABLED if target == DriveTarget.ENABLE else DrivePhase.READY
     )
@@ -275,9 +271,9 @@ def test_a_bus_without_sync_is_reported(cia402_bench: ProtocolBench) -> None:
 
 
 def refuse_sync_counter(bench: ProtocolBench) -> ProtocolBench:
-    """The CANopen software CANopenNode ignores such a frame if object 0x1019 is 0.
+    """Make the CiA 402 drives of a bench ignore every SYNC frame with data, and return the bench.
 
-    The CANopen stack CANopenNode ignores such a SYNC while object 0x1019 is 0.
+    The CANopen stack CANopenNode ignores such a frame while object 0x1019 is 0.
     """
     for node in bench.simulated_hand.world.nodes[0]:
         if isinstance(node, Cia402Node):

@@ -51,7 +51,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
 def test_any_control_rate_that_the_watchdogs_allow_comes_to_torque(
     protocol: str, period_ms: int, tmp_path: Path
 ) -> None:
-    """If a setting was verified in the last tick, it counts as verified, however long the tick is."""
+    """A setting that was verified in the last tick counts as verified, even if a tick takes long."""
     slow = ProtocolBench(hand_file(tmp_path, [protocol]), period_ns=period_ms * 1_000_000)
     slow.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     for _ in range(5):
@@ -94,11 +94,10 @@ def test_a_cut_removes_the_torque_in_the_same_tick_and_disarms(bench: ProtocolBe
 
 
 def test_a_cut_removes_the_torque_before_the_node_leaves_operational(bench: ProtocolBench) -> None:
-    """A cut removes the torque before the node leaves the NMT state operational.
+    """The command that disables a CiA 402 drive arrives before the node leaves the NMT state operational.
 
-    PDOs act only in this state (CiA 301).
-
-    CiA 402-2 does not require that a drive reacts when it leaves this state.
+    A node accepts PDOs only in this state (CiA 301). CiA 402-2 does not require that a drive stops
+    its motor when it leaves this state.
     """
     for drive in bench.drives:
         orders = [frame.can_id for frame in drive.cut_frames()]

@@ -1,4 +1,7 @@
-"""Test RobStride motors in MIT mode with simulated firmware: faults, numbers, unverified protections."""
+"""Test RobStride motors in MIT mode with simulated firmware.
+
+The tests cover faults, node numbers, and protections that cannot be verified.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -86,7 +89,7 @@ def test_faults_are_read_before_torque_and_await_a_clear(
 
 
 def test_only_a_disabled_motor_is_asked_for_its_faults(bench: ProtocolBench) -> None:
-    """For other MIT motors, the frame that requests faults is a motion command.
+    """Other MIT motors would execute the frame that requests faults as a motion command.
 
     This frame is therefore sent only while the motor is disabled.
     """
@@ -134,7 +137,10 @@ def test_a_wrong_option_is_refused_by_its_path(options: dict[str, object], wrong
 
 
 def test_no_numbers_share_an_identifier() -> None:
-    """All new motors have the host number 0, so all of them would reply with the identifier 0."""
+    """All new RobStride motors have the host number 0.
+
+    On one bus, all of them would reply with the same identifier 0.
+    """
     assert robstride_mit_drive(host_id=0).node_ids == {0}
     drive = robstride_mit_drive()
     assert (drive.node_ids, drive.host_ids) == ({0x15}, {0x05, 0x105, 0x205})

@@ -1,6 +1,6 @@
-"""Compare frames of the sensor node with its DBC file, using another decoder.
+"""Compare frames of the sensor node with its DBC file, which another decoder reads.
 
-Also test the state of the node in the host.
+Further tests check the state that the host keeps about the node.
 """
 
 import math
@@ -91,8 +91,8 @@ def test_counters_keep_the_turn_of_the_joints(decimation: int) -> None:
 def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
     """A frame that is up to 7 ticks old never counts as a new frame.
 
-    An older frame may count as new by chance. More than 40 of 100 such frames still count as lost,
-    which is the fault B03b (many replies are lost).
+    An even older frame may count as new by chance. Of 100 such frames, more than 40 still count as
+    lost, which causes the fault B03b (many replies are being lost).
     """
     nibbles = [counter & 0xF for counter in sync_counters(decimation)]
     n = len(nibbles)
@@ -106,7 +106,7 @@ def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
 
 
 def state_after_sync(node: SensorNode, k: int) -> WiredDrives:
-    """Return the state of the sensor node in the host after the SYNC frame of tick k."""
+    """Return the state that the host keeps about the sensor node, after the SYNC frame of tick k."""
     wired = WiredDrives((), node)
     wired.begin_tick_with_sync(k)
     return wired
@@ -147,7 +147,7 @@ def test_sensor_frames_are_decoded_to_known_values() -> None:
     """The codes in this test were computed by hand.
 
     0 N has the code 96 = 0x060, 10 N has 256 = 0x100, the upper end of the range has 0xFFF, and 0
-    rad has 0x800. The counter is 7.
+    rad has 0x800. The counter in these frames is 7.
     """
     node = SensorNode.from_description(
         SensorNodeSection(tendons=TENDON_NAMES[:3], joints=("j4",)), 0, TENDON_NAMES, JOINT_NAMES
@@ -181,8 +181,8 @@ def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(
 ) -> None:
     """If a stale frame arrives after the fresh frame of its tick, it is reported.
 
-    In this case, either the fresh frame has overtaken the stale frame, or another node sends the
-    stale frame again.
+    Two causes are possible: frames changed their order on the bus, or another node sends an old
+    frame again.
     """
     (fresh, *_), (stale, *_) = (
         encode_frames(base, prefix, nibble, [7] * CHANNEL_COUNT) for nibble in (3, 2)
@@ -352,7 +352,7 @@ def test_channels_that_are_empty_or_full(node: SensorNode) -> None:
 
 
 def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) -> None:
-    """The load cells may be read in any order, and in different ticks.
+    """The first readings of the load cells may arrive in any order, and in different ticks.
 
     The host does not wait for joint encoders.
     """

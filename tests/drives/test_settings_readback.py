@@ -1,4 +1,7 @@
-"""Test how settings are written and read back, which is the same for all drive protocols."""
+"""Test how the settings of a drive are written and read back.
+
+This procedure is the same for all drive protocols.
+"""
 
 import pytest
 

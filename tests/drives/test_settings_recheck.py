@@ -65,7 +65,7 @@ CORRECT_REGISTERS = {codec.TIMEOUT: 1000, codec.TMAX: 0.8}
 
 @pytest.mark.parametrize("node_id", [1, 11, 0x11, 0x1F])
 def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
-    """A reply about a register is not regarded as feedback.
+    """A reply that contains a register is not decoded as feedback.
 
     The first byte of such a reply may equal the first byte of the feedback of an enabled motor.
     """
@@ -129,8 +129,8 @@ def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
 def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
     """A moteus that lost its settings may no longer obey.
 
-    If the controller notices this before it reads the settings again, the first fault is N14 (a
-    command is not obeyed).
+    The first fault is N14 (a command is not obeyed) if the controller notices the wrong torque
+    before it reads the settings again.
     """
     hand = hand_with_protocol("jamia", "moteus")
     with homed_run(hand, default_rate(hand), seed) as course:

@@ -1,7 +1,7 @@
 """Test the SYNC frame and the heartbeat of the host for CiA 402 drives.
 
-On every bus, either the request to the sensor node is the SYNC frame, or one drive sends a SYNC
-frame. One drive of each bus sends the heartbeat.
+On every bus, either the request to the sensor node is the SYNC frame, or the host sends a SYNC
+frame on behalf of one drive. One drive of each bus sends the heartbeat.
 """
 
 import tomllib
@@ -48,8 +48,8 @@ def hand_without_sensors() -> Hand:
 def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     """Reproduce a defect.
 
-    Earlier defect: the bus without the sensor node had no SYNC frame, so a hand with CiA 402 drives
-    was never armed.
+    A bus without a sensor node had no SYNC frame, so a hand with CiA 402 drives on this bus was
+    never armed.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     hand = load_hand(str(path))

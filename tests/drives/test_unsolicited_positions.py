@@ -21,7 +21,7 @@ SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1)
 RATE_HZ = 250.0
 """Control rate [Hz].
 
-Ticks at this rate fall between the drive's unrequested messages, which come every 10 ms.
+The drive sends unrequested messages every 10 ms. At this rate, ticks fall between these messages.
 """
 LARGEST_SWING_N = 5.0
 """Largest permitted oscillation of a tension in motion [N RMS].

@@ -1,4 +1,4 @@
-"""Compare the load of a simulated bus with the prediction of ``bus plan``.
+"""Test that the load of a simulated bus is the load that ``bus plan`` predicts.
 
 Also test a hand on a disturbed bus.
 """
@@ -20,7 +20,10 @@ PERIOD_NS = 4_000_000
 
 
 def planned_tick_s(path: Path, period_ns: int = PERIOD_NS) -> list[float]:
-    """Return the planned bus time of a tick on each bus [s], including the frames that are sent by a timer."""
+    """Return the planned bus time per tick on each bus [s].
+
+    This time includes the frames that nodes send by a timer.
+    """
     return [
         load.load_at(1e9 / period_ns) * period_ns * 1e-9 for load in bus_loads(load_hand(str(path)))
     ]
@@ -120,9 +123,9 @@ def test_the_same_wire_gives_the_same_answers(tmp_path: Path) -> None:
 def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(
     adapter: str, ticks: int, tmp_path: Path
 ) -> None:
-    """With an adapter of any class, the drives become ready at 250 Hz.
+    """With each class of USB adapter, the drives become ready at 250 Hz.
 
-    The latency of the adapter causes ticks without feedback.
+    Because of the latency of the adapter, some ticks get no feedback.
     """
     bench = ProtocolBench(hand_file(tmp_path, ["mit"]), [f"adapter={adapter}"], PERIOD_NS)
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY, 1000)

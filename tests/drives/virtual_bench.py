@@ -24,7 +24,7 @@ OPTIONS_BY_PROTOCOL = {
 
 
 class VirtualBench:
-    """Bench that is the bus and also the clock of a host.
+    """Bench that serves a host as its bus and as its clock.
 
     When the host waits for a tick, the time of the drive advances.
     """
@@ -50,9 +50,9 @@ class VirtualBench:
         self.origin_ns = self.bench.t_ns
 
     def wait(self, k):
-        """Advance the time to tick k. Return the time that has passed since this tick [ns].
+        """Advance the time to tick k, and return how late the host is [ns].
 
-        After ``pass_time``, the host is late.
+        The host is late only after ``pass_time``.
         """
         self.bench.advance(self.origin_ns + k * PERIOD_NS)
         self.largest_torque = max(self.largest_torque, abs(self.bench.motors[0].servo.torque))
@@ -87,7 +87,7 @@ class VirtualBench:
 
 
 def drive_rig_on(virtual_bench, protocol, torque_limit, options=None):
-    """Return a host that commands the drive of a bench, with a torque limit [N m]."""
+    """Return a host that commands the drive of a bench with a torque of at most ``torque_limit`` [N m]."""
     motor = motor_on_bench(
         protocol,
         DRIVE_NODE_ID,

@@ -1,6 +1,6 @@
-"""Drives and a sensor node, with a state block.
+"""Connect drives and a sensor node with a state block.
 
-Compiled code receives and sends the frames of both, as in a tick.
+Compiled code receives and sends their frames, as in a tick of the controller.
 """
 
 from collections.abc import Iterable, Sequence
@@ -29,7 +29,8 @@ class WiredDrives:
     Attributes:
         block: numbers of the state. states: states of the drives after the last run of their state
             machines. The values of the drives are in the block.
-        frames_for_drives: frames of the last ``receive`` that a state machine of a drive had to process.
+        frames_for_drives: frames of the last ``receive`` that compiled code left to the state
+            machine of a drive.
         foreign_frames: frames of the last ``receive`` whose identifiers only the host may use.
     """
 
@@ -69,9 +70,9 @@ class WiredDrives:
         tick_stages.begin_tick(self.block, self.layout.places, *numbers)
 
     def begin_tick_with_sync(self, k: int) -> Frame:
-        """Return the request to the sensors that is sent at the end of a tick.
+        """Begin the next tick.
 
-        Begin the next tick.
+        Return the request to the sensors, which is sent at the end of a tick.
         """
         frame = self.sensors.sync(k)
         self.field_view("sync_asked")[...], self.field_view("syncs")[...] = (
@@ -125,7 +126,7 @@ class WiredDrives:
             first += 1
 
     def store_drive_state(self, i: int, known: DriveState) -> None:
-        """Store the state of drive i. Its values go into the block."""
+        """Store the state of drive i. The values of the drive go into the state block."""
         drive, whole, table = (
             self.drives[i],
             *(self.layout.table(self.block, name) for name in ("tendon_int", "tendon")),
@@ -167,14 +168,14 @@ class WiredDrives:
     def observe_readings(self) -> "WiredDrives":
         """Convert received values to measurements.
 
-        Start the filter as soon as every sensor has been read.
+        The filter starts as soon as every sensor has been read once.
         """
         tick_stages.observe_tick(self.block, self.layout.places, *self._constants)
         return self
 
     @cached_property
     def _constants(self) -> tuple[NDArray, NDArray]:
-        """Return constants of a hand in which only the frames of the load cells are set."""
+        """Return the block of a hand's constants, in which only those about load-cell frames have values."""
         axes = self.layout.axes
         kept = {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}
         layout = CONSTANT_SCHEMA.layout(

@@ -16,8 +16,8 @@ HANDS_FOLDER = REPOSITORY_ROOT / "examples" / "hands"
 OBJECT_MOTION_MM = (5.0, 10.0)
 """Bounds of the motion of the object while ``shadow_like`` holds it [mm].
 
-The base of the thumb gives way, and the object moves by 8 mm. With a motion below the lower bound,
-docs/evidence/hands.md is out of date.
+The base of the thumb yields under load, so the object moves by 8 mm. If the object moves less than
+the lower bound, docs/evidence/hands.md is out of date.
 """
 
 

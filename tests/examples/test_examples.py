@@ -34,7 +34,7 @@ BLUE = np.array([0x1F, 0x77, 0xB4]) / 255
 
 @contextmanager
 def hand_serving(*words):
-    """Run a simulator for an example program.
+    """Run a simulator beside an example program.
 
     The ``with`` block begins when the simulator is ready.
     """
@@ -53,7 +53,7 @@ def hand_serving(*words):
 def work_folder(tmp_path, monkeypatch):
     """Change to an empty folder.
 
-    The sockets are in another folder, because their paths must be short.
+    The sockets are in another folder, because the path of a Unix socket must be short.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
@@ -124,7 +124,8 @@ def test_stream_sine(repeat_time_scale):
     accepted = re.search(r"accepted=(\d+), clipped=0", out)
     assert accepted
     assert 100 < int(accepted[1]) <= 301, "missed times are left out"
-    # The reference is the sine of the program, so that a lag of the targets counts as an error.
+    # The test compares with the ideal sine of the program. Targets that are sent too late therefore
+    # count as an error.
     assert numbers_in(out.splitlines()[-1])[0] < 1.5
     check_picture("sine.png")
 
@@ -134,11 +135,11 @@ def test_retarget(repeat_time_scale):
     with simulated_hand(repeat_time_scale, "--scene", "none", name="jamia11") as options:
         out = run_example("retarget.py", *options)
     assert "accepted=300" in out
-    # The limit was 6 mm. The program counted its targets, and on a busy machine its motion lagged
-    # behind by 0.2 s.
+    # The limit was 6 mm in an earlier version. At that time, the program computed each target from
+    # a counter, and its motion lagged 0.2 s behind on a busy machine.
     assert numbers_in(out.splitlines()[-1])[0] < 2.5
     check_picture("retarget.png")
-    # The distances of the tips are in a second row, with the left and right border of each digit.
+    # The second row of the picture shows the distances of the fingertips, in one diagram per digit.
     lower = imread("retarget.png")[..., :3]
     lower = lower[int(0.6 * len(lower)) : int(0.8 * len(lower))]
     assert (lower < 0.1).all(axis=(0, 2)).sum() >= 8

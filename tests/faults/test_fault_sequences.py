@@ -1,6 +1,7 @@
 """Test random sequences of faults.
 
-A seed reproduces its sequence, no sequence violates a rule, and each rule can be violated.
+The same seed gives the same sequence. No sequence violates a safety rule, and the test can detect
+the violation of each rule.
 """
 
 import os
@@ -84,8 +85,8 @@ def test_sequence_violates_no_rule():
 def test_a_sequence_that_breaks_a_rule_names_it(arming_copy, monkeypatch):
     """In this sequence, a drive runs away.
 
-    If the rule did not accept this as a reason for a high tension, the sequence would violate the
-    rule.
+    The rule about high tensions accepts a runaway drive as the reason. In this test, the rule does
+    not accept this reason, so the sequence must violate it.
     """
     results = []
     sequence = FaultSequence(0, ARMING_STAGE, (FaultStep(20, "runaway node=index_motor"),))

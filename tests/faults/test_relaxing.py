@@ -1,7 +1,7 @@
 """A hand that relaxes never raises a tension.
 
-The hands, the simulated parameters, the faults and their times are random. The tests check the true
-tensions in the simulator.
+The tests choose hands, simulated parameters, faults, and times of the faults at random. The tests
+check the true tensions in the simulator.
 """
 
 import math
@@ -46,11 +46,14 @@ FAULT_COMMANDS = (
 )  # fmt: skip
 RATE_HZ_BY_HAND = {"jamia": 500.0, "jamia11": 250.0}
 COMMAND_DELAY_S = 0.06
-"""Longest time after which a delayed motor executes a command [s]."""
+"""Longest time between a command and its execution by a motor with the fault of a delay [s]."""
 COMMAND_ROUNDING_N = 0.05
-"""Largest increase of a commanded tendon force that its rounding to twelve bits causes [N]."""
+"""Largest increase of a commanded tendon force because a command has only twelve bits for the torque [N]."""
 BOUND_MARGIN_N = 3.0
-"""Margin of the tension bound, which neglects capstan friction and contacts [N]."""
+"""Margin that is added to the computed tension bound [N].
+
+The bound neglects capstan friction and contacts.
+"""
 
 
 class TendonInstant(NamedTuple):
@@ -78,11 +81,11 @@ def observe_instant(simulation: SimulatedRun) -> TendonInstant:
 def tension_bound(
     simulation: SimulatedRun, decided: TendonInstant, force: np.ndarray
 ) -> np.ndarray:
-    """Return, for each tendon, the largest tension (N,) that its rotor and its stretch explain [N].
+    """Return the largest tension (N,) that the motion of each rotor and the stretch of its tendon explain [N].
 
     Seen at the tendon, a rotor has the mass m and the speed v. A force of at most F pulls the rotor
     against the stiffness k of the tendon. From a tension T, the tension rises to at most F +
-    sqrt((F - T)^2 + k m v^2). If the finger is free, the rotor becomes faster until the force ends.
+    sqrt((F - T)^2 + k m v^2). While the finger moves freely, the force accelerates the rotor.
     """
     space = simulation.controller.model.space
     largest = np.maximum(force, 0.0)
@@ -122,8 +125,8 @@ def test_relaxing_raises_no_command_and_no_tension(
 
 def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: str) -> None:
     recent: list[TendonInstant] = [observe_instant(simulation)]
-    # Commands from before the decision to relax are included, because a drive with a delay may
-    # execute them later.
+    # The largest command includes commands from before the decision to relax, because a drive with
+    # a delay may execute such a command later.
     commanded = [simulation.state.view("asked").copy()]
     while simulation.state.mode == HandMode.ACTIVE:
         simulation.run_tick(requests=(STOP_REQUEST,) if simulation.k == stop_at else ())
@@ -149,8 +152,8 @@ def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: s
         now = observe_instant(simulation)
         peak = np.maximum(peak, now.tension)
         force = np.maximum(force, now.force)
-    # No drive makes more force than before the decision to relax, even if it makes more force than
-    # commanded.
+    # A faulty drive may make more force than commanded. Even then, the force must not exceed the
+    # force before the decision to relax.
     assert (force <= np.maximum(before, 0.0) + COMMAND_ROUNDING_N).all(), (
         f"{fault}: {force} after {before}"
     )
@@ -171,8 +174,8 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
 ) -> None:
     """Reproduce a defect.
 
-    Earlier defect: relaxing began at the last command of an unstable loop, 160 N. The tension of a
-        slack tendon then reached 317 N.
+    The hand began to relax from the last command of an unstable tension loop, which was 160 N. The
+    tension of a tendon that had been slack then reached 317 N.
     """
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden_faults.rising_hold_task()) as simulation:

@@ -1,14 +1,14 @@
-"""A clock for the simulator. The test sets its time."""
+"""A clock for the simulator, which shows the time that a test has set."""
 
 
 class ManualClock:
-    """A clock that shows the time that a test has set.
+    """A clock whose time a test sets.
 
     Attributes:
         t_ns: present time [ns].
-        sent: number of ticks that a controller has sent.
-        answered: number of ticks that the server has reported as answered.
-        reached_ns: time that the server has reported as reached [ns].
+        sent: number of ticks whose frames a controller has sent. answered: number of ticks for
+            which the simulator has sent all replies, as the bus server reports. reached_ns: time up
+            to which the bus server has simulated [ns].
     """
 
     scale = 1.0

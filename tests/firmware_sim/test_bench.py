@@ -93,7 +93,7 @@ def bench_and_speed_at(
 ) -> tuple[SimulatedDriveBench, float]:
     """Command a torque [N m] for five seconds.
 
-    Return the bench, and the speed of the shaft after these five seconds [rad/s].
+    Return the bench, and the final speed of the shaft [rad/s].
     """
     bench = SimulatedDriveBench([drive_spec(protocol, 2, kind, inertia=inertia)])
     spec = drive_spec(protocol, 2, kind)
@@ -310,7 +310,7 @@ def test_the_watchdog_of_a_damiao_motor_is_selectable(
 ) -> None:
     """The vendor describes the condition of the watchdog as "no CAN commands within the interval".
 
-    This text does not say whether register requests count as commands, and whether the watchdog is
+    The vendor does not say whether register requests count as commands, and whether the watchdog is
     active in a disabled motor.
     """
     spec = drive_spec("mit", 2)
@@ -338,7 +338,7 @@ def test_the_eds_file_and_a_drive_agree_on_the_rated_torque() -> None:
 def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
     """Reproduce a defect.
 
-    Earlier defect: an MIT motor with the fault ``deaf`` raised OverflowError at the first remote or
+    A simulated MIT motor with the fault ``deaf`` raised OverflowError at the first remote or
     extended frame.
     """
     bench = SimulatedDriveBench([drive_spec(protocol, 2)], fault=fault)

@@ -1,7 +1,6 @@
-"""Test how the simulator reads hand files and perturbs their parameters.
+"""Test how the simulator reads hand files and changes their parameters at random.
 
-Also test the bytes of a simulated frame. The bytes equal those of the kernel's structure
-`canfd_frame`.
+The bytes of a simulated frame must equal those of the Linux structure `canfd_frame`.
 """
 
 import struct
@@ -31,10 +30,7 @@ from handctl.hand.hand_loading import load_hand as described
 
 
 def write_edited_jamia(tmp_path: Path, old: str, new: str) -> str:
-    """Write a copy of the hand file of jamia in which another text replaces the first occurrence of a text.
-
-    Return the path of the copy.
-    """
+    """Copy the hand file of jamia, replace the first occurrence of ``old`` by ``new``, and return the path."""
     text = described("jamia").to_toml()
     assert old in text
     path = tmp_path / "edited.toml"

@@ -1,4 +1,4 @@
-"""The compiled drivetrain moves exactly like the drivetrain in Python, and like MuJoCo's ``mj_step``."""
+"""The simulated motion is the same with compiled code, with Python code and with MuJoCo's ``mj_step``."""
 
 import subprocess
 import sys
@@ -19,8 +19,8 @@ from firmware_sim.truth_file import TruthWriter, read_truth, truth_columns
 def closing_hand(hand: str, native: bool = True, compiled: bool = True) -> Plant:
     """Build a simulated hand that closes on a cylinder.
 
-    The tendons of this hand are slack at first, and then taut. The motors of this hand follow a
-    torque, a position, or a moving position.
+    At the start, the tendons are slack. The tendons become taut while the hand closes. Each motor
+    follows a torque, a position, or a moving position.
     """
     plant = Plant(load_hand(hand), load_scene("cylinder"), seed=3, compiled=compiled)
     if not native:
@@ -34,10 +34,7 @@ def closing_hand(hand: str, native: bool = True, compiled: bool = True) -> Plant
 
 
 def exact_state(plant: Plant) -> list[str]:
-    """Return all numbers of the state of the motion as texts.
-
-    The texts are exact to the last bit.
-    """
+    """Return all numbers that describe the motion as texts, exact to the last bit."""
     motors = [(m.theta, m.omega, m.torque, m.velocity, m.heat) for m in plant.motors.values()]
     tendons = [(tendon.tension, tendon.speed, tendon.slope) for tendon, _ in plant.tendons]
     engine = plant.engine
@@ -54,9 +51,10 @@ def exact_state(plant: Plant) -> list[str]:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
-    """Compare steps in a block, single steps, steps by MuJoCo's Python bindings, and steps in Python.
+    """Four ways to compute simulation steps give results that are equal to the last bit.
 
-    The results of all four kinds are equal to the last bit.
+    The ways are a block of steps, single steps, steps by MuJoCo's Python bindings, and steps in
+    Python.
     """
     block, single = closing_hand(hand), closing_hand(hand)
     bindings, plain = closing_hand(hand, native=False), closing_hand(hand, compiled=False)
@@ -113,9 +111,9 @@ def test_the_engine_has_native_addresses() -> None:
 
 
 def test_the_world_steps_in_blocks_between_events() -> None:
-    """Compare one long advance with many short advances.
+    """One long simulation gives the same motion as many short ones in a row.
 
-    The motion and the times at which watchdogs fire are equal.
+    Watchdogs fire at the same times.
     """
     far, near = (
         SimulatedWorld(load_hand("jamia"), load_scene("cylinder"), seed=1) for _ in range(2)
@@ -132,7 +130,10 @@ def test_the_world_steps_in_blocks_between_events() -> None:
 
 
 def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
-    """If a step is divided so that a sensor is sampled at an exact time, the motion changes only slightly."""
+    """A simulation step may be divided so that a sensor is read at an exact time.
+
+    The division of a step changes the motion only slightly.
+    """
     whole, divided = (Plant(load_hand("jamia"), load_scene(None), homed=True) for _ in range(2))
     for plant in (whole, divided):
         for motor in plant.motors.values():
@@ -156,9 +157,9 @@ def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: str) -> None:
-    """The samples have no jitter, even if the control period is no multiple of the time step.
+    """The encoder readings have no jitter, even if the control period is no multiple of the time step.
 
-    At 3 rad/s, a sample at the end of the last whole step would be 5 encoder counts behind.
+    At 3 rad/s, a reading from the end of the last whole step would be 5 counts too old.
     """
     for rate_hz in (300.0, 333.0, 450.0, 640.0):
         world = SimulatedWorld(load_hand(hand), load_scene(None), seed=2)
@@ -167,7 +168,7 @@ def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: s
             -3.0,
             0.0,
             0.0,
-        )  # with this speed, the spool unwinds a slack tendon
+        )  # a speed of this sign unwinds a slack tendon
         period_ns, angles = round(1e9 / rate_hz), []
         for k in range(40):
             world.reach(k * period_ns)

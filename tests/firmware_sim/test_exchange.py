@@ -1,7 +1,7 @@
-"""Test the exchange of all frames of a tick in one call, as packed records.
+"""Test the compiled kernel that processes all frames of a tick in one call, as packed records.
 
-The compiled kernel gives the same result as the nodes in Python, which process the frames one after
-the other.
+The kernel gives the same result as the Python code of the simulated nodes, which process one frame
+after the other.
 """
 
 import random
@@ -114,9 +114,10 @@ def frames_of_tick(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
 
 
 def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
-    """Return the frames that arrive when one frame was sent.
+    """Return the frames that arrive after one frame was sent.
 
-    Usually, this is the sent frame. In rare cases, the frame is lost, repeated or changed.
+    In rare cases, the frame is lost, repeated or changed. In most cases, the frame arrives
+    unchanged.
     """
     can_id, data, flags, bus, t_ns = frame
     other = [

@@ -1,6 +1,7 @@
 """Test scheduled faults.
 
-A fault is parsed, starts and ends in time, counts its effects, and can be reproduced.
+The text of a fault is parsed. The fault starts and ends in time, and its effects are counted. An
+equal seed gives an equal fault.
 """
 
 import contextlib
@@ -118,8 +119,7 @@ def test_every_fault_has_an_effect_and_ends(text):
 def test_no_size_of_any_fault_ends_the_simulator(text):
     """The test tries each kind of fault with sizes from small to absurd.
 
-    The fault acts on the last part of the hand that can have it. For some kinds of faults, this is
-    the sensor node.
+    Each fault acts on the last motor, tendon or node of the hand that can have this fault.
     """
     run = make_rig()
     for i, size in enumerate(("-1e12", "-1e6", "0", "1", "2", "1000", "1e6", "1e12")):

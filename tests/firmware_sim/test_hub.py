@@ -1,7 +1,7 @@
 """Test the hub of the local bus.
 
-The hub sends every client the records of all other clients, completes every record that it has
-begun, and never waits for a client.
+The hub forwards the frames of each client to all other clients, as records of bytes. The hub
+completes every record that it has begun to send, and never waits for a client.
 """
 
 import os
@@ -45,7 +45,7 @@ def hub() -> Iterator[BusHub]:
 def serve_until_idle(hub: BusHub) -> bytes:
     """Let the hub serve its clients until no socket is ready.
 
-    Return the records that are for the owner of the hub.
+    Return the records that the hub passes to the simulator.
     """
     received = b""
     while ready := select.select(hub.read_sockets(), [], [], 0.0)[0]:
@@ -169,7 +169,7 @@ def test_an_incomplete_record_is_completed_before_the_next(
     while not hub.write_sockets():
         hub.send(batch)
         assert hub.dropped < 1_000_000, "the kernel accepted no part of a record"
-        batch += frame_record(0, b"")  # with this size, the kernel cuts at another byte
+        batch += frame_record(0, b"")  # with this size, Linux splits the data at another byte
     dropped = hub.dropped
     hub.send(frame_record(1, b"while one is half sent"))
     assert hub.dropped == dropped + 1

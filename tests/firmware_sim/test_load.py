@@ -1,4 +1,4 @@
-"""Test a growing load on an object in a grasp, and the measurement of the grip with this load."""
+"""Test a load that grows on a grasped object, and the grip strength that is measured with this load."""
 
 import math
 from pathlib import Path

@@ -35,7 +35,8 @@ def test_the_command_of_zeros_that_every_client_sends() -> None:
     command = decode_command(bytes.fromhex("7fff7ff0000007ff"), FRAME_RANGES)
     assert command.kp == 0.0
     assert command.kd == 0.0
-    # No code means exactly zero torque. The nearest code is half a step below zero.
+    # No torque code stands for exactly 0 N m. The nearest code stands for half a step less than 0 N
+    # m.
     assert command.position == pytest.approx(-12.5 / 65535)
     assert command.velocity == pytest.approx(-50.0 / 4095)
     assert command.torque == pytest.approx(-0.8 / 4095)
@@ -94,9 +95,9 @@ MOTION_VALUES = st.tuples(*[st.floats(-60.0, 60.0)] * 3)
 def test_compiled_kernels_equal_python(
     head: int, motion: tuple[float, ...], degrees: float, word: int
 ) -> None:
-    """The functions of the codec module also give these values.
+    """The compiled kernels and the functions of the codec module give the same values.
 
-    In this test, the functions run as Python code, unless another test has compiled them.
+    In this test, these functions run as Python code, unless another test has compiled them.
     """
     kernels, signed = machine_code(mit_codec), word - (word >> 63 << 64)
     feedback = (head, *motion, *FRAME_RANGES, degrees, degrees)

@@ -20,7 +20,7 @@ TURN_RAD = 2.0 * math.pi
 
 
 class OneDrive:
-    """A simulated moteus whose shaft is so heavy that its torques hardly move it."""
+    """A simulated moteus drive with so much inertia at the shaft that the motor torque hardly moves the shaft."""
 
     def __init__(self, inertia: float = 1.0, direction: int = 1) -> None:
         """Create a drive in position mode, without torque."""

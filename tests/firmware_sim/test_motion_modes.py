@@ -105,8 +105,8 @@ def test_the_ramps_of_a_damiao_motor_act_in_position_velocity_mode(sign: int) ->
     assert speeds[500] == pytest.approx(4.0 * 0.5, rel=0.1)
     assert max(speeds) <= 1.02 * 3.0
     assert min(speeds) > -0.1
-    # The motor reaches 3 rad/s after 0.75 s and 1.125 rad. The motor needs 1.5 s and 2.25 rad to
-    # come to rest from this speed.
+    # The motor reaches 3 rad/s after 0.75 s, when it has turned by 1.125 rad. From this speed, it
+    # brakes for 1.5 s and turns by 2.25 rad.
     assert sample_each_ms(bench, 1.0, lambda: sign * motor.theta)[-1] == pytest.approx(
         6.0, abs=0.01
     )
@@ -271,8 +271,8 @@ def test_the_position_filter_of_an_odrive_does_not_overshoot() -> None:
     write_endpoint(bench, 207, 4.0)
     send_messages(bench, (0x0C, struct.pack("<fhh", 1.0, 0, 0)))
     angles = sample_each_ms(bench, 4.0, lambda: bench.motors[0].theta / TURN_RAD)
-    # The filter is critically damped with the time constant 1 / bandwidth. The step response of the
-    # filter is therefore 1 - (1 + 4 t) exp(-4 t).
+    # The input filter is critically damped with the time constant 1 / bandwidth, here 1/4 s. The
+    # step response of this filter is therefore 1 - (1 + 4 t) exp(-4 t).
     assert angles[499] == pytest.approx(1.0 - 3.0 * math.exp(-2.0), abs=0.03)
     assert max(angles) < 1.02
     assert angles[-1] == pytest.approx(1.0, abs=0.005)
@@ -283,8 +283,8 @@ def test_a_trajectory_of_an_odrive_has_ramps_and_says_when_it_is_done() -> None:
     bench = odrive_bench(3, 5, *limits)
     motor = bench.motors[0]
     send_messages(bench, (0x0C, struct.pack("<fhh", 3.0, 0, 0)))
-    # The trajectory accelerates for 1 s and 0.5 turns, moves 1.5 turns at full speed, and brakes
-    # for 2 s and 1 turn. In total, the trajectory takes 4.5 s.
+    # The drive accelerates for 1 s over 0.5 turns, moves 1.5 turns at full speed, and brakes for 2
+    # s over 1 turn. In total, the trajectory takes 4.5 s.
     speeds = sample_each_ms(bench, 1.0, lambda: motor.omega / TURN_RAD)
     assert speeds[499] == pytest.approx(0.5, rel=0.05)
     assert next_heartbeat(bench)[2] == 0
@@ -353,8 +353,8 @@ def cia402_bench(
 ) -> SimulatedDriveBench:
     """Return a bench with an enabled CiA 402 drive (node 33) in a mode.
 
-    Before the drive is enabled, the objects in ``objects`` (index, sub-index, value, size) are
-    written.
+    Before the drive is enabled, each entry of ``objects`` (index, sub-index, value, size) is
+    written to its object dictionary.
     """
     spec = drive_spec("cia402", 33)
     bench = SimulatedDriveBench([replace(spec, options={**spec.options, **options})])
@@ -467,8 +467,8 @@ def test_a_profile_position_has_ramps_and_says_when_it_is_reached() -> None:
     word = send_controlword(bench, 0x1F)
     assert word & (1 << 12 | 1 << 10) == 1 << 12, "the target is acknowledged and not reached"
     assert not send_controlword(bench, 0x0F) & 1 << 12
-    # The drive accelerates to 1 turn/s with 1 turn/s2 (1 s), keeps this speed for 1.5 s, and brakes
-    # with 0.5 turn/s2 (2 s).
+    # The drive accelerates for 1 s with 1 turn/s2, keeps the speed of 1 turn/s for 1.5 s, and
+    # brakes for 2 s with 0.5 turn/s2.
     speeds = sample_each_ms(bench, 4.6, lambda: motor.omega / TURN_RAD)
     assert speeds[480] == pytest.approx(0.5, rel=0.05)
     assert max(speeds) < 1.02

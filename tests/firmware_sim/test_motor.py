@@ -59,7 +59,8 @@ def test_friction_stops_a_fast_rotor_without_reversing_it() -> None:
         speeds.append(motor.omega)
     assert min(speeds) >= 0.0
     assert speeds[-1] < 1e-6
-    # With Coulomb and viscous friction, a rotor comes to rest after t = J/b ln(1 + b w / tau_c).
+    # A rotor with inertia J and initial speed w comes to rest after t = J/b ln(1 + b w / tau_c).
+    # tau_c is the Coulomb friction, and b the viscous friction.
     exact = (
         MOTOR_SPEC.inertia
         / MOTOR_SPEC.viscous
@@ -103,7 +104,7 @@ def test_gains_of_the_whole_range_are_stable(kp: float, kd: float) -> None:
 def test_a_moving_target_is_followed_as_a_mass_on_a_spring(speed: float) -> None:
     """In this test, a rotor starts at rest and follows a target that moves with constant speed.
 
-    The error e of the rotor obeys J e'' + kd e' + kp e = 0.
+    The position error e of the rotor obeys J e'' + kd e' + kp e = 0.
     """
     kp, kd, step_s = 0.5, 0.004, 1e-5
     motor = Motor(FRICTIONLESS_SPEC, step_s)
@@ -182,7 +183,7 @@ def test_the_encoder_has_fourteen_bits() -> None:
 
 @pytest.mark.parametrize("torque", [-0.03, 0.045])
 def test_friction_does_not_add_inertia(torque: float) -> None:
-    """At any speed, the acceleration of a turning rotor is the torque minus the friction, divided by the inertia."""
+    """At any speed, the acceleration of a turning rotor is (torque - friction) / inertia."""
     motor = Motor(replace(MOTOR_SPEC, viscous=0.0), STEP_S)
     motor.omega, motor.torque = 2.0, torque
     motor.servo.torque, motor.servo.limit = torque, 1.0

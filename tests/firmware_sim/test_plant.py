@@ -29,7 +29,7 @@ def free_hand(
 
 
 def lock_joints() -> Hand:
-    """Return a hand with locked joints. The stops of each joint are a hundredth of a degree apart."""
+    """Return a hand whose joints cannot move, because the two stops of a joint are a hundredth of a degree apart."""
     digits = [
         replace(digit, joint_max_deg=(0.01,) * len(digit.length)) for digit in JAMIA_HAND.digits
     ]
@@ -56,7 +56,9 @@ def test_the_springs_hold_the_free_hand_open() -> None:
 
 @pytest.mark.parametrize("tension", [8.0, 10.0, 12.0])
 def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
-    """Without friction, each joint obeys r f = k (q + q0), so all joint angles are equal.
+    """Without friction, each joint obeys r f = k (q + q0).
+
+    r, k and q0 are the same for all joints, so all angles q are equal.
 
     Gravity has no effect, because it is parallel to the hinges.
     """
@@ -101,7 +103,10 @@ def test_a_slack_tendon_makes_no_force() -> None:
 
 
 def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
-    """With locked joints, the tension rises by k r for each radian of the spool."""
+    """With locked joints, the tension rises by k r per radian of spool rotation.
+
+    Here k is the tendon stiffness, and r the spool radius.
+    """
     plant = free_hand({"friction": 0.0}, lock_joints())
     pull_tendons(plant, 0.25, 2.0)
     low, theta_low = plant.tensions()[0], plant.motors["index_motor"].theta
@@ -171,7 +176,7 @@ def test_the_thumb_alone_is_opposed() -> None:
 
 
 def test_eleven_motors_move_joints_one_by_one() -> None:
-    """In jamia11, the first tendon of a finger moves only the first joint."""
+    """In the hand jamia11, the first tendon of a finger moves only the first joint of this finger."""
     hand = load_hand("jamia11")
     plant = free_hand({"friction": 0.0}, hand)
     motors = [motor.name for motor in hand.motors]
@@ -199,7 +204,7 @@ def test_a_diverging_plant_is_an_error() -> None:
 def closing_hand(
     monkeypatch: pytest.MonkeyPatch, step_s: float
 ) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Close a free hand to 12 N in 0.4 s, with the time step ``step_s`` [s].
+    """Raise all tensions of an empty hand to 12 N in 0.4 s, with the time step ``step_s`` [s].
 
     Return the joint angles every 5 ms.
     """
@@ -221,9 +226,9 @@ def closing_hand(
 
 
 def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first-order integration of tendons, friction and rotors has a small error.
+    """Tendons, friction and rotors are integrated with a first-order method.
 
-    This error becomes smaller with a smaller time step.
+    The error of this method is small, and becomes smaller with a smaller time step.
     """
     exact = closing_hand(monkeypatch, 0.05e-3)
     errors = [
@@ -236,7 +241,10 @@ def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 COUPLED_FINGERS = ("index", "middle", "ring", "pinky")
-"""Digits of ``orca_like`` whose joints a test couples. Each has three joints and three spool pairs."""
+"""Digits of ``orca_like`` whose joints a test couples.
+
+Each of these digits has three joints and three spool pairs.
+"""
 
 
 def hand_with_coupled_fingers(coupling: list[list[float]], path: Path) -> Hand:
@@ -245,9 +253,8 @@ def hand_with_coupled_fingers(coupling: list[list[float]], path: Path) -> Hand:
     In each finger, one spool pair flexes both outer joints.
 
     Args:
-        coupling: key ``coupling`` of the fingers, with one row for each of the three joints. If it
-            has one column, the spool pair also turns the first joint, and the finger has no other
-            pair.
+        coupling: value of the key ``coupling`` for each finger, with one row for each of the three
+            joints. With one column, a single spool pair turns all three joints.
         path: path at which the hand file is written.
     """
     content = json.loads(json.dumps(hand_content("orca_like")))
@@ -280,8 +287,9 @@ def test_coupled_joints_of_spool_pairs_keep_their_coupling(
 ) -> None:
     """Reproduce a defect: the joints of a digit with spool pairs could turn freely against each other.
 
-    Such a digit has no springs. While the fingers closed, their angles deviated from the coupling
-    by 49 to 74 deg. With the loopback tendons, they deviate by at most 1.4 deg.
+    Such a digit has no springs. While the fingers closed, the joint angles deviated from the
+    coupling by 49 to 74 deg. Since the simulator has tendons that couple the joints, the angles
+    deviate by at most 1.4 deg.
     """
     hand = hand_with_coupled_fingers(coupling, tmp_path / "coupled.toml")
     plant = free_hand(hand=hand)

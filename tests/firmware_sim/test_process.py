@@ -1,7 +1,7 @@
-"""Test the simulator as a process.
+"""Test the simulator as a separate process.
 
-The process prints a ready line, serves a bus, writes a truth file, and closes everything when it
-ends.
+The process prints a line when it is ready, serves a bus, writes a truth file, and closes its files
+and sockets when it ends.
 """
 
 import json

@@ -1,6 +1,6 @@
 """Test a whole simulated hand in lockstep.
 
-The frames that move the hand are written byte by byte in this test.
+This test composes the frames that move the hand byte by byte.
 """
 
 import math
@@ -28,7 +28,7 @@ def frame_tuple(can_id: int, data: bytes) -> FrameTuple:
 def torque_payload(torque: float) -> bytes:
     """Return the bytes of a command that contains only a torque.
 
-    The torque range of the motor is 0.8 N m (TMAX).
+    The motor's torque range is 0.8 N m, the value of its register TMAX.
     """
     return (0x7FFF << 48 | 0x7FF << 36 | round((torque + 0.8) * 4095 / 1.6)).to_bytes(8, "big")
 
@@ -47,9 +47,9 @@ def step_with_torque(rig: LockstepHand, k: int, torque: float) -> list[Frame]:
 def close_hand(
     rig: LockstepHand, tension: float, seconds: float, ramp: float = 0.8
 ) -> list[list[Frame]]:
-    """Enable all motors.
+    """Enable all motors, raise the tension [N] in a ramp, and keep it.
 
-    Raise the tension [N] in a ramp, and keep it without feedback. Return the replies of each tick.
+    Constant torques command the tension, without feedback. Return the replies of each tick.
     """
     answers = [rig.step(0, [frame_tuple(motor, ENABLE_PAYLOAD) for motor in MOTOR_NODES])]
     for k in range(1, round(seconds * 500)):
@@ -191,10 +191,11 @@ def test_content_of_the_truth_file(tmp_path: Path) -> None:
     assert np.array_equal(np.diff(truth.t_ns), np.full(len(truth.t_ns) - 1, 1_000_000))
     assert len(truth.t_ns) == 500
     assert np.isfinite(truth.values).all()
-    # The speed and the angle in a row belong to the same time. The slope of q is therefore dq.
+    # In a row of the truth file, joint speed dq and joint angle q belong to the same time. The
+    # slope of q is therefore dq.
     q, dq = truth.column("q/index_j1"), truth.column("dq/index_j1")
     assert q[-1] - q[0] == pytest.approx(float(np.sum(dq[1:] + dq[:-1]) / 2 * 1e-3), abs=5e-3)
-    # The true tension is close to the tension that the command of the motor makes.
+    # The true tension is close to the tension that corresponds to the commanded torque.
     assert truth.column("tension/index_tendon")[-1] == pytest.approx(20.0, abs=4.0)
 
 
@@ -208,7 +209,8 @@ def test_the_load_cell_reads_the_present_true_tension(tmp_path: Path) -> None:
         (int.from_bytes(tick[0].data, "little") >> 4 & 0xFFF) * 0.0625 - 6.0 for tick in answers[1:]
     ]
     error = np.array(read) - tension[2::2][: len(read)]
-    # The tolerance is half a count of the load cell, plus the drift of the load cell in one second.
+    # The tolerance is half a count of the load cell, plus the largest drift of its zero in one
+    # second.
     assert np.abs(error).max() < 0.03125 + 0.6
     assert np.std(np.diff(error)) < 0.05
 

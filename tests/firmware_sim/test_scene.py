@@ -1,4 +1,4 @@
-"""Test simulator scenes: packaged scenes, short forms of names, scene files, and errors in these files."""
+"""Test scenes of the simulator: packaged scenes, short names of scenes, scene files, and errors in scene files."""
 
 from pathlib import Path
 

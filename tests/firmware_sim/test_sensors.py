@@ -1,6 +1,7 @@
 """Test the simulated sensor node.
 
-The packed frames of the node must equal bit strings, and its noise must have the right statistics.
+The bits of the simulated frames must equal bits that were written by hand, and the simulated noise
+must have the right statistics.
 """
 
 import math
@@ -33,7 +34,8 @@ def make_node(
 def channel_counts(data: bytes) -> tuple[int, list[int]]:
     """Return the counter and the 12-bit channels of a payload.
 
-    The test reads both from a string of digits that starts with the lowest digit.
+    The function reads both from a string of binary digits, which begins with the lowest bit of the
+    payload.
     """
     text = "".join(format(byte, "08b")[::-1] for byte in data)
     count = (len(text) - 4) // 12

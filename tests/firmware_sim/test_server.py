@@ -1,7 +1,7 @@
 """Test the real-time server of the simulator with a clock whose time the test sets.
 
-The server replies at once and follows the clock. If the server is too slow, its time slips behind
-the clock by whole steps.
+The server replies at once and follows the clock. If the server is too slow, the simulated time
+falls behind the clock by whole time steps.
 """
 
 import socket
@@ -68,7 +68,7 @@ class ServerBench:
         self.server = BusServer(self.world, [self.wire], self.clock)
 
     def turn(self, t_ms: float, *frames: Frame) -> list[Frame]:
-        """Set the clock, let the server run one turn with the received frames, and return the frames that it sends."""
+        """Set the clock, run the server's loop once with received frames, and return the frames that it sends."""
         self.clock.t_ns = START_NS + round(t_ms * NS_PER_MS)
         self.wire.coming, self.wire.sent = list(frames), []
         self.server.turn()
@@ -92,9 +92,10 @@ def test_the_plant_follows_the_clock_in_whole_steps(bench: ServerBench) -> None:
 
 
 def test_a_frame_samples_the_plant_at_its_exact_time(bench: ServerBench) -> None:
-    """A sample is not from the last whole step, which may be up to 0.5 ms older.
+    """A received frame triggers a sensor reading of exactly its arrival time.
 
-    Sampling does not change the times of the steps.
+    The last whole simulation step may be up to 0.5 ms older. A reading does not change the times of
+    the steps.
     """
     bench.turn(3.7, Frame(1, ENABLE_PAYLOAD))
     assert bench.world.t_ns == START_NS + round(3.7 * NS_PER_MS)
@@ -140,7 +141,8 @@ def test_progress_is_reported_to_a_controller_on_the_same_clock(bench: ServerBen
 def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
     """The server reports a tick as answered only if no frame is waiting.
 
-    A frame that arrives during a turn gets its reply in the next turn.
+    If a frame arrives while the server processes other frames, the server replies to this frame
+    afterwards.
     """
     port = HubPort("t", 0)
     clock = ManualClock(START_NS)
@@ -171,9 +173,9 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
 
 
 def test_an_answer_waits_for_one_stride_at_most(bench: ServerBench) -> None:
-    """Reproduce a defect: the server simulated 10 ms that it was behind before it replied.
+    """Reproduce a defect: a server that was 10 ms behind simulated all of this time before it replied.
 
-    This took 2 ms, so the reply came after the next SYNC frame.
+    The simulation took 2 ms, so the reply came after the next SYNC frame.
     """
     sent = bench.turn(30, Frame(0x80, b"\x05"))
     assert [frame.can_id for frame in sent] == [0x1A0]
@@ -181,7 +183,7 @@ def test_an_answer_waits_for_one_stride_at_most(bench: ServerBench) -> None:
 
 
 class GrantedPriority:
-    """Fake real-time priority. The request for it is always granted."""
+    """Fake real-time priority, which is always granted."""
 
     def __init__(self) -> None:
         self.now_s, self.requests, self.active = 0.0, 0, False
@@ -218,8 +220,8 @@ def test_priority_is_taken_for_a_host_and_given_back_after_slips() -> None:
 def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None:
     """Reproduce a defect.
 
-    Earlier defect: a slow simulator printed 2,338 lines in 275 s, but no advice to choose a smaller
-    time scale.
+    On a slow machine, the simulator printed 2,338 lines in 275 s, but did not advise a smaller time
+    scale.
     """
     now = {"wall": 0.0, "cpu": 0.0}
     lines: list[str] = []
@@ -275,7 +277,10 @@ def test_a_late_simulation_skips_time_and_reports_it(
 
 
 def write_timeout(milliseconds: int) -> Frame:
-    """Return the frame that writes a watchdog time into register 9 of motor 1. Its unit is 50 us."""
+    """Return the frame that writes a watchdog time into register 9 of motor 1.
+
+    The unit of this register is 50 us.
+    """
     return Frame(0x7FF, bytes((1, 0, 0x55, 9)) + (milliseconds * 20).to_bytes(4, "little"))
 
 

@@ -1,4 +1,4 @@
-"""Test the bytes of frames on a Linux CAN socket, and an interface that refuses frames.
+"""Test the bytes of frames on a Linux CAN socket, and a CAN interface that refuses frames.
 
 The tests in tests/vcan use real interfaces.
 """
@@ -19,7 +19,7 @@ FD_FRAME = Frame(1 << 31 | 0x1ABCDE, bytes(range(12)), FDF | BRS)
 
 
 class FakeSocket:
-    """Fake raw CAN socket. In these tests, the test itself plays the part of the kernel."""
+    """Fake raw CAN socket. The test itself takes the role of the Linux kernel."""
 
     def __init__(self) -> None:
         self.waiting: list[bytes | OSError] = []

@@ -14,7 +14,7 @@ TABLE_SETTINGS = SinkingTable(
 def contact_forces(*digits: float) -> list[float]:
     """Return a contact force vector for each digit.
 
-    Each vector has the given size, and its direction is not parallel to an axis.
+    The vector has the given size, and no axis is parallel to the vector.
     """
     return [part for size in digits for part in (0.6 * size, 0.0, -0.8 * size)]
 

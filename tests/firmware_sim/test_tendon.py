@@ -41,10 +41,9 @@ class TendonOnSpool:
     def pull(
         self, q: list[float], dq: list[float], theta: float, omega: float, torque: list[float]
     ) -> float:
-        """Compute a step.
+        """Compute one simulation step, and return the tension.
 
-        Add the torques of the pulleys to ``torque``, without the compensation for the damping.
-        Return the tension.
+        Add the torques of the pulleys to ``torque``, without the term that compensates the damping.
         """
         self.motor.theta, self.motor.omega = theta, omega
         self.motor.steps_alone, total = True, [0.0] * 3
@@ -69,8 +68,8 @@ def test_linear_up_to_the_knee_then_softer_without_a_kink() -> None:
     assert stiffness[:7000].max() == pytest.approx(1e5, rel=1e-6)
     assert np.abs(np.diff(stiffness)).max() < 200.0, "the stiffness jumps"
     assert stiffness[-1] == pytest.approx(0.4e5, rel=1e-3)
-    # Beyond the knee, the tension in closed form is 200 + k2 x + (k - k2) w (1 - exp(-x/w)), here
-    # at x = 1 mm.
+    # Above a tension of 200 N, the tendon is softer. If the tendon is stretched further by x, the
+    # tension is 200 + k2 x + (k - k2) w (1 - exp(-x/w)). In this test, x is 1 mm.
     assert elastic(3e-3) == pytest.approx(200.0 + 40.0 + 6e4 * 0.3e-3 * (1 - math.exp(-1 / 0.3)))
 
 
@@ -132,7 +131,7 @@ def test_friction_grows_with_speed_as_tanh() -> None:
 def test_friction_dissipates_energy_and_the_slope_matches(speed: float, q: list[float]) -> None:
     """The friction of a tendon never adds power to its motion.
 
-    ``slope`` is at least the tension that is lost at each pulley, divided by the speed.
+    At each pulley, ``slope`` is at least the tension that is lost there, divided by the speed.
     """
     dq = [speed / 0.009] * 3
     torque = [0.0] * 3

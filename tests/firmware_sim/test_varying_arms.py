@@ -17,9 +17,10 @@ STEP_S = 0.5e-3
 
 @pytest.mark.parametrize("name", ["jamia11", "n_plus_1", "orca_like"])
 def test_the_joints_get_the_work_that_the_tendons_do(name: str, tmp_path: Path) -> None:
-    """Compare the power of the tendons and of the joints: tension times tendon speed equals torque times joint rate.
+    """The power of the tendons equals that of the joints.
 
-    The plant has no friction and no damping.
+    The power of a tendon is tension times tendon speed, and that of a joint is torque times joint
+    rate. The simulated hand of this test has no friction and no damping.
     """
     path = tmp_path / "hand.toml"
     path.write_text(with_varying_arms(name, 0.3).to_toml())

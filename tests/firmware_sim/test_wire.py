@@ -46,9 +46,9 @@ class BusMember:
 
     @property
     def classes(self) -> list[int]:
-        """Return the classes of the received error frames.
+        """Return the class bits of the received error frames.
 
-        Bits that mark error frames and counters are not included.
+        The bits that mark an error frame or a counter are not included.
         """
         return [frame.can_id & 0x1FF for frame in self.errors]
 

@@ -28,15 +28,15 @@ GRASP_PARAMETERS = {
     "jamia_bench": (70, 0.3),
     "t42": (15, 0.15),
 }
-"""For each packaged hand, the numbers of a scripted grasp.
+"""Two numbers of a scripted grasp for each packaged hand.
 
-The first number is the step after which the digits are close to the object. The second one is the
-tension action that holds the object.
+The first number is the step after which the digits are close to the object. The second number is
+the tension action that holds the object.
 """
 DIAMETER_OPTIONS = {"t42": {"diameter_mm": (33.4, 35.0)}}
-"""Diameters of the object [mm].
+"""Range of the object's diameter for the hand t42 [mm].
 
-The two fingers of the hand t42 would squeeze out smaller objects.
+The two fingers of this hand would squeeze out a smaller object.
 """
 
 
@@ -46,9 +46,10 @@ def make_env(name: str, **options: Any) -> Any:
 
 
 def following_action(env: Any, seen: Any) -> Any:
-    """Return the action whose targets equal the reference at the time at which the hand reaches them.
+    """Return the action that makes the hand follow the reference in the observation ``seen``.
 
-    The observation ``seen`` contains the reference.
+    The targets of the action are the reference angles at the time at which the hand will reach
+    them.
     """
     first = env.layout.names.index(f"reference_ahead_rad[{env.names[0]}]")
     return env.action_for(np.degrees(seen[first : first + len(env.names)]))
@@ -103,7 +104,7 @@ def test_equal_seeds_and_actions_give_equal_episodes(name: str) -> None:
     ("hand", "span"), [("jamia", None), ("jamia11", None), ("jamia_bench", None), ("t42", 0.05)]
 )
 def test_the_reference_can_be_tracked(hand: str, span: float | None) -> None:
-    """For the hand t42, the reference angles are small, because the fingers of t42 touch each other at 9 degrees."""
+    """The reference angles of the hand t42 are small, because its fingers touch each other at 9 degrees."""
     env = make_env(TRACK_ENV, hand=hand, **({} if span is None else {"span": (0.0, span)}))
     seen, _ = env.reset(seed=3)
     rewards, ended, truncated = [], False, False

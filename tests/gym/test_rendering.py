@@ -38,7 +38,7 @@ def test_a_picture_shows_the_moving_hand(name: str, hand: str) -> None:
         first = env.render()
         assert first.shape == (120, 160, 3)
         assert first.dtype == np.uint8
-        # At least a tenth of the picture is no background.
+        # The hand and the object fill at least a tenth of the picture.
         assert (first != first[0, 0]).any(axis=2).mean() > 0.1
         assert (env.render() == first).all()
         later = closed_picture(env, seed)

@@ -1,7 +1,4 @@
-"""Packaged hands on a wrist.
-
-The tendons of these hands pass the axis of the wrist at a distance.
-"""
+"""Build packaged hands on a wrist. The digits' tendons pass the axis of this wrist at a distance."""
 
 import json
 from typing import Any
@@ -12,18 +9,20 @@ from handctl.hand.hand_loading import hand_from_content, load_hand
 WRIST_MOMENT_ARM_M = 0.005
 """Distance at which the digits' tendons pass the axis of the wrist [m].
 
-The wrist's own tendon has a larger distance.
+The tendon that moves the wrist has a larger distance from this axis.
 """
 
 
 def mount_on_wrist(name: str, arm: float = WRIST_MOMENT_ARM_M) -> Hand:
-    """Return a packaged hand with all its digits on a wrist of one joint, which a spool pair turns.
+    """Return a packaged hand with all its digits on a wrist of one joint.
+
+    Two antagonistic tendons on one motor turn the wrist.
 
     Args:
         name: name of a packaged hand.
-        arm: moment arm of every digit tendon about the wrist [m]. If it is 0, the tendons pass
-            through the axis of the wrist. The tendons of digits that close towards -y flex the
-            wrist, and the others extend it.
+        arm: moment arm of every digit tendon about the wrist [m]. With 0, the tendons pass through
+            the axis of the wrist. Tendons of digits that close towards -y flex the wrist, and
+            tendons of other digits extend the wrist.
     """
     hand = load_hand(name)
     content: dict[str, Any] = json.loads(json.dumps(hand.content))

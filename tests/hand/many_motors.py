@@ -1,6 +1,6 @@
 """Hands that have more motors than the packaged hands.
 
-The functions make these hands from jamia11.
+The functions of this module make such hands from jamia11.
 """
 
 from typing import Any

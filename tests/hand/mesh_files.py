@@ -32,8 +32,8 @@ def tetrahedron_triangles() -> NDArray[np.float64]:
 def tetrahedron_obj(scale: float = 1.0, mixed_face_forms: bool = False) -> bytes:
     """Return the tetrahedron as the text of an OBJ file.
 
-    If ``mixed_face_forms`` is True, its faces use all forms in which an OBJ file can write a corner. MuJoCo
-    cannot read a file with such a mixture.
+    With ``mixed_face_forms``, the faces of the tetrahedron use all notations that OBJ has for a
+    corner. MuJoCo cannot read a file with such a mixture.
     """
     lines = [
         "# a tetrahedron",
@@ -128,9 +128,9 @@ def corners_of_hand(hand, folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def assert_same_places(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
-    """Assert that two sets of corners agree for each link.
+    """Assert that two sets of mesh corners agree for each link.
 
-    The distance of each corner from a corner of the other set is at most a micrometre.
+    Each corner is at most a micrometre away from a corner of the other set.
     """
     assert found.keys() == expected.keys()
     for link, corners in expected.items():

@@ -27,10 +27,9 @@ def random_tree(seed: int) -> Hand:
 def random_hand(seed: int, *counts: int, rng: np.random.Generator | None = None) -> Hand:
     """Return a hand of random digits that have one tendon per joint.
 
-    ``counts`` has the number of links of each digit.
-
-    If it is None, the hand has a digit of 1 to 8 links and a digit of 1 to 7 links. If ``rng`` is
-    given, some digits are mounted on other digits.
+    ``counts`` has the number of links of each digit. Without ``counts``, the hand has a digit of 1
+    to 8 links and a digit of 1 to 7 links. If ``rng`` is given, some digits are mounted on other
+    digits.
     """
     mounted = rng
     rng = np.random.default_rng(seed)
@@ -41,8 +40,8 @@ def random_hand(seed: int, *counts: int, rng: np.random.Generator | None = None)
         mix_in_prismatic_joints(np.random.default_rng((seed, number)), digit)
     line: list[str] = []
     for digit in digits if mounted else ():
-        # A digit is carried by the palm, by the previous digit, or by a digit that carries the
-        # previous digit.
+        # The carrier of a digit is the palm, the previous digit, or one of the digits that carry
+        # the previous digit.
         level = int(rng.integers(0, len(line) + 1))
         if level:
             digit["mount_on"] = line[level - 1]
@@ -75,8 +74,8 @@ def random_hand(seed: int, *counts: int, rng: np.random.Generator | None = None)
 def random_digit(rng: np.random.Generator, name: str, count: int) -> dict[str, Any]:
     """Return a digit of random links.
 
-    Some links have length zero. For some links, the centre of mass and the inertia are single
-    numbers.
+    Some links have length zero. For some links, the hand file gives the centre of mass and the
+    inertia as single numbers instead of vectors.
     """
     length = rng.uniform(0.01, 0.05, count)
     length[:-1] *= rng.random(count - 1) > 0.2
@@ -86,8 +85,8 @@ def random_digit(rng: np.random.Generator, name: str, count: int) -> dict[str, A
     com: list[Any] = rng.uniform(-0.004, 0.004, (count, 3)).tolist()
     inertia: list[Any] = []
     for i in range(count):
-        # The inertia is that of a body that consists of random points. The inertia therefore
-        # satisfies all inequalities of real bodies.
+        # Compute the inertia from a body of random mass points, so that it satisfies the
+        # inequalities of a real inertia tensor.
         points = rng.normal(size=(6, 3)) * 0.3 * np.maximum(length[i] / 3, radius / 2)
         moments = mass[i] / 6 * ((points**2).sum() * np.eye(3) - points.T @ points)
         inertia.append(moments[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)].tolist())

@@ -27,7 +27,7 @@ def palm_digits(hand: str) -> list[DigitModel]:
 
 
 def tip_position(digit: DigitModel, theta: np.ndarray) -> np.ndarray:
-    """Return the position of the tip of a digit at given coordinates [m]."""
+    """Return the position of the tip of a digit at the joint coordinates ``theta`` [m]."""
     return joint_points(digit, digit.coupling @ theta)[-1]
 
 
@@ -47,7 +47,10 @@ def test_a_point_in_reach_is_reached_within_the_limits(hand: str) -> None:
 
 @pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
-    """The expected distance comes from scipy's bounded least squares, which starts in the middle of the range."""
+    """The expected distance comes from scipy's bounded least squares.
+
+    The search of scipy starts in the middle of the joint ranges.
+    """
     worse = 0
     for digit in palm_digits(hand):
         low, high = digit.reach
@@ -99,7 +102,7 @@ def test_a_path_of_points_gives_postures_without_jumps() -> None:
 
 @pytest.mark.parametrize("seed", range(SEED_COUNT))
 def test_tips_of_random_chains_are_closest(seed: int) -> None:
-    """The chains of this test have one to eight links, and hinges in any direction."""
+    """The digits of this test have one to eight links, and joint axes in any direction."""
     random = np.random.default_rng(seed)
     description = random_hand(seed)
     digit = DigitModel.from_hand(description, description.digit_names[0])

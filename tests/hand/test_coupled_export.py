@@ -15,7 +15,7 @@ SHADOW_LIKE = load_hand(REPOSITORY_ROOT / "examples" / "hands" / "shadow_like.to
 COUPLED = {
     "index_j4": "index_j3", "middle_j4": "middle_j3", "ring_j4": "ring_j3", "little_j5": "little_j4",
 }  # fmt: skip
-"""Joint that each coupled joint of ``shadow_like`` follows with the ratio 1."""
+"""For each coupled joint of ``shadow_like``, the joint that it follows with the ratio 1."""
 
 
 def test_the_urdf_has_a_mimic_for_each_rigidly_coupled_joint() -> None:
@@ -40,7 +40,7 @@ def test_mujoco_keeps_rigidly_coupled_joints_together() -> None:
     turned = data.qpos[[model.joint(name).qposadr[0] for name in ("index_j3", "index_j4")]]
     assert turned[0] > 0.2
     assert turned[1] == pytest.approx(turned[0], abs=0.02)
-    # The motor of a spool pair pulls in both directions.
+    # A motor that drives two antagonistic tendons pulls in both directions.
     assert np.array_equal(model.actuator_ctrlrange[:, 0], -model.actuator_ctrlrange[:, 1])
 
 

@@ -93,7 +93,7 @@ def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
 def changeable_values(content):
     """Yield the path and the value of some numbers in a hand's content.
 
-    Each of these values may change slightly although all others stay the same.
+    The hand stays valid if one of these numbers changes slightly.
     """
     for key in ("stiffness_N_per_m", "damping_N_s_per_m", "friction_coefficient", "tension_max_N"):
         yield ("tendon", 0, key), content["tendon"][0][key]
@@ -215,7 +215,7 @@ def test_a_directory_is_no_hand(tmp_path):
 def test_a_copy_with_other_buses_has_their_names() -> None:
     """Reproduce a defect: a copy with changed fields still had the cached properties of the original.
 
-    One of these properties is the list of bus names.
+    One of the cached properties is the list of bus names.
     """
     hand = load_hand("jamia")
     assert hand.bus_names == ("main",)

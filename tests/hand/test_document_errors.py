@@ -1,4 +1,4 @@
-"""Test documents such as hand files.
+"""Test documents such as hand files with mistakes.
 
 For each kind of mistake, the test compares the complete error line.
 """
@@ -68,8 +68,8 @@ LINE_BY_MISTAKE: dict[str, tuple[dict[str, Any], str]] = {
         {"name": "a", "step": [MOVE_CONTENT, MOVE_CONTENT | {"speed": 3}]},
         "step[1].speed: unknown key; expected speed_deg_s?",
     ),
-    # Earlier defect: the key belongs to another alternative, and the error line suggested this same
-    # key.
+    # The wrong key of this case is a key of another kind of step. Earlier defect: the error line
+    # suggested exactly the key that it refused.
     "unknown in this alternative": (
         {"name": "a", "step": [MOVE_CONTENT | {"tension_N": 1.0}]},
         "step[0].tension_N: unknown key; expected one of kind, speed_deg_s",

@@ -24,10 +24,10 @@ def hand_with_ratings(
     peak: float | None = None,
     strength: float | None = None,
 ) -> Hand:
-    """Return a hand in which all parts have the same values.
+    """Return a hand whose joints all have the rating ``rated`` [N m].
 
-    The values are the rating of a joint [N m], the peak torque of a motor [N m] and the strength of
-    a tendon [N].
+    All its motors have the torque ``peak`` [N m], and all its tendons the breaking force
+    ``strength`` [N].
     """
     digits, motors, tendons = hand.digit, hand.motor, hand.tendon
     if rated is not None:
@@ -46,11 +46,10 @@ def hand_with_ratings(
 
 @pytest.mark.parametrize("name", [name for name in packaged_hands() if name.startswith("jamia")])
 def test_check_warns_of_each_jamia_and_accepts_it(name, capsys):
-    """The motors of each jamia hand make 250 N and more.
+    """`config check` warns that a runaway drive of a jamia hand could break its tendon.
 
-    When a drive runs away, the tension is 500 N.
-
-    The tendon strength of 620 N is less than 1.5 times this tension.
+    A motor of these hands pulls with at least 250 N. If its drive runs away, the tension reaches
+    500 N. The breaking force of 620 N is less than 1.5 times this tension.
     """
     assert main(["config", "check", "--hand", name]) == 0
     warned = [
@@ -94,7 +93,7 @@ def test_joints_without_rating_are_reported_and_weak_ones_by_name():
     strong, weak = (
         hand_with_ratings(hand, rated=2.26),
         hand_with_ratings(hand, rated=2.24),
-    )  # 500 N at a moment arm of 3 mm, times 1.5, are 2.25 N m
+    )  # 1.5 times the torque of 500 N at a moment arm of 3 mm is 2.25 N m
     assert not any(
         "joint_rated" in line or "its rating" in line for line in strength_warnings(strong)
     )

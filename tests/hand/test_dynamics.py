@@ -19,7 +19,7 @@ RELATIVE_TOLERANCE = 1e-9
 def random_motions(rng, n, samples=SAMPLE_COUNT):
     """Return random angles, rates and accelerations (q, dq, ddq).
 
-    The values are so large that every term of the dynamics matters.
+    The motions are so fast that every term of the dynamics has a measurable effect.
     """
     return zip(
         *(scale * rng.normal(size=(samples, n)) for scale in (1.5, 15.0, 400.0)), strict=True
@@ -122,7 +122,7 @@ def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity):
 
 
 def inverse_dynamics_of_hand(digits, q, dq, ddq):
-    """Return the inverse dynamics of a hand, with the joint torques of its digits in order."""
+    """Return the joint torques of all digits of a hand, in order, from its inverse dynamics."""
     return np.concatenate(
         [dynamics.inverse_dynamics(d, q[d.joints], dq[d.joints], ddq[d.joints]) for d in digits]
     )
@@ -191,9 +191,9 @@ def test_gravity_and_springs_are_gradients_of_their_energies(digits, rng):
 
 
 def test_energy_is_conserved(digits):
-    """In digits without damping, but with springs and weight, the energy stays constant.
+    """The energy of a digit with springs and weight, but without damping, stays constant.
 
-    The test integrates their motion with a Runge-Kutta method of fourth order.
+    The test integrates the motion of the digit with a Runge-Kutta method of fourth order.
     """
     for digit in digits[::3]:
         digit = digit.with_gravity((4.0, -8.0, 3.0))
@@ -219,7 +219,8 @@ def test_energy_is_conserved(digits):
             k4 = rate(state + dt * k3)
             state = state + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
             kinetic.append(dynamics.kinetic_energy(digit, state[:n], state[n:]))
-        # In a digit without springs, only the weight exchanges energy with the motion.
+        # A digit without springs exchanges kinetic energy only with its potential energy in
+        # gravity.
         assert np.ptp(kinetic) > (0.3 if any(digit.spring_stiffness) else 0.1) * start
         assert abs(energy(state) - start) < 1e-6 * start
 
@@ -268,7 +269,7 @@ def test_lists_tuples_and_arrays_give_equal_results(digits, rng):
 
 
 def test_known_numbers_of_the_paper_s_finger():
-    """The torque of a straight finger's weight at joint 1 and its reduced inertia equal computed values."""
+    """For a straight finger, weight torque and inertia at joint 1 equal separately computed values."""
     digit = DigitModel.from_hand(load_hand("jamia"), "index").with_gravity(
         (0.0, 9.81, 0.0)
     )  # gravity along -y of the digit

@@ -74,7 +74,7 @@ def key_path_text(content, path):
 HANDS_WITH_PLANAR_DIGITS = tuple(name for name in packaged_hands() if name != "orca_like")
 """Packaged hands with planar digits on the palm.
 
-``orca_like`` has the same keys, and in addition axes and inertias of spatial chains.
+``orca_like`` has the same keys, and additional keys for joint axes and inertias.
 """
 
 
@@ -100,9 +100,9 @@ NUMBER_CASES = [
     and path != ("schema",)
     and not (len(path) > 1 and isinstance(path[1], int) and path[1] in (1, 2))
 ]
-"""Numeric values of the packaged files.
+"""Numeric values of the packaged hand files.
 
-The entries of middle and ring finger are left out, because they repeat others.
+The entries of middle and ring finger are left out, because they repeat entries of the index finger.
 """
 SAMPLED_NUMBER_CASES = one_per_key(NUMBER_CASES)
 

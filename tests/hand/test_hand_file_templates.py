@@ -27,9 +27,9 @@ IDENTITY_BY_HAND = {
     "jamia11": "879de7b39ebe29ed6f7c866c9bb0d4f94a6f97beb1d86836c60a6ca0b420694a",
     "jamia_bench": "1363c530f1eb4516b007634ba69ed61610e9ce4537fb2d76b345e61737af9f44",
 }
-"""Identities that the packaged hands had when their files were of schema 1.
+"""Identities (hashes) of the packaged hands from the time when their files had schema 1.
 
-Calibrations and logs refer to these identities.
+Existing calibrations and logs refer to these identities.
 """
 MAX_LINES = 120
 """Largest number of lines of a packaged hand file."""

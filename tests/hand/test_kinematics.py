@@ -1,6 +1,6 @@
-"""Compare the kinematics with finite differences, with their inverse, and with the library pinocchio.
+"""Compare the kinematics with finite differences, the inverse kinematics, and the library pinocchio.
 
-pinocchio reads the exported URDF.
+The library reads the exported URDF.
 """
 
 import math
@@ -125,7 +125,7 @@ def test_tip_pose_is_the_last_point_and_the_sum_of_angles(digits, rng):
 
 
 def test_the_paper_s_finger_at_thirty_degrees():
-    """Eq. 1-2 of the paper with q1 = q2 = q3 = t give X = 30 cos(t) + 15 cos(2t) + 10 cos(3t) mm."""
+    """With q1 = q2 = q3 = t, Eq. 1-2 of the paper give X = 30 cos(t) + 15 cos(2t) + 10 cos(3t) mm."""
     t = math.radians(30.0)
     pose = planar_tip(DigitModel.from_hand(load_hand("jamia"), "index"), (t, t, t))
     x = 0.030 * math.cos(t) + 0.015 * math.cos(2 * t) + 0.010 * math.cos(3 * t)

@@ -1,4 +1,4 @@
-"""Test meshes of links and palm: their files, refused files, their place on the link, their export.
+"""Test meshes of links and palm: valid and refused files, the pose of a mesh on its link, and the export.
 
 Meshes have no effect on the dynamics.
 """
@@ -286,7 +286,7 @@ def random_angles(hand, rng: np.random.Generator) -> np.ndarray:
 
 
 def exported_models(hand, mesh_folder: Path) -> dict[str, mujoco.MjModel]:
-    """Return MuJoCo models of a hand: the models that its exports contain, and the model that the simulator draws."""
+    """Return MuJoCo models of a hand: the models from its exported files, and the model that the simulator draws."""
     output = mesh_folder / "out"
     output.mkdir()
     meshes = exported_meshes(hand, mesh_folder, output)

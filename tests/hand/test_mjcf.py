@@ -1,6 +1,7 @@
 """Test the MJCF export.
 
-MuJoCo reads the exported file. The result is compared with the model of the hand.
+MuJoCo reads the exported file. The tests compare the model in MuJoCo with the model of the hand in
+handctl.
 """
 
 import mujoco

@@ -1,6 +1,7 @@
 """Test moment arms that depend on the joint angle.
 
-The excursion is the integral of the moment arms R, and mistakes in a hand file are reported.
+The excursion of a tendon is the integral of its moment arms over the joint angles. Mistakes in a
+hand file are reported.
 """
 
 import numpy as np
@@ -29,7 +30,8 @@ def test_moment_arms_are_the_derivative_of_the_excursion(name: str, kind: str) -
     hand = with_varying_arms(name, 0.3, kind)
     for digit in (DigitModel.from_hand(hand, one) for one in hand.digit_names):
         for seed in ANGLE_SEEDS:
-            # Some angles are outside the joint limits, where a moment arm is constant.
+            # The test includes angles outside the joint limits. Beyond a joint limit, a moment arm
+            # is constant.
             q = np.random.default_rng(seed).uniform(digit.joint_min - 0.2, digit.joint_max + 0.2)
             step = 1e-6
             slope = [

@@ -1,4 +1,7 @@
-"""Compare spatial chains with pinocchio and MuJoCo, for twenty random hands with random directions of gravity."""
+"""Compare twenty random hands with pinocchio and MuJoCo.
+
+The directions of joint axes and of gravity are random.
+"""
 
 from itertools import pairwise
 from pathlib import Path
@@ -38,7 +41,10 @@ from tests.hand.test_dynamics import (
 )
 
 EXAMPLE_HAND = str(Path(__file__).parents[2] / "examples" / "hands" / "shadow_like.toml")
-"""Hand file of an example with 24 joints. A wrist carries the base of its thumb, which carries the thumb."""
+"""Hand file of an example with 24 joints.
+
+The wrist carries the base of the thumb, and this base carries the thumb.
+"""
 
 
 @pytest.fixture(params=[*RANDOM_CHAIN_SEEDS, *MIXED_SEEDS])
@@ -184,7 +190,7 @@ def frames_in_log(hand: Hand, q: np.ndarray) -> dict[str, tuple[np.ndarray, tupl
 def test_transforms_of_the_log_are_those_of_the_model(random_hand_and_digits, rng):
     """The transforms in the log are computed only from the text of the hand file.
 
-    Combined along each digit, they equal the transforms of the hand model.
+    Combined along each digit, the transforms in the log equal those of the hand model.
     """
     hand, digits = random_hand_and_digits
     q = rng.uniform(-2.0, 2.0, len(hand.joints))
@@ -240,10 +246,10 @@ def test_jacobians_and_levers_are_derivatives(random_hand_and_digits, rng):
     ]
 )
 def random_hand_tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
-    """Return a hand whose digits are a tree.
+    """Return a hand in which digits carry other digits.
 
-    A test that uses this fixture runs once for each random tree, for the packaged tree and for the
-    example ``shadow_like``.
+    A test that uses this fixture runs with each random hand, with the packaged hand of this kind,
+    and with the example ``shadow_like``.
     """
     hand = (
         load_hand(request.param) if isinstance(request.param, str) else random_tree(request.param)
@@ -311,10 +317,7 @@ def test_logged_transforms_of_a_tree_equal_the_model(random_hand_tree, rng):
 
 
 def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tree, rng):
-    """The static torque of a digit in the tree equals the static torque of the same digit without the others.
-
-    In this comparison, all digits that carry the digit are at angle zero.
-    """
+    """A digit needs the same static torque in the hand and alone, if the digits that carry it are at angle zero."""
     hand, whole = random_hand_tree
     for digit in whole.digits:
         if digit.name in hand.carrier_digits:
@@ -327,7 +330,7 @@ def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tr
 
 
 def test_each_number_of_a_table_matters(rng):
-    """A change of one number of the middle link by a thousandth exceeds the tolerance of these tests."""
+    """These tests would notice a change of any number of the middle link by a thousandth."""
     hand = random_hand(3, 3)
     digit = DigitModel.from_hand(hand, "d0")
     q, dq, ddq = next(iter(random_motions(rng, 3, 1)))

@@ -1,6 +1,6 @@
 """Test the conversion of hand files from schema 1 to schema 2.
 
-The conversion gives the same hand and keeps the comments. Repeated values are written once.
+The converted file describes the same hand and keeps the comments. A repeated value is written once.
 """
 
 import re
@@ -17,7 +17,7 @@ from tests.contracts.random_hands import random_hand
 from tests.hand.test_hand_file_templates import IDENTITY_BY_HAND
 
 SCHEMA_1_FILE = Path(__file__).with_name("jamia_schema_1.toml")
-"""File of the packaged jamia from before schema 2, with a comment at every number."""
+"""The packaged hand file of jamia from before schema 2, with a comment at every number."""
 
 
 def hand_after_conversion(text: str) -> Hand:

@@ -104,7 +104,10 @@ def test_known_numbers_of_the_packaged_tendon():
 
 
 def test_work_of_tendons_is_work_of_joints(digits, rng):
-    """The work f . ds of the tendons equals the work tau . dq of the joints. ds is a difference of the excursions."""
+    """The work f . ds of the tendons equals the work tau . dq of the joints.
+
+    Here ds is the change of the tendon excursions.
+    """
     for digit in digits:
         for _ in range(50):
             q, move = rng.normal(size=(2, digit.joint_count))

@@ -1,4 +1,4 @@
-"""Packaged hands whose moment arms vary with the joint angle."""
+"""Build packaged hands whose moment arms vary with the joint angle."""
 
 import json
 from typing import Any
@@ -13,15 +13,15 @@ def with_varying_arms(
 ) -> Any:
     """Return a hand whose moment arms vary over the joint range.
 
-    Each arm is scaled by ``1 - fraction`` at the lower joint limit, and by ``1 + fraction`` at the
-    upper.
+    Each moment arm is scaled by ``1 - fraction`` at the lower joint limit, and by ``1 + fraction``
+    at the upper joint limit.
 
     Args:
         name: name of a packaged hand.
         fraction: largest variation of each moment arm, relative to the constant moment arm.
-        kind: "polynomial" for a straight line, and "table" for half a period of a sine. For
-            "content", the function returns the content of the hand file with its constant moment
-            arms.
+        kind: how the moment arm depends on the angle. "polynomial" gives a straight line, and
+            "table" half a period of a sine. For "content", the function returns the content of the
+            hand file with constant moment arms.
         encoders: True if the hand keeps its joint encoders.
     """
     hand = load_hand(name)

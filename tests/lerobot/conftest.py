@@ -13,14 +13,14 @@ from tests.runtime.processes import (
 )
 
 TIME_SCALE = 0.5
-"""Time on the clock of the hand that passes in one second of wall time."""
+"""Simulated time that passes per second of real time."""
 
 
 @pytest.fixture
 def work_folder(tmp_path, monkeypatch):
     """Change to an empty folder.
 
-    The sockets are in another folder, because their paths must be short.
+    The sockets are in another folder, because the path of a Unix socket must be short.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)

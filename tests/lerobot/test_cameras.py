@@ -62,7 +62,10 @@ def write_video(path, seconds, width=IMAGE_WIDTH_PX):
 
 
 def tick_times(log):
-    """Return the start and the end [s] of the part of a log that becomes an episode, in which the hand is active."""
+    """Return start and end [s] of the part of a log in which the hand is active.
+
+    This part becomes an episode.
+    """
     active = log.t_ns[log.mode == int(HandMode.ACTIVE)] / 1e9
     return active[0], active[-1]
 
@@ -76,7 +79,7 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
     decoders = pytest.importorskip("torchcodec.decoders", reason="LeRobot needs torchcodec")
     try:
         decoders.VideoDecoder(str(write_video(tmp_path / "any.mp4", 0.2)))
-    except RuntimeError as error:  # test_environment.py puts the FFmpeg libraries in place
+    except RuntimeError as error:  # only test_environment.py provides the FFmpeg libraries
         pytest.skip(f"torchcodec finds no FFmpeg libraries: {str(error).splitlines()[0]}")
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 

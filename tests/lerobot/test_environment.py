@@ -21,7 +21,7 @@ If the text is empty, the test makes an environment.
 INSTALL_TIMEOUT_S = 3600.0
 TESTS_TIMEOUT_S = 1800.0
 MIN_PASSED_TESTS = 13
-"""Smallest number of tests that must pass. Without this limit, skipped tests would go unnoticed."""
+"""Smallest number of tests that must pass, so that skipped tests are noticed."""
 
 
 def run_pip(lerobot_python: str, *words: str) -> None:

@@ -125,14 +125,15 @@ def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(robot_options, wor
     ran = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
     assert ran.returncode == 0, ran.stderr[-2000:]
     with RunLog(Path("run.mcap")) as log, RunLog(Path("leader.mcap")) as leader:
-        # The test ignores warnings, because a busy machine causes them, for example for a late
-        # frame or a late action.
+        # The test ignores warnings. A busy machine causes, for example, warnings about late frames
+        # and late actions.
         assert not [
             row.event.text
             for row in log.events
             if row.event.name == "fault" and row.event.level == "error"
         ]
         goal = np.degrees(np.nanmax(log.field("q_goal")[:, :9]))
-        # In this test, the leader closes its fingers on an object. Coupled joints of the follower
-        # have one common angle: the angle nearest to the angles of these joints in the leader.
+        # In this test, the leader hand closes its fingers on an object. All coupled joints of a
+        # finger of the follower hand get the same angle. This common angle is the one nearest to
+        # the angles of these joints in the leader hand.
         assert 20.0 < goal < np.degrees(leader.field("q").max()) + 1.0

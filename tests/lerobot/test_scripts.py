@@ -89,8 +89,8 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(robot_options, work_fo
         active = log.mode == HandMode.ACTIVE
         highest = np.degrees(np.nanmax(log.field("q_goal")[active][:, :3].mean(axis=1)))
     first = actions[: int(dataset.meta.episodes[0]["length"])]
-    # The joints of a finger are coupled. Coupled joints have one common angle: the angle that is
-    # nearest to the recorded angles.
+    # The joints of a finger are coupled, so all of them get the same angle. This common angle is
+    # the one nearest to the recorded angles.
     expected = np.degrees(first[:, :3].mean(axis=1).max())
     assert highest == pytest.approx(expected, abs=2.0)
 

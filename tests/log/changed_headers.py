@@ -1,6 +1,6 @@
-"""Write logs with a changed header.
+"""Write copies of logs with a changed header.
 
-Metadata records are replaced. All other records stay unchanged.
+The functions replace metadata records, and leave all other records unchanged.
 """
 
 import struct

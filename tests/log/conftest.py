@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 @pytest.fixture(scope="session")
 def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write a complete log with about twelve chunks, and return its path."""
+    """Write a complete log with about twelve MCAP chunks, and return its path."""
     import synthetic_run
 
     path = tmp_path_factory.mktemp("log") / "small.mcap"

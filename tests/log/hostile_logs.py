@@ -24,7 +24,7 @@ def _chunk_record(compression: str, packed: bytes, size: int, crc: int = 0) -> b
 
 
 def _with_chunks(small_log: Path, chunks: bytes) -> bytes:
-    """Return the bytes of a log that has the start of a real log, and then the given chunks."""
+    """Return the bytes of a log that begins like a real log, and continues with the given MCAP chunks."""
     file, scan = LogFile(small_log), RecordScan()
     scan_records(file, scan)
     file.close()

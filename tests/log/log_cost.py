@@ -36,7 +36,7 @@ def _write_log(path: Path, run: synthetic_run.RunHeader, bodies: list[bytes]) ->
 
 
 def main() -> None:
-    """Measure the time per tick to pack it, to write it, to pass it through the pipe in lockstep, and to read it."""
+    """Measure how long a tick takes to be packed, written, passed through the pipe in lockstep, and read."""
     for hand, rate_hz in (("jamia", 500), ("jamia11", 1000)):
         run = synthetic_run.synthetic_header(hand, rate_hz)
         ticks = list(synthetic_run.SyntheticTicks(run, 10.0))

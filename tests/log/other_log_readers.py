@@ -1,4 +1,7 @@
-"""Read logs with packages of other projects, for a comparison with the reader of handctl."""
+"""Read logs with packages of other projects.
+
+Tests compare the result with that of handctl's own reader.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,10 +26,7 @@ class LoggedMessage(NamedTuple):
 
 
 def read_messages(path: Path) -> list[LoggedMessage]:
-    """Return all messages of a log in the order of their log times.
-
-    Also check all checksums of the file.
-    """
+    """Return all messages of a log in the order of their log times, and check all checksums of the file."""
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         return [

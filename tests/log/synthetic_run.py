@@ -2,9 +2,9 @@
 
 Command: `python tests/log/synthetic_run.py OUT.mcap [--hand jamia|jamia11] [--seconds 10] [--rate 500]`.
 
-Three fingers and the thumb tighten, close, touch an object one after the other, hold it at a rising
-tension, release and open. The run contains a drive that becomes warm, a bus error, a change of a
-gain, and a late frame.
+Three fingers and the thumb tighten their tendons, close, and touch an object one after the other.
+The digits hold the object at a rising tension, release it, and open. The run contains a drive that
+becomes warm, a bus error, a change of a gain, and a late frame.
 """
 
 import argparse
@@ -41,9 +41,7 @@ PHASE_ENDS = (
     ("release", 0.85),
     ("open", 0.98),
 )
-"""Phases of the run.
-
-The number is the fraction of the run at which the phase ends. The last phase is "end".
+"""Phases of the run, each with its end as a fraction of the run. A phase "end" follows.
 """
 
 

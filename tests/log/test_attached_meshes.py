@@ -1,7 +1,7 @@
 """Test meshes in a log.
 
-A log contains the meshes up to a maximum total size. A reader finds these meshes without the hand
-file. Missing meshes are named.
+A log contains the meshes of its hand, up to a maximum total size. A program that shows these meshes
+needs only the log, and no hand file. Meshes that are missing in the log are named.
 """
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Test the hash chain over the ticks of a log, and the log's simultaneous readings of two clocks."""
+"""Test the hash chain over the ticks of a log, and the readings of two clocks at the same moments."""
 
 import itertools
 from pathlib import Path
@@ -37,11 +37,10 @@ def test_each_digest_is_that_of_the_tick_s_bytes_and_the_digest_before(small_log
 
 
 def test_a_step_of_the_wall_clock_shows_in_the_pairs(tmp_path: Path) -> None:
-    """The log lasts half a minute.
+    """The log of this test lasts half a minute.
 
-    The log contains simultaneous readings of the wall clock and the monotonic clock.
-
-    After the second reading, the wall clock is set forward by an hour.
+    The log contains readings of the wall clock and of the monotonic clock at the same moments.
+    After the second such moment, the wall clock is set forward by an hour.
     """
     start, hour = 1_800_000_000_000_000_000, 3_600_000_000_000
     clocks = [(start + n * 10**10 + (hour if n > 1 else 0), 5 + n * 10**10) for n in range(4)]

@@ -1,4 +1,4 @@
-"""Test the limits on the work that a reader must do for a single chunk of a log."""
+"""Test the limits on the work that a single chunk of an MCAP file can cause in a reader."""
 
 import struct
 
@@ -16,7 +16,7 @@ def message_record(number: int) -> bytes:
 
 
 def test_a_chunk_may_define_so_many_channels_however_large_it_is() -> None:
-    """The limit does not depend on the size of the chunk.
+    """The largest number of channels in a chunk does not depend on the size of the chunk.
 
     Earlier defect: `log check` took more than a second for a chunk with a million channels.
     """

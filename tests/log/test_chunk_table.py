@@ -1,4 +1,4 @@
-"""Test the compact table of the chunks of a log."""
+"""Test the compact table in which a recorder remembers the chunks of its log."""
 
 import random
 import tracemalloc

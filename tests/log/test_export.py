@@ -1,6 +1,6 @@
 """Test exports of a log.
 
-In the exported files, readers of other projects find the values of the log.
+Readers of other projects must find the values of the log in the exported files.
 """
 
 import ast
@@ -74,9 +74,9 @@ def test_csv_reads_back_bit_for_bit(golden_log: RunLog, tmp_path: Path) -> None:
 
 
 def test_units_are_those_that_the_telemetry_declares() -> None:
-    """The units in the exported files equal those in `Telemetry`.
+    """The units in the exported files equal the units in the class `Telemetry`.
 
-    There, the docstring of each field that has a unit ends with the unit in brackets.
+    In this class, the docstring of a field with a unit ends with the unit in brackets.
     """
     source = ast.parse(inspect.getsource(tick_types))
     (telemetry,) = (
@@ -145,10 +145,10 @@ def test_python_can_reads_the_candump(golden_log: RunLog, tmp_path: Path) -> Non
 def test_time_stamps_of_the_candump_rise(
     golden_log: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On a local bus, a frame gets its time stamp at the moment when it is read.
+    """On a local bus, the time stamp of a frame is the time at which the frame is read.
 
-    This moment may be after the start of the tick. The frames that the tick sends come next in the
-    file.
+    The time of reading may be after the start of the tick. The frames that the tick sends follow in
+    the file, with later time stamps.
     """
     path = tmp_path / "x.log"
     ticks = [tick for tick, _ in zip(golden_log.ticks(), range(500), strict=False)]

@@ -1,6 +1,6 @@
-"""If a log file is hostile, every command ends with one clear line.
+"""For a hostile log file, every command prints one clear line.
 
-The command takes at most a second and 256 MiB.
+The command ends after at most one second, and uses at most 256 MiB.
 """
 
 import json
@@ -22,9 +22,9 @@ EXIT_CODES = {
     "replay drive": (2, 4),
     "view --save": (2, 3),
 }
-"""Exit codes of commands that do not exit with the code of bad input.
+"""Commands whose exit code for a hostile log is not the usual code of bad input.
 
-`replay drive` first checks the name of the hand, which these logs lack.
+`replay drive` first checks the name of the hand, which is missing in these logs.
 """
 PROBE_PROGRAM = """
 import contextlib, io, json, resource, sys, time

@@ -37,7 +37,10 @@ STANDARD_PACKAGES = (
 
 
 SNAPSHOTS = {30: b"one state", 136: bytes(range(256)) * 100}
-"""Snapshots of the run. The key is the number of the tick before the snapshot."""
+"""Snapshots of the controller's state in the run.
+
+Each key is the number of the tick before the snapshot.
+"""
 
 
 @pytest.fixture(scope="module")

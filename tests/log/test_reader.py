@@ -1,6 +1,6 @@
 """The reader returns exactly the values that were recorded in a log.
 
-For a damaged log, it raises a LogError, after a short time and with little memory.
+For a damaged log, the reader raises a LogError, after a short time and with little memory.
 """
 
 import contextlib

@@ -1,6 +1,6 @@
-"""The record of a tick passes through the pipe to the recorder without a change.
+"""The bytes of a tick pass through the pipe to the recorder without a change.
 
-Bytes that are not such a record are refused.
+Bytes that do not describe a tick are refused.
 """
 
 import contextlib

@@ -39,7 +39,7 @@ def start_recorder(
 ) -> Iterator[Callable[..., Recorder]]:
     """Yield a function that starts a recorder.
 
-    The pipe of this recorder has the largest size for a user without special rights.
+    The pipe of the recorder has the largest size that Linux permits without special rights.
 
     After the test, end all recorders.
     """
@@ -80,7 +80,7 @@ def _is_finished(path: Path) -> bool:
 def test_a_recorder_that_does_not_start_in_time_is_named(
     start_recorder: Callable[..., Recorder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The error has the time for which the command waited, and recommends a computer with less load."""
+    """The error states how long the command waited for the recorder, and recommends a computer with less load."""
     python = tmp_path / "python"
     python.write_text("#!/bin/sh\nexec sleep 10\n")
     python.chmod(0o755)
@@ -208,8 +208,8 @@ def test_a_stalled_recorder_never_holds_up_the_controller(
 def test_a_deterministic_run_has_no_event_of_the_time_that_its_recorder_takes(
     start_recorder: Callable[..., Recorder],
 ) -> None:
-    # If the pipe is full, a deterministic run waits, and loses no tick. An event about this wait
-    # would make two equal runs differ.
+    # A deterministic run waits while the pipe is full, so it loses no tick. The run records no
+    # event about this wait, because two equal runs would then differ.
     recorder = start_recorder(deterministic=True)
     os.kill(recorder._child.pid, signal.SIGSTOP)
     events, sent = [], 0
@@ -315,7 +315,7 @@ def test_a_file_that_cannot_be_created_is_refused(
 LIMIT_BYTES = 800_000
 """Largest permitted size of a file, which simulates a full disk [bytes].
 
-Some chunks of a run fit into a file of this size, but not all chunks.
+A file of this size can contain only a part of the run.
 """
 
 
@@ -439,7 +439,7 @@ def test_the_syncing_process_does_not_hold_the_reserved_space(tiny_disk: Path) -
     writer._reserved.release()
     assert _wait_until(lambda: shutil.disk_usage(tiny_disk).free > 256 << 10, 5.0)
     writer.finish("finished", 0)
-    os.close(syncer._request_pipe)  # this ends the process of the syncer
+    os.close(syncer._request_pipe)  # without this pipe, the process of the syncer ends
 
 
 def test_recording_a_tick_is_fast(start_recorder: Callable[..., Recorder]) -> None:

@@ -1,4 +1,4 @@
-"""If a log ends at any byte before its end, exactly its complete chunks are recovered."""
+"""From a log that was cut at any byte, exactly the complete chunks are recovered."""
 
 import random
 from collections.abc import Iterable
@@ -22,9 +22,8 @@ SAMPLE_COUNT = 500
 def smallest_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write a complete log of at most 68 KiB, and return its path.
 
-    The tests cut this log at every byte.
-
-    The log has eight chunks. The log has no URDF, so that the log is small.
+    The tests cut this log at every byte. The log has eight chunks. The log contains no URDF, so
+    that the file is small.
     """
     path = tmp_path_factory.mktemp("log") / "least.mcap"
     attachments = {

@@ -1,6 +1,6 @@
-"""Test the syncer, which writes the content of a file to the disk.
+"""Test the syncer, a process that makes Linux write a log file to the disk.
 
-The log writer does not wait until this is done.
+The log writer does not wait for the disk.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""The topics of a log are complete, and do not depend on the borders of the chunks.
+"""The topics of a log are complete, wherever the log is divided into chunks.
 
 Messages of different topics can be joined by their sequence numbers, and other tools can read the
 topics.
@@ -240,7 +240,7 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
         ),
         3: (
             target_request_text(StreamTarget("s", 2**63 - 1, 0, ())),
-            # the target was refused, so it has no message
+            # a refused target has no message
             target_request_text(StreamTarget("s", 2**70, 0, ())),
             '{"do": "target", nonsense',
             '{"do": "stop"}',

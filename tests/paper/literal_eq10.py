@@ -20,8 +20,8 @@ PRESENT_TORQUE = dynamics._rigid_body_torque
 def torque_of_eq10(digit, gravity, q, dq, ddq):
     """Return the joint torques of a digit.
 
-    The torque of the first joint follows from Eq. 10 for T_1. The other torques are those of the
-    model.
+    The torque of the first joint follows from Eq. 10 for T_1. The torques of the other joints come
+    from the dynamic model of handctl.
     """
     _, tau2, tau3 = (*PRESENT_TORQUE(digit, gravity, q, dq, ddq), 0.0, 0.0)[:3]
     r1, r2, _ = (*digit.armature, 0.0, 0.0)[:3]

@@ -223,7 +223,7 @@ def test_a_printed_number_of_the_abstract_is_judged_once(printed: str) -> None:
 
 
 def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> None:
-    """The expected value is tau_1 = g sum(m x), without dynamics code.
+    """The test computes the expected value tau_1 = g sum(m x) itself, without the dynamics code.
 
     Here x is the distance of each centre of mass from joint 1.
     """

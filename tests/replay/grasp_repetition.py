@@ -1,4 +1,4 @@
-"""Compare a grasp with its repetition by a hand, using the logs of both."""
+"""Compare the log of a grasp with the log of a run in which a hand repeats this grasp."""
 
 import numpy as np
 from numpy.typing import NDArray

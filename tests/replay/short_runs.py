@@ -88,7 +88,7 @@ class PeerWithLostReplies:
     since_ns: int
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Step the wrapped simulator, and return its replies without the dropped ones."""
+        """Step the wrapped simulator, and return its replies without the dropped replies."""
         replies = self.peer.step(t_ns, frames)
         return [
             reply

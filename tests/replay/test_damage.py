@@ -1,6 +1,6 @@
 """If a byte in a log has changed, this is reported, with the first tick that contains a wrong byte.
 
-This also works if all checksums were adjusted.
+A changed byte is also reported if all checksums were adjusted.
 """
 
 import json

@@ -25,7 +25,7 @@ DIGITS = ("index", "middle", "ring", "thumb")
 
 @dataclass(frozen=True)
 class RunAndRepeat:
-    """A run and its repetition: the logs of both, and the true values of both in the same interval."""
+    """The logs of a run and its repetition, and the true values of both runs in the same interval."""
 
     folder: Path
     raw: bool

@@ -1,7 +1,7 @@
 """Test the execution of the ticks in a log.
 
-An unchanged log gives results that are equal to the last bit. If something has changed, the first
-tick with a difference is found.
+An unchanged log gives results that are equal to the last bit. If an output of the re-execution
+differs from the log, the test checks that the command finds the first tick with a difference.
 """
 
 import math

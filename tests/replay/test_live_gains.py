@@ -1,6 +1,6 @@
-"""A log contains the gains that were set during its run, and the identified parameters.
+"""A log contains the gains that were set during the recorded run, and the identified parameters.
 
-A re-execution of such a log therefore gives the same results to the last bit.
+A re-execution of the log therefore gives the same results to the last bit.
 """
 
 from pathlib import Path
@@ -52,8 +52,7 @@ def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
 def identified_calibration(hand: Hand, torque_gain: float) -> Calibration:
     """Return the calibration of a hand with known motor zeros.
 
-    According to this calibration, the drives make the fraction ``torque_gain`` of a commanded
-    torque.
+    In this calibration, the drives make only the fraction ``torque_gain`` of a commanded torque.
     """
     calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     identified = IdentifiedParameters(
@@ -100,7 +99,7 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
 
 @pytest.mark.parametrize("torque_gain", [0.72, 1.35])
 def test_a_drive_with_identified_torque_error_is_no_fault(torque_gain: float) -> None:
-    """A drive reports its nominal torque, which differs from the corrected command.
+    """A drive reports its nominal torque, which differs from the torque that the controller intends.
 
     Earlier defect: because of this difference, the controller reported the fault N14 (a command is
     not obeyed).

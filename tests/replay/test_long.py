@@ -32,9 +32,8 @@ MOVE_PHASE = (
 class LossyPeer:
     """Wrapper of a lockstep simulator.
 
-    The wrapper drops one reply in two hundred, and sometimes all replies of two ticks.
-
-    A run continues after such losses.
+    The wrapper drops one reply in two hundred, and sometimes all replies of two ticks. These losses
+    are so small that the run continues.
     """
 
     peer: LockstepSimulator
@@ -42,7 +41,7 @@ class LossyPeer:
     silent: int = 0
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Step the wrapped simulator, and return its replies without the dropped ones."""
+        """Step the wrapped simulator, and return its replies without the dropped replies."""
         replies = self.peer.step(t_ns, frames)
         if self.chance.random() < 0.002:
             self.silent = 2

@@ -1,4 +1,4 @@
-"""Test the re-execution of logs with gaps, logs with values that are refused, and logs of runs that ended early."""
+"""Test the re-execution of unusual logs: with gaps, with values that handctl refuses, and of runs that ended early."""
 
 import json
 import math

@@ -1,7 +1,7 @@
 """Test snapshots of the state in a log.
 
-Execution in parallel from these snapshots gives the same result as execution from the start to the
-end.
+A log can be executed in several parts at the same time, each from a snapshot. The parts together
+give the same outputs as one execution of the whole log.
 """
 
 from collections.abc import Callable
@@ -35,7 +35,8 @@ ExecuteBothWays = Callable[..., tuple[LogExecution, LogExecution]]
 def execute_both_ways(fresh_log: Path, monkeypatch: pytest.MonkeyPatch) -> ExecuteBothWays:
     """Return a function that executes a log with one process and with three processes.
 
-    The argument of this function is a change that makes the state of the controller wrong.
+    The argument of the returned function is another function, which makes a number in the
+    controller's state wrong.
     """
 
     def run(change: StateChange | None = None) -> tuple[LogExecution, LogExecution]:
@@ -64,7 +65,7 @@ def execution_findings(execution: LogExecution) -> dict[str, Any]:
 
 
 def spoil_state(field: str, at: int) -> StateChange:
-    """Return a change that makes a field of the second tendon wrong before tick ``at``."""
+    """Return a function that makes a field of the second tendon wrong before tick ``at``."""
 
     def change(before: ControllerState, entry: TickIn) -> None:
         if entry.k == at:
@@ -74,9 +75,10 @@ def spoil_state(field: str, at: int) -> StateChange:
 
 
 def test_a_snapshot_restores_the_state_unchanged(fresh_log: Path) -> None:
-    """In every tick of a run with faults and requests, the restored state has the same bytes and the same hash.
+    """A state that is restored from a snapshot has the same bytes and the same hash.
 
-    The next tick from the restored state is also the same.
+    The test checks this in every tick of a run with faults and requests. The next tick from the
+    restored state also gives the same result.
     """
     with RunLog(fresh_log) as log:
         controller = rebuild_controller(log)
@@ -127,7 +129,7 @@ def test_three_processes_find_no_difference_where_one_finds_none(
 def test_three_processes_find_the_first_difference_wherever_it_is(
     execute_both_ways: ExecuteBothWays, at: int
 ) -> None:
-    """The field is changed in the part of each of the processes, or at the border between two parts."""
+    """The test changes the field in the part of each process in turn, and at a border between two parts."""
     one, three = execute_both_ways(spoil_state("travel", at))
     assert one.first_difference is not None
     assert execution_findings(three) == execution_findings(one)

@@ -1,6 +1,6 @@
-"""Generated runs and true values for tests of the report.
+"""Generate runs and true values for tests of the report.
 
-All their numbers can be checked by hand.
+All generated numbers can be checked by hand.
 """
 
 import json

@@ -1,6 +1,6 @@
 """Test the counts of late and lost frames in a log.
 
-In copies of a golden run, frames are delayed or removed.
+The tests delay or remove frames in copies of a golden log.
 """
 
 from collections.abc import Iterator
@@ -37,10 +37,7 @@ def count_frames(golden_ticks: list[TickRecord]) -> tuple[int, ...]:
 
 
 def without_frame(golden_ticks: list[TickRecord], at: int) -> tuple[list[TickRecord], object]:
-    """Return the ticks without the first tension frame of one tick.
-
-    Also return the removed frame.
-    """
+    """Remove the first load-cell frame of one tick. Return the changed ticks and the removed frame."""
     first_tension_frame = make_sensors(JAMIA_HAND).ids[0]
     entry = golden_ticks[at].tick_in
     [lost] = [frame for frame in entry.frames if frame.can_id == first_tension_frame][:1]

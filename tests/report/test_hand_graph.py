@@ -1,4 +1,4 @@
-"""The picture of a hand names all its parts, as text and as a drawing."""
+"""The text picture and the drawing of a hand both name all parts of the hand."""
 
 import xml.etree.ElementTree as ET
 from pathlib import Path

@@ -1,6 +1,6 @@
-"""Test the judgement of a lift.
+"""Test how the report judges whether a hand has lifted an object.
 
-The judgement depends on the motion of the table, and on the motion of the object in the hand.
+The verdict depends on the motion of the table and of the object.
 """
 
 from dataclasses import replace
@@ -20,9 +20,9 @@ SINK_START_TICK, SINK_END_TICK = 200, 350
 
 
 def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[InventedLog, TruthRecord]:
-    """Create a log and a truth record.
+    """Create a log and a truth record in which table and object sink linearly.
 
-    In the log and in the truth record, table and object sink linearly from SINK_START_TICK to SINK_END_TICK.
+    Table and object sink from SINK_START_TICK to SINK_END_TICK.
     """
     log = InventedLog(JAMIA, TICK_COUNT, {0: "close", 100: "carry", SINK_END_TICK: "release"})
     truth = zero_truth(JAMIA, TICK_COUNT)

@@ -1,4 +1,4 @@
-"""The figure of a run can be drawn even if the run is incomplete."""
+"""The figure of a run can be drawn even if the log of the run is incomplete."""
 
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ def run_of(name: str, lively: bool) -> InventedLog:
 
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Return a list to which each figure is added that is drawn."""
+    """Return a list that collects every drawn figure."""
     figures: list[Any] = []
     monkeypatch.setattr(
         "handctl.report.run_figure.save_figure", lambda figure, path: figures.append(figure)

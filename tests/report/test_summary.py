@@ -76,7 +76,7 @@ def test_summaries_with_and_without_truth_have_the_same_keys() -> None:
 
 
 def test_a_truth_of_another_time_is_no_truth() -> None:
-    """A later run does not use the truth file that an earlier simulator on the same bus has left."""
+    """The summary of a run does not use the truth file of an earlier simulator on the same bus."""
     log = hold_log()
     result = summarise_run(log, JAMIA, zero_truth(JAMIA, 400, offset_ns=10**15), 0)
     assert math.isnan(result["tracking_rmse_rad"])
@@ -119,9 +119,9 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
 
 
 def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
-    """The estimate in a tick is compared with the true value at the time of the tick.
+    """The estimate of a tick is compared with the true tension at the time of this tick.
 
-    The load-cell sample in a tick was taken one period earlier.
+    The load-cell reading is compared with the true tension one period earlier, when it was taken.
     """
     log, truth = quiet_run(), zero_truth(JAMIA, 200)
     real = 20.0 + np.arange(200) * 0.1
@@ -199,7 +199,7 @@ def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
     wave = np.where(np.arange(400) % 2, 1.5, -1.5)
     set_truth_column(truth, f"tension/{index}", 25.0 - 0.4 + wave)
     set_truth_column(truth, f"tension/{thumb}", 25.0 + 0.7)
-    set_truth_column(truth, f"tension/{middle}", 3.0)  # a feedforward, without contact
+    set_truth_column(truth, f"tension/{middle}", 3.0)  # tension without contact
     result = summarise_run(log, JAMIA, truth, 0)
     assert result["tension_hold_error_n"] == pytest.approx(0.7, abs=0.02)
     assert result["tension_hold_peak_error_n"] == pytest.approx(1.9, abs=0.02)
@@ -243,7 +243,7 @@ def test_rms_ignores_nan() -> None:
 
 
 def test_measured_load_equals_a_hand_calculation() -> None:
-    """A classical frame of 8 bytes has at most one stuff bit for every four of its 34 + 64 bits.
+    """In a classical frame of 8 bytes, 34 + 64 bits may cause stuff bits, at most one for every four bits.
 
     The other 13 bits of the frame get no stuff bits.
     """

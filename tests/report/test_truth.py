@@ -114,7 +114,10 @@ def test_the_header_is_kept(tmp_path: Path) -> None:
 def test_a_copy_has_the_rows_between_two_times(
     tmp_path: Path, start: int, end: int, rows: range
 ) -> None:
-    """Reproduce a defect: each run copied and read everything since the start of the simulator, 1.6 GB per hour."""
+    """Reproduce a defect: each run copied and read all truth rows since the start of the simulator.
+
+    The simulator writes 1.6 GB of truth rows per hour.
+    """
     truth = zero_truth(JAMIA, 96)
     values = np.arange(truth.values.size, dtype=np.float64).reshape(truth.values.shape)
     whole = TruthRecord({}, truth.t_ns + 10**15, values, truth.columns)

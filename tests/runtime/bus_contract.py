@@ -1,6 +1,7 @@
-"""Tests of the contract that the class of every bus must fulfil.
+"""Define tests of the contract that every bus class must fulfil.
 
-A module that imports these tests must define the fixture ``medium``: the bus under test.
+A test module that imports these tests must define the fixture ``medium``, which returns the bus
+under test.
 """
 
 import random

@@ -1,4 +1,4 @@
-"""Hubs that serve the local bus in tests: the simulator's hub as a process, and a hub under test control."""
+"""Hubs that serve the local bus in tests: the simulator's hub as a process, and a hub whose bytes a test writes."""
 
 import os
 import signal

@@ -21,7 +21,7 @@ from tests.runtime.processes import (
 def work_folder(tmp_path, monkeypatch):
     """Change to a folder that contains only two tasks.
 
-    The sockets are in another folder whose path is short.
+    The sockets are in another folder, because the path of a Unix socket must be short.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)

@@ -1,6 +1,6 @@
-"""A SocketCAN bus over datagram sockets.
+"""Connect handctl's SocketCAN bus to datagram sockets in place of CAN sockets.
 
-Like CAN sockets, datagram sockets have time stamps and count dropped frames.
+Both kinds of sockets have time stamps and count dropped frames.
 """
 
 import socket

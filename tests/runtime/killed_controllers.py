@@ -2,9 +2,9 @@
 
 The simulated hand continues to run.
 
-Each controller is a fork of this process, so that it need not import its modules again. As in any
-run, the recorder and the simulator are separate processes. The truth file of the simulator shows
-how the drives react.
+Each controller is a fork of this process, because a new process would have to import all modules
+again. As in any run, the recorder and the simulator are separate processes. The truth file of the
+simulator shows how the drives react.
 """
 
 import json
@@ -53,7 +53,7 @@ WATCHDOG_MS = 50.0
 After this time plus ``DECAY_MS``, no motor may make torque.
 """
 DECAY_MS = 4.0
-"""Time in which the current of a disabled motor decays [ms]."""
+"""Time that the current of a motor needs to decay after the motor was disabled [ms]."""
 MIN_TORQUE_N_M = 1e-3
 """A motor counts as driven if its torque is above this value [N m]."""
 MIN_TAUT_N = 8.0
@@ -61,16 +61,16 @@ MIN_TAUT_N = 8.0
 RELEASE_S = 0.3
 """Time that the fingers need to open after the watchdogs have removed the torque [s]."""
 MAX_DELAY_S = 1.8
-"""Longest time from the first SYNC of a controller to the signal that kills or stops it [s].
+"""Longest time from the first SYNC of a controller to the signal that kills or stops this controller [s].
 
-In this time a run arms the hand, bends its fingers and holds them.
+Within this time, a run arms the hand, bends the fingers and holds them.
 """
 PROCESS_TIMEOUT_S = 60.0
 """Longest time that a test waits for a process [s]."""
 
 
 class DisturbedRun(NamedTuple):
-    """Record of one run of a controller that was killed or stopped by a signal.
+    """Record of one run whose controller was killed or stopped by a signal.
 
     Attributes:
         sent_signal: signal that was sent to the controller.
@@ -94,7 +94,7 @@ class DisturbedRun(NamedTuple):
 
 
 class KillVerdict(NamedTuple):
-    """Result for one run: its comparison with the truth file of the simulator.
+    """Result of the comparison of one run with the truth file of the simulator.
 
     Attributes:
         run: record of the run.
@@ -121,7 +121,8 @@ class KillVerdict(NamedTuple):
     def has_complete_log(self) -> bool:
         """Return True if the log contains every tick whose SYNC frame was on the bus.
 
-        The last tick may be missing, because the signal may come just after its SYNC frame.
+        The last tick may be missing, because the signal may come just after the SYNC frame of this
+        tick.
         """
         on_bus = self.run.bus_sync_counts
         in_log = self.run.log_sync_counts
@@ -167,7 +168,7 @@ class KillTestHand:
         self.simulator = start_hand(self.truth, "--hand", "jamia", *time_scale_options(scale))
 
     def now_ns(self) -> tuple[int, int]:
-        """Return the time of the simulator, and the part of this time during which the simulator did not run [ns]."""
+        """Return the time of the simulator, and how long the simulator has not run up to now [ns]."""
         reply_path = run_dir() / f"kills-{os.getpid()}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
             link.bind(str(reply_path))
@@ -226,7 +227,7 @@ class KillTestHand:
     def kill_verdicts(self, runs: list[DisturbedRun]) -> list[KillVerdict]:
         """Compare the runs with the truth file of the simulator.
 
-        The simulator must have ended before.
+        Before the call, the simulator must have ended.
         """
         truth = read_truth(self.truth)
         return [verdict_of_kill(truth, run) for run in runs]
@@ -258,7 +259,7 @@ class SyncListener:
     def listen(self, seconds: float) -> None:
         """Read the bus for a given time [s].
 
-        If nobody read, the socket would become full and lose frames.
+        Without reading, the socket would become full and lose frames.
         """
         until = time.monotonic() + seconds
         while True:
@@ -288,7 +289,7 @@ class SyncListener:
 
 
 def wait_for_end(child: int, listener: SyncListener) -> None:
-    """Wait for the end of a controller process. If it does not end, terminate it."""
+    """Wait for the end of a controller process. If the process does not end, terminate it."""
     until = time.monotonic() + 3.0
     while os.waitpid(child, os.WNOHANG) == (0, 0):
         if time.monotonic() > until:
@@ -357,9 +358,9 @@ def disturb_controllers(folder: Path, times: int, seed: int, scale: float) -> li
 
 
 CONTROLLERS_PER_SIMULATOR = 25
-"""Number of controllers for one simulator (a batch).
+"""Number of controllers that run one after the other with the same simulator (a batch).
 
-After a batch, the truth file of the simulator is read and deleted.
+After a batch, its truth file is read and deleted.
 """
 
 
@@ -377,7 +378,7 @@ def disturb_in_batches(times: int, seed: int, scale: float) -> Iterator[list[Kil
 
 
 def kill_summary(runs: list[KillVerdict]) -> str:
-    """Summarise such runs in one line of text."""
+    """Summarise the runs of killed or stopped controllers in one line of text."""
     safe = sum(run.torque_ended_in_time for run in runs)
     complete = sum(run.has_complete_log for run in runs)
     pulled = sum(run.was_taut for run in runs)

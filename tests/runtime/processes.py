@@ -24,7 +24,8 @@ LOCAL_BUS = "local:t"
 TIME_SCALE = 1.0
 """Time scale of simulator and controller. 1 is real time.
 
-If the machine is too slow for this time scale, the shared clock of simulator and controller pauses.
+If the machine is too slow for this time scale, the clock that simulator and controller share
+pauses.
 """
 SERIAL_BASE = 0x4000
 """Base of the serial numbers of simulated drives.
@@ -32,7 +33,7 @@ SERIAL_BASE = 0x4000
 The serial number of a drive is this base plus its node number.
 """
 HOMED_OPTIONS = ("--homed", "--serial", f"{SERIAL_BASE:#x}")
-"""Options of a simulated hand that fits the calibration of ``write_homed_calibration``."""
+"""Options of a simulated hand for which the calibration of ``write_homed_calibration`` is right."""
 TASK_HEAD = 'schema = 1\nname = "short"\n'
 MOVE_PHASE = (
     '[[phase]]\nkind = "move"\nname = "{name}"\nangle_deg = {angle}\nduration_s = {duration}\n'
@@ -144,7 +145,7 @@ def write_homed_calibration(path: Path, description: Hand) -> None:
 
 
 def modes_of_complete_log(log: Path) -> list[str]:
-    """Check that a log is complete, and return the texts of the mode changes in it."""
+    """Check that a log is complete, and return the text of each mode change in the log."""
     with RunLog(log) as run:
         assert not run.warning
         assert run.end["reason"] == "done"

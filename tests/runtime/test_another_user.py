@@ -1,8 +1,8 @@
 """Test the protection against another user of the machine.
 
-The folder for sockets is private, and a request counts as done only after the controller has
-confirmed it. A test that needs a second user forks a process, and this process changes its user.
-Without root rights, tests with a second user are skipped.
+The folder for sockets is private. A request counts as done only after the controller has confirmed
+it. A test that needs a second user forks a process, which then changes its own user. Without root
+rights, tests with a second user are skipped.
 """
 
 import json
@@ -47,7 +47,7 @@ UNCONFIRMED_TEXT = "no confirmation from the controller: switch the power off"
 def as_nobody(do) -> str:
     """Call a function in a process of the user ``nobody``.
 
-    Return the result as text. If the function raises an error, return the name of the error.
+    Return the result of the function as text, or the name of the error that it raises.
     """
     out, into = os.pipe()
     child = os.fork()
@@ -158,7 +158,7 @@ def test_a_folder_that_others_can_write_in_is_refused(shared_tmp, deep):
 
 @pytest.mark.parametrize("make", [run_dir, simulated.run_dir])
 def test_a_new_or_readable_folder_is_made_private(shared_tmp, make):
-    """A parent folder with mode 0755 is also made private.
+    """handctl also makes a parent folder private that has the mode 0755.
 
     Earlier versions of handctl created the parent folder with this mode.
     """
@@ -173,7 +173,7 @@ def test_a_new_or_readable_folder_is_made_private(shared_tmp, make):
 
 @pytest.mark.parametrize("deep", [False, True])
 def test_a_link_is_refused(shared_tmp, deep):
-    """A run directory that is a symbolic link is refused, whatever its target and its owner are."""
+    """A run directory that is a symbolic link is refused, with any target and any owner of the link."""
     target = shared_tmp / "elsewhere"
     target.mkdir(mode=0o700)
     if deep:
@@ -197,7 +197,7 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
 ):
     """In this test, an attacker renames the mailbox and binds another socket to its path.
 
-    This socket would receive the requests for the hand.
+    The attacker's socket would then receive the requests for the hand.
     """
     box = Mailbox("local:x")
     folder = run_dir()
@@ -238,7 +238,10 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
 
 @SECOND_USER
 def test_requests_and_status_lines_of_another_user_are_ignored(shared_tmp):
-    """Requests of other users are ignored even in an open folder: the kernel names the user of each sender."""
+    """Requests of other users are ignored even in an open folder.
+
+    Linux tells the receiver the user of each sender.
+    """
     box = Mailbox("local:x")
     watcher = StatusWatcher("local:x")
     for path in (watcher.path, Path(box.path)):
@@ -289,9 +292,9 @@ def test_a_hub_accepts_only_its_own_user(shared_tmp):
 
 
 class AnsweringController:
-    """A thread that serves the mailbox of a bus.
+    """A thread that serves the mailbox of a bus like a controller.
 
-    The thread sends the same texts of events as a controller.
+    The thread sends the same event texts as a controller.
     """
 
     def __init__(self, end_with: str = "DISARM -> DONE", deaf_after: str = "") -> None:

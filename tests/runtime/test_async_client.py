@@ -16,7 +16,7 @@ REALTIME = pytest.mark.realtime
 async def use_hand(*options):
     """Move, stream, observe and cancel with a client.
 
-    During these actions, another asyncio task counts.
+    Meanwhile, another asyncio task counts, to show that the client does not block the event loop.
     """
     counted = 0
 
@@ -57,8 +57,8 @@ async def use_hand(*options):
 async def watch(hand):
     """Observe a hand 200 times.
 
-    Return the ticks of the observations, and the range that the first joint angle has covered
-    [deg].
+    Return the ticks of the observations, and the difference between the largest and the smallest
+    first joint angle [deg].
     """
     ticks, angles = [], []
     async for one in hand.observations():
@@ -113,9 +113,10 @@ def test_an_exception_in_the_block_stops_the_hand(work_folder, hand, calibrated,
 @REALTIME
 @pytest.mark.parametrize("wait_s", [0.0, 0.5])
 def test_a_cancelled_start_leaves_no_armed_hand(work_folder, hand, calibrated, scale, wait_s):
-    """Reproduce a defect: after a timeout at ``async with``, the controller armed the hand, and no program released it.
+    """Reproduce a defect: after a timeout at ``async with``, the controller still armed the hand.
 
-    The block of the program had not begun, so nothing closed the client.
+    The body of the ``async with`` block had not begun, so nothing closed the client and released
+    the hand.
     """
 
     async def connect_too_briefly():

@@ -1,6 +1,6 @@
 """Test clients that misbehave, in real time.
 
-The true values of the simulator show the effects of these clients.
+The tests check the effects of these clients with the true values of the simulator.
 
 tests/controller/test_target_streams.py contains similar tests in lockstep.
 """
@@ -17,9 +17,12 @@ NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 TIME_SCALE = 0.6
 TESTED_CLIENTS = list(CLIENT_BEHAVIOURS) if NIGHTLY else ["flooding", "killed"]
 HOLD_FAULT = "I11a"
-"""Fault of a stream that sends no target for 100 ms. The controller then holds the hand."""
+"""Fault of a stream in which no target arrives for 100 ms. The controller then holds the hand."""
 RELAX_FAULT = "I11b"
-"""Fault of a stream that sends no target for a second. The controller then relaxes the hand."""
+"""Fault of a stream in which no target arrives for a second.
+
+The controller then relaxes the hand.
+"""
 FAULTS_BY_CLIENT = {
     "paused-500": {HOLD_FAULT}, "nan": {HOLD_FAULT}, "1e308": {HOLD_FAULT}, "late-150": {HOLD_FAULT},
     "killed": {HOLD_FAULT, RELAX_FAULT}, "killed-owner": set(),

@@ -1,7 +1,7 @@
 """Test unusual batches of frames on all kinds of buses.
 
-The batches contain frames of mixed kinds and of 0 to 64 bytes, more frames than a buffer can store,
-or error frames.
+Some batches contain frames of mixed kinds with 0 to 64 bytes. Others contain more frames than a
+buffer can store, or error frames.
 """
 
 import random
@@ -30,7 +30,7 @@ from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record
 from tests.runtime.datagram_bus import datagram_bus
 
 CLASSICAL_FRAME_STRUCT, FD_FRAME_STRUCT = struct.Struct("=IB3x8s"), struct.Struct("=IBB2x64s")
-"""Layouts of classical and FD frames in the kernel. Source: Linux ``can.h``."""
+"""Layouts of classical and FD frames in Linux. Source: Linux ``can.h``."""
 CLASSICAL_SIZES = (0, 1, 7, 8)
 FD_SIZES = (0, 8, 12, 64)
 BUS_INDEX = 3
@@ -70,7 +70,7 @@ def frame_contents(frames: Frames) -> list[tuple[int, bytes, int, int]]:
 def has_zeros_behind_payloads(frames: Frames) -> bool:
     """Return True if frame records contain only zeros after each payload.
 
-    Also check the width of the records.
+    Also check the size of a record.
     """
     assert frames.rows.shape == (len(frames), WORDS_PER_RECORD)
     behind = np.arange(64) >= frames.records["length"][:, np.newaxis]
@@ -107,9 +107,9 @@ def drain_frames(bus: Bus, count: int) -> Frames:
 
 
 def kernel_datagram(frame: Frame, garbage: bytes = b"") -> bytes:
-    """Return a frame as the kernel may deliver it, with arbitrary bytes after the payload.
+    """Return a frame as Linux may deliver it, with arbitrary bytes after the payload.
 
-    The driver of an adapter may leave such bytes there.
+    The driver of a CAN adapter may leave such bytes there.
     """
     can_id, data, flags, *_ = frame
     if flags & FDF:

@@ -1,6 +1,6 @@
-"""Compare decoded error frames with the header file of the kernel.
+"""Test the decoding of error frames with constants from the Linux header file.
 
-Test states of a CAN controller that are reported for as long as they last.
+A state of the CAN controller, such as bus off, is reported for as long as it lasts.
 """
 
 import errno

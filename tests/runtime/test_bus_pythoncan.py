@@ -1,4 +1,4 @@
-"""Test that errors of python-can become events, and that the tools of python-can work on the local bus."""
+"""Test that errors of python-can become events, and that the tools of python-can can use handctl's local bus."""
 
 import asyncio
 import errno
@@ -49,9 +49,9 @@ def virtual_bus() -> Iterator[PythonCanBus]:
 
 
 def test_frames_that_an_adapter_echoes_are_not_received(virtual_bus: PythonCanBus) -> None:
-    """A gs_usb adapter returns every frame that the host sends as a received frame.
+    """A gs_usb adapter returns every sent frame to the host as if it were received.
 
-    If handctl did not discard this echo, it would regard it as a frame of a second controller.
+    The bus must discard this echo, because it looks like a frame of a second controller.
     """
     virtual_bus._bus.shutdown()
     virtual_bus._bus = can.Bus("broken", interface="virtual", receive_own_messages=True)
@@ -187,7 +187,7 @@ def test_a_notifier_receives_messages(handctl_bus: Bus) -> None:
 def test_a_notifier_in_an_event_loop_receives_a_complete_batch(handctl_bus: Bus) -> None:
     """The notifier of python-can reads one message for each event of the file descriptor.
 
-    So the file descriptor must stay readable as long as messages wait.
+    The file descriptor must therefore stay readable as long as messages wait.
     """
     received: list[int] = []
 

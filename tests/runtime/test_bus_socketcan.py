@@ -13,12 +13,12 @@ from tests.runtime.datagram_bus import datagram_bus
 
 CLASSICAL_FRAME_STRUCT = struct.Struct("=IB3x8s")
 FD_FRAME_STRUCT = struct.Struct("=IBB2x64s")
-"""Layout of an FD frame in the kernel. Source: Linux ``can.h``."""
+"""Layout of an FD frame in Linux. Source: Linux ``can.h``."""
 
 
 @pytest.fixture
 def udp_bus() -> Iterator[tuple[SocketCanBus, socket.socket]]:
-    """Yield a bus, and the socket at its other end. Both are connected over UDP.
+    """Yield a bus, and the socket at its other end. Bus and socket are connected over UDP.
 
     Like CAN sockets, UDP sockets have time stamps and count dropped datagrams.
     """
@@ -75,7 +75,7 @@ def test_the_size_of_a_datagram_distinguishes_fd_from_classical(
     udp_bus: tuple[SocketCanBus, socket.socket],
 ) -> None:
     bus, far = udp_bus
-    # like kernels before 6.1, which do not have CANFD_FDF
+    # Linux before version 6.1 does not have CANFD_FDF
     far.send(FD_FRAME_STRUCT.pack(1, 8, 0, bytes(8)))
     far.send(CLASSICAL_FRAME_STRUCT.pack(1, 8, bytes(8)))
     assert [frame.flags for frame in wait_for_frames(bus, 2)] == [FDF, 0]
@@ -99,9 +99,9 @@ def test_batches_beyond_the_buffers_keep_their_order(
 
 
 KERNEL_STAMPS_S = 0.3
-"""Time from the first request for time stamps until the kernel adds them [s].
+"""Time from the first request for time stamps until Linux adds time stamps [s].
 
-The kernel first patches its code.
+For the first request, Linux has to patch the code of its kernel.
 """
 
 
@@ -126,8 +126,7 @@ def test_stamps_never_run_backwards_or_ahead(
 ) -> None:
     """In this test, the wall clock is set while frames wait in the socket.
 
-    The time stamps of these frames are in order and not in the future, although the wall clock was
-    set.
+    Even so, the time stamps of these frames are in order and not in the future.
     """
     bus, far = udp_bus
     real = time.time_ns
@@ -146,9 +145,9 @@ def test_stamps_never_run_backwards_or_ahead(
 def test_stamps_are_right_although_the_wall_clock_was_set(
     udp_bus: tuple[SocketCanBus, socket.socket], step_ns: int
 ) -> None:
-    """First, the offset between the two clocks is measured.
+    """The host measures the offset between wall clock and monotonic clock.
 
-    Then the wall clock is set, and the kernel stamps the frame.
+    Then the wall clock is set, and Linux stamps a frame.
     """
     bus, far = udp_bus
     time.sleep(KERNEL_STAMPS_S)
@@ -164,7 +163,10 @@ def test_stamps_are_right_although_the_wall_clock_was_set(
 
 
 def overflow_socket(bus: SocketCanBus, far_end: socket.socket) -> None:
-    """Send more frames than a small buffer can store, then one with the number of dropped frames."""
+    """Send more frames than a small buffer can store.
+
+    Then send a frame that carries the number of dropped frames.
+    """
     with socket.socket(fileno=bus.fileno()) as link:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         link.detach()
@@ -180,9 +182,11 @@ def overflow_socket(bus: SocketCanBus, far_end: socket.socket) -> None:
 def test_after_a_loss_frames_are_converted_as_batches_again(
     udp_bus: tuple[SocketCanBus, socket.socket], monkeypatch: pytest.MonkeyPatch, fd_flag: int
 ) -> None:
-    """Reproduce a defect: after the first loss, every frame of the run was processed in the slow way.
+    """Reproduce a defect: after the first lost frame, every frame of the run was converted separately.
 
-    After a loss, the kernel adds the counter of lost frames to each frame.
+    Such a conversion is slow.
+
+    Linux adds the counter of lost frames to each frame that follows a loss.
     """
     bus, far = udp_bus
     time.sleep(KERNEL_STAMPS_S)
@@ -205,7 +209,8 @@ def test_after_a_loss_frames_are_converted_as_batches_again(
             (frame,) = wait_for_frames(bus, 1)
             assert frame[:4] == (number, data, fd_flag, 1)
             assert frame.t_ns > time.monotonic_ns() - 10**9
-        # A frame that arrives more than MAX_STAMP_STEP_NS after the last frame is converted alone.
+        # handctl converts a frame separately if it arrives more than MAX_STAMP_STEP_NS after the
+        # last frame.
         assert len(slow_batches) < 20
         assert bus.take_events() == []
 

@@ -1,6 +1,6 @@
-"""The command ``handctl bus watch`` reads every drive and every load cell of a hand.
+"""``handctl bus watch`` reads every drive and every load cell of a hand.
 
-While it runs, no motor makes torque.
+While this command runs, no motor makes torque.
 """
 
 import json
@@ -25,7 +25,7 @@ PERIOD_NS = 10_000_000
 TURNED_RAD = -0.5
 """Angle to which an operator turns the first spool [rad].
 
-A negative angle makes its tendon slack.
+A negative angle makes the tendon of this spool slack.
 """
 
 

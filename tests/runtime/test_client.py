@@ -55,9 +55,10 @@ def test_every_numeric_type_is_accepted(unserved_client, number, monkeypatch):
     "number", [float("nan"), 10**400, "3", True, np.True_, None, np.array([3.0, 4.0]), 1e9]
 )
 def test_an_invalid_angle_is_refused_before_it_is_sent(unserved_client, number):
-    """The client refuses such an angle before it sends a request.
+    """The client refuses an invalid angle before it sends a request.
 
-    A controller that refuses three requests in a second relaxes the hand.
+    Without this check in the client, the controller would refuse the request, and relax the hand
+    after three refused requests within a second.
     """
     with pytest.raises(ConfigError, match=r"move: angle_deg.index: .*; expected"):
         unserved_client.move(index=number)
@@ -75,7 +76,7 @@ def status_with_events(*texts):
     "theirs", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"]
 )
 def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, theirs):
-    """Reproduce a defect: of two programs with one hand, one program reported the refused requests of the other."""
+    """Reproduce a defect: if two programs used one hand, each reported the refused requests of the other program."""
     sent = []
     monkeypatch.setattr(
         unserved_client._watcher, "send", lambda data, timeout: sent.append(json.loads(data))
@@ -116,7 +117,7 @@ def test_a_hold_without_a_tension_brings_the_hand_to_rest(unserved_client, monke
 def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
     """Reproduce a defect.
 
-    Earlier defect: the client regarded a mapping as the first argument as the duration, and raised
+    If the first argument was a mapping, the client took the mapping for the duration, and raised
     the error "no digit".
     """
     requests = []
@@ -146,7 +147,10 @@ def test_an_unknown_space_of_a_stream_names_all_spaces(unserved_client):
 
 
 def test_the_names_of_a_stream_are_a_list(unserved_client):
-    """Reproduce a defect: each letter of a text counted as a name, and the message said "no digit 'i'"."""
+    """Reproduce a defect: for a text in place of a list of names, the client took each letter as a name.
+
+    The message was "no digit 'i'".
+    """
     with pytest.raises(
         ConfigError, match=r"stream.names: 'index'; expected a list, as in \['index'\]"
     ):
@@ -250,7 +254,8 @@ def test_a_program_moves_holds_and_reads_the_state(work_folder, hand, calibrated
 def test_a_stopped_run_and_a_closed_client_are_named(work_folder, hand, calibrated, scale):
     """Reproduce a defect: the message about a stopped run quoted an unrelated notice of the controller.
 
-    After the end of its block, a client raised the error "mmap closed or invalid".
+    Earlier defect: a client that was used after its ``with`` block raised the error "mmap closed or
+    invalid".
     """
     with library.connect(
         "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
@@ -258,7 +263,8 @@ def test_a_stopped_run_and_a_closed_client_are_named(work_folder, hand, calibrat
         with library.connect("jamia", LOCAL_BUS) as other:
             ticks = other.observations()
             next(ticks)
-        # A program for another hand got a client of this hand, without a word.
+        # Earlier defect: a program that asked for another hand got a client of this hand, without
+        # any error.
         with (
             pytest.raises(
                 ConfigError, match=r"controls jamia; expected hand='jamia', or the bus of"
@@ -282,7 +288,7 @@ def test_a_stopped_run_and_a_closed_client_are_named(work_folder, hand, calibrat
 def test_every_thread_gets_the_end_of_the_run(work_folder, hand, calibrated, scale):
     """Reproduce a defect: threads that shared a client raised "Bad file descriptor" and "flush of closed file".
 
-    All of them read the output of the controller when the run ended.
+    At the end of the run, all these threads read the output of the controller.
     """
     client = library.connect(
         "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale

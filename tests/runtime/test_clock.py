@@ -1,4 +1,7 @@
-"""Test the contract that all clocks fulfil: the clocks for real time, scaled time and virtual time."""
+"""Test the contract of the clocks for real time, scaled time and virtual time.
+
+All clocks must fulfil this contract.
+"""
 
 import statistics
 import time
@@ -18,7 +21,7 @@ PERIOD_NS = 2_000_000
 class FakeMonotonicClock:
     """A simulated CLOCK_MONOTONIC.
 
-    A sleep advances it by the duration of the sleep, and by some additional time.
+    A sleep advances this clock by the duration of the sleep, and by some additional time.
     """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, overshoot_ns: int = 0) -> None:
@@ -113,9 +116,9 @@ def test_the_granted_priority_is_described() -> None:
 
 
 class RecordingPeer:
-    """A fake simulator for the lockstep clock. This fake simulator records its steps.
+    """A fake simulator for the lockstep clock, which records its steps.
 
-    The identifier of the reply to a frame is larger by 0x10 than that of the frame.
+    The simulator replies to each frame with an identifier that is larger by 0x10.
     """
 
     def __init__(self, fail: str = "") -> None:
@@ -180,10 +183,7 @@ def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
 
 
 class RecordPeer(RecordingPeer):
-    """A fake simulator for the lockstep clock.
-
-    This fake simulator exchanges frames as packed records, and not as objects.
-    """
+    """A fake simulator for the lockstep clock, which exchanges frames as packed records instead of objects."""
 
     def exchange(self, t_ns: int, records: RecordArray) -> RecordArray:
         self.steps.append((t_ns, list(Frames(records))))

@@ -1,4 +1,7 @@
-"""Test ``handctl demo`` in real and scaled time, with the shared clock of simulator and controller."""
+"""Test ``handctl demo`` in real and scaled time.
+
+Simulator and controller share one clock in these tests.
+"""
 
 import os
 from pathlib import Path
@@ -34,8 +37,8 @@ def test_the_clock_of_the_demo_pauses_on_a_slow_machine(work_folder, processes):
     assert max(result["tracking_rmse_deg"].values()) < 1.0
     assert result["clock_pauses"] > 0
     modes_of_complete_log(work_folder / "run.mcap")
-    # Reproduce a defect: each demo left 10 MB of true values in the run folder, which may be in
-    # memory, although it had copied them.
+    # Reproduce a defect: each demo left its truth file of 10 MB in the run folder, although it had
+    # copied the file. The run folder may be in memory.
     assert result["truth"] == "run.truth"
     assert not list(Path(os.environ["HANDCTL_RUN_DIR"]).rglob("*.truth"))
     with RunLog(work_folder / "run.mcap") as log:

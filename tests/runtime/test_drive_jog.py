@@ -1,4 +1,4 @@
-"""Test jogging of a simulated drive in virtual time: modes, limits, protections, final state."""
+"""Test the jogging of a simulated drive in virtual time: modes, limits, protections, final state."""
 
 import math
 import struct
@@ -111,9 +111,9 @@ def test_no_command_beyond_its_range_is_encoded(protocol, mode, value):
 
 @pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
 def test_a_drive_that_is_turned_away_stays_where_it_is_when_it_is_enabled(protocol, mode):
-    """The drive starts at 5 rad.
+    """The drive of this test starts at 5 rad.
 
-    If the position command were zero when the drive is enabled, the drive would move by this angle.
+    A position command of zero at the moment of enabling would therefore move the drive by 5 rad.
     """
     place, rig, torque_drive = bench_of(protocol, mode)
     place.bench.motors[0].theta = 5.0
@@ -219,8 +219,8 @@ def stall_host(place, rig, after_s, missed):
 
     def wait_and_stall(k):
         if stalls and commands and (k * PERIOD_NS - commands[0][0]) * 1e-9 >= after_s:
-            # The drive gets its commands from another source, so that its watchdog does not end the
-            # jog.
+            # During the stall, the test sends commands to the drive. Without these commands, the
+            # watchdog of the drive would end the jog.
             for n in range(stalls.pop()):
                 wait(k + n)
                 command = commands[-1][1]
@@ -251,8 +251,8 @@ def test_a_ramp_keeps_its_time_although_ticks_are_missed(mode, after_s, missed):
     assert max(gaps) == (missed + 1) * PERIOD_NS
     at_time = dict(whole)
     late = gaps.index(max(gaps)) + 1
-    # The command of the late tick was computed before the stall. The commands after it are on the
-    # ramp again. If a stall lasts beyond the planned end of the motion, the motion ends later.
+    # The command of the late tick was computed before the stall. All later commands follow the ramp
+    # again. If a stall lasts beyond the planned end of the motion, the motion ends later.
     if after_s < 1.0:
         for t_ns, command in ramp[late + 1 : late + 20]:
             assert command == pytest.approx(at_time[t_ns], abs=1e-6)
@@ -261,7 +261,11 @@ def test_a_ramp_keeps_its_time_although_ticks_are_missed(mode, after_s, missed):
 
 @pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
 def test_a_host_that_misses_too_many_ticks_ends_the_jog(protocol, mode):
-    """The drive gets commands during the stall, so its watchdog is not the reason."""
+    """The jog ends because of the missed ticks.
+
+    The watchdog of the drive cannot be the reason, because the drive gets commands during the
+    stall.
+    """
     place, rig, _ = bench_of(protocol, mode)
     commands = stall_host(place, rig, 0.5, MAX_MISSED_TICKS + 1)
     result = jog_drive(rig, goal_of(mode, 1.0))

@@ -41,7 +41,8 @@ def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed: 
     place.send = lambda frames: times.append(place.now_ns()) or send(frames)  # type: ignore[method-assign]
     for _ in range(5):
         rig.run_tick(DriveTarget.POLL)
-    # The time before the first tick is the half period after the deadline of the tick.
+    # The time before the first tick is the half period that remains after the deadline of this
+    # tick.
     assert [t_ns // PERIOD_NS for t_ns in times] == [first - 1 + missed + i for i in range(5)]
     assert rig.t_ns == (first - 1 + missed + 5) * PERIOD_NS
     assert rig.missed_ticks == 0
@@ -88,8 +89,8 @@ def test_the_velocity_after_missed_ticks_is_that_of_the_shaft(
 ) -> None:
     """Reproduce a defect.
 
-    Positions before and after a stall were compared as if their ticks were adjacent, so the shaft
-    seemed too fast.
+    The velocity was computed as if the ticks before and after a stall were adjacent. The shaft
+    therefore seemed to turn too fast.
     """
     place = VirtualBench("mit", delay_ticks=delay_ticks)
     motor = place.bench.motors[0]

@@ -1,4 +1,7 @@
-"""Test starts of a run that fail: the recorder and the buses that are already open are closed again."""
+"""Test starts of a run that fail.
+
+The recorder and the buses that are already open must be closed again.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -46,7 +49,7 @@ class ClosableBus:
 
 
 class ClosableDisplay:
-    """A display that shows nothing."""
+    """A fake display process that shows nothing."""
 
     def __init__(self):
         self.closed = False

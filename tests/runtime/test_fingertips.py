@@ -50,7 +50,7 @@ def test_wrong_digits_are_refused(digits):
 
 
 class StreamOwner:
-    """Fake client to which a stream belongs. The hand of this client is at rest."""
+    """Fake client that owns a stream, with a hand at rest."""
 
     description = HAND
 

@@ -1,7 +1,7 @@
 """Test a run whose disk becomes full.
 
-The full disk is reported at once, the hand continues to run, and the part of the log that was
-written can be read.
+The controller reports the full disk at once, and continues to control the hand. The part of the log
+that was written before can be read.
 """
 
 import contextlib
@@ -30,8 +30,8 @@ pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 DISK_SIZE = "96m"
 """Size of the disk.
 
-The recorder ends a log while there is still some free space, so the disk must be larger than this
-space.
+The recorder ends a log while the disk still has some free space. The disk of this test must be
+larger than this space.
 """
 
 

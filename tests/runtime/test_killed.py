@@ -1,6 +1,7 @@
 """Kill or stop controllers at random times.
 
-Afterwards the drives remove the torque within their watchdog time, and all logs are complete.
+After the end of a controller, the drives remove the torque within their watchdog time, and all logs
+are complete.
 """
 
 import multiprocessing
@@ -22,8 +23,8 @@ def all_batches(times, seed, scale):
 
 @pytest.mark.timeout(300 + 15 * CONTROLLER_COUNT)
 def test_drives_remove_torque_and_logs_end_with_the_last_tick(repeat_time_scale):
-    # A forked controller locks all its memory. The forked controller is therefore a fork of a small
-    # process, and not of the large process of all tests.
+    # A controller locks all its memory. Controllers of this test are therefore forks of a small
+    # process instead of the large process of all tests.
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         runs = pool.apply(all_batches, (CONTROLLER_COUNT, 20261121, TIME_SCALE * repeat_time_scale))
     assert [run for run in runs if not run.torque_ended_in_time] == [], (

@@ -1,6 +1,6 @@
 """Test findings about a CAN interface from the output of ``ip``.
 
-The texts were written for these tests. The texts have the format of iproute2.
+The outputs of ``ip`` were written for these tests, in the format of iproute2.
 """
 
 import json
@@ -89,7 +89,8 @@ def test_missing_fd_is_found_where_the_hand_needs_it():
 def test_the_set_up_of_a_finding_is_that_of_bus_up(data_bitrate):
     """Reproduce a defect.
 
-    The command in a finding did not contain ``restart-ms``, and the next finding then demanded it.
+    The repair command of one finding did not contain ``restart-ms``. After its execution, another
+    finding demanded ``restart-ms``.
     """
     (finding, *_) = bad_findings(link_json(link={"flags": ["NOARP"]}), data_bitrate)
     commands = set_up_commands("can0", MEGABIT_PER_S, data_bitrate, exists=True)

@@ -1,6 +1,6 @@
 """Test two consecutive runs on one lockstep clock, with drives of each protocol.
 
-At the start of the second run, the drives are in the state in which the first run has left them.
+At the start of the second run, the drives are in the final state of the first run.
 """
 
 from pathlib import Path

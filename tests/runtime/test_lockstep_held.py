@@ -1,6 +1,6 @@
 """Test a run in lockstep in which a fault holds the hand.
 
-In lockstep no operator can clear the fault, so a time limit must end the run.
+In lockstep, no operator can clear the fault. A time limit must therefore end the run.
 """
 
 from pathlib import Path

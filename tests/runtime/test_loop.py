@@ -26,9 +26,9 @@ CUT_FRAMES = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
 
 @dataclass
 class ScriptedClock:
-    """A clock whose first waits end late by the given times [ns]. All later waits end in time.
+    """A clock that records all waits.
 
-    The clock stores all waits.
+    The first waits end late by the given times [ns], and all later waits end in time.
     """
 
     late: list[int] = field(default_factory=list)
@@ -147,9 +147,9 @@ def test_ticks_follow_one_another_at_their_times() -> None:
 
 
 def test_the_warm_up_tick_has_no_effect() -> None:
-    """The tick for warming up runs before the clock starts.
+    """Before the clock starts, the loop runs one tick to warm up.
 
-    This tick sends and records nothing, and its state is discarded.
+    This tick sends and records nothing, and the state after it is discarded.
     """
     run = RecordedLoop(frames=(Frame(7, b""),))
     run.go()
@@ -287,7 +287,7 @@ def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
         owner = run.clock if stage == "wait" else left
         whole = getattr(owner, stage)
         setattr(owner, stage, lambda *words: raise_error() if run.recorded else whole(*words))
-    # the cut frames were not sent
+    # the frames that disable the drives were not sent
     with pytest.raises(PowerError if stage == "send" else StageError):
         run.go()
     assert right.sent[-1] == (CUT_FRAMES[1],)
@@ -297,11 +297,9 @@ def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
 
 
 def poll_times(run: RecordedLoop, answers: list[tuple[str, ...]]) -> list[int]:
-    """Let a loop fail in its third tick.
+    """Let a loop fail in its third tick, and return the times at which it then polled the drives [ns].
 
-    Return the times at which the loop then polled the drives [ns].
-
-    For each poll, ``answers`` lists the drives that have not confirmed that they are disabled.
+    ``answers`` lists, for each poll, the drives that have not confirmed that they are disabled.
     """
     times: list[int] = []
 
@@ -323,8 +321,8 @@ def test_an_error_after_the_commands_disables_from_the_state_with_these_commands
 ) -> None:
     """Reproduce a defect.
 
-    Earlier defect: the loop used the state before the tick. In this state, drives that had just
-        been enabled had no command.
+    After an error, the loop disabled the drives from the state before the tick. In this state, a
+    drive that was enabled in this tick counted as disabled.
     """
     bus = FakeBus()
     run = RecordedLoop(5, buses=[bus], frames=(Frame(9, b"enable"),))
@@ -378,7 +376,8 @@ def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
 def test_after_a_stall_drives_are_polled_from_the_present_time_on() -> None:
     """Reproduce a defect.
 
-    The polls began at the times of the missed ticks, all at once, so there was no time for answers.
+    After a stall, the loop sent the polls of all missed ticks at once, so the drives had no time to
+    answer.
     """
     run = RecordedLoop(600, clock=ScriptedClock([0, 600 * PERIOD_NS]))
     times: list[int] = []
@@ -405,10 +404,9 @@ def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
 
 
 def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
-    """The frames of a cut must not be lost.
+    """The frames that disable the drives must not be lost, because no later tick repeats them.
 
-    No later tick repeats the frames of a cut. A drive without a watchdog would therefore keep its
-    torque.
+    If they were lost, a drive without a watchdog would keep its torque.
     """
     left = FakeBus()
     right = FakeBus(1)
@@ -433,7 +431,10 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
 def test_a_bus_that_refuses_every_cut_delays_no_other(
     refusing: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The other bus gets its cut frames before the first retry, and the retries end."""
+    """A bus that refuses the disabling frames is tried again for a limited time.
+
+    The other bus gets its disabling frames before the first of these retries.
+    """
     pauses: list[float] = []
     monkeypatch.setattr(loop.time, "sleep", pauses.append)
     tries: list[tuple[int, int]] = []
@@ -504,9 +505,9 @@ def test_garbage_collection_is_restored_when_the_clock_does_not_begin(
 
 
 def test_a_long_run_has_the_lateness_of_its_last_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The loop stores only the lateness of its last ticks.
+    """The loop stores how late each of its last ticks was.
 
-    The lateness of all ticks of a day at 500 Hz would take 330 MiB of locked memory.
+    To store this for all ticks of a day at 500 Hz would take 330 MiB of locked memory.
     """
     monkeypatch.setattr(loop, "LATENESS_RING_TICKS", 16)
     run = RecordedLoop(200, clock=ScriptedClock(list(range(200))))

@@ -1,7 +1,7 @@
 """Test a client that dies or hangs while the hand holds a tension for this client.
 
-The hand relaxes when the lease of this client has ended. The truth file of the simulator shows
-this.
+The hand must relax when the lease of this client has ended. The test checks the tensions in the
+truth file of the simulator.
 """
 
 import re
@@ -109,7 +109,7 @@ def test_a_lost_client_makes_the_hand_relax(work_folder, hand, calibrated, scale
 def test_a_program_that_waits_keeps_its_hold(work_folder, hand, calibrated, scale):
     """A thread of the client renews its lease while the program waits.
 
-    A client without a lease need not send signs of life.
+    A client without a lease sends no signs of life.
     """
     factor = float(scale[1])
     options = ("--calibration", "c.toml", "--log", "live.mcap", *scale)
@@ -142,9 +142,9 @@ def test_a_wrong_lease_is_one_line(options, line):
 
 
 def test_a_watchdog_stops_the_signs_of_life(work_folder):
-    """If the program makes no calls, a watchdog in the client notices this, and ends the signs of life.
+    """A watchdog in the client ends the signs of life when the program has not called the client for some time.
 
-    With the next call, the signs of life begin again.
+    The next call starts the signs of life again.
     """
     box = Mailbox("local:beats")
     beats = Heartbeat("local:beats", "one", 0.01, 0.15)

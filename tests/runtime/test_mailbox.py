@@ -38,10 +38,7 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def send_request(name: str, text: str) -> None:
-    """Send a request to the mailbox of a bus, as any program of this user can.
-
-    Do not wait for a reply.
-    """
+    """Send a request to the mailbox of a bus without waiting for a reply, as any program of this user can."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.sendto(text.encode(), str(mailbox_path(name)))
 
@@ -104,7 +101,10 @@ def test_a_second_controller_is_refused_and_disturbs_nothing() -> None:
 def test_a_mailbox_that_fails_leaves_no_lock_and_no_socket(
     stage: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Reproduce a defect: if a start had failed, a retry in the same process was refused because of its own lock."""
+    """Reproduce a defect: a failed start did not release its lock.
+
+    A retry in the same process was therefore refused.
+    """
     path = mailbox_path("local:x")
     open_before = set(os.listdir("/proc/self/fd"))
     with monkeypatch.context() as patch:
@@ -149,9 +149,9 @@ def test_a_hand_whose_second_bus_has_a_controller_is_refused(
 
 
 def test_a_killed_controller_leaves_no_lock(run_folder: Path) -> None:
-    """The socket file of the killed controller still exists.
+    """After a controller was killed, its socket file still exists.
 
-    The next controller can still use the same name.
+    Even so, the next controller can use the same name.
     """
     code = "import time; from handctl.runtime.mailbox import Mailbox as M; m = M('local:x'); print(1, flush=1)"
     code += "; time.sleep(60)"

@@ -1,6 +1,6 @@
-"""Test the ring of observations in shared memory, and the socket for streamed targets.
+"""Test the ring buffer of observations in shared memory, and the socket for streamed targets.
 
-In these tests, both ends belong to one process.
+In these tests, writer and reader are in one process.
 """
 
 import copy
@@ -57,7 +57,7 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def numbers_of(k: int) -> PackedTelemetry:
-    """Return telemetry in which each number depends on the tick and on the index of the number."""
+    """Return telemetry in which each number depends on the tick and on its own index."""
     places, first = {}, 0
     for name in TELEMETRY_FIELDS:
         places[name] = slice(first, first + AXIS_LENGTHS[TELEMETRY_AXES[name]])
@@ -239,9 +239,9 @@ def test_targets_arrive_in_order_with_the_time_of_the_run() -> None:
 
 
 def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
-    """If many targets flood the socket, the tick gets the newest targets.
+    """If targets flood the stream socket, the tick gets the newest targets.
 
-    The socket for requests is not affected.
+    Requests such as a stop use another socket and are not delayed.
     """
     box, mail = TargetBox("local:x", int), Mailbox("local:x")
     sender, sent = TargetSender("local:x", 1, 1), 0

@@ -53,7 +53,10 @@ def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyP
 
 
 def test_only_ticks_have_realtime_priority() -> None:
-    """Reproduce a defect: while a loop started, or closed its log, it blocked all other processes on its core."""
+    """Reproduce a defect: a control loop also had real-time priority while it started or closed its log.
+
+    The control loop thus blocked all other processes on its processor core.
+    """
     granted = priority.prepare_priority()
     seen = []
     assert scheduling_policy() == os.SCHED_OTHER

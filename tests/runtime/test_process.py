@@ -1,7 +1,7 @@
 """Test handctl in a process with the simulated hand in another process, on the real clock.
 
-These tests cover the start and the end of runs. The tests run in slowed time, because in real time
-a stall of the machine would end a run.
+The tests cover the start and the end of runs. Simulated time is slower than real time, because a
+stall of the machine would otherwise end a run.
 """
 
 import itertools
@@ -62,10 +62,7 @@ def test_a_run_commissions_moves_and_reports_its_result(work_folder, processes, 
 
 
 def start_long(processes, calibrated, *more):
-    """Start a run that stays in its last phase until somebody stops it.
-
-    Wait until the run is in this phase.
-    """
+    """Start a run that stays in its last phase until it is stopped, and wait until it reaches this phase."""
     process = start_handctl(
         "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *more
     )
@@ -118,7 +115,7 @@ def test_the_first_ctrl_c_relaxes_disables_and_confirms(
 def test_the_second_ctrl_c_cuts(work_folder, hand, calibrated, processes, scale):
     process = start_long(processes, calibrated, *scale)
     process.send_signal(signal.SIGINT)
-    process.send_signal(signal.SIGTERM)  # the kernel may merge two SIGINT signals
+    process.send_signal(signal.SIGTERM)  # Linux may merge two SIGINT signals into one
     code, _, err = process_result(process)
     assert code == 0, err
     assert modes_of_complete_log(work_folder / "run.mcap")[-3:] == [

@@ -1,4 +1,7 @@
-"""Test the clock that controller and simulator share: its pauses, and the time that the simulator reads."""
+"""Test the clock that controller and simulator share.
+
+The tests cover pauses of the clock, and the time that the simulator reads.
+"""
 
 import random
 import signal
@@ -25,8 +28,8 @@ class SharedClockPair:
 
     Attributes:
         now: time of the simulated CLOCK_MONOTONIC [ns].
-        overshoots: times by which the next sleeps last too long [ns]. All later sleeps last too
-            long by 10 us.
+        overshoots: for each of the next sleeps, the time by which it lasts too long [ns]. All later
+            sleeps last 10 us too long.
         simulator: clock of the simulator.
         controller: clock of the controller.
         between: function that is called at the end of each sleep.
@@ -94,7 +97,10 @@ def test_the_clock_pauses_for_a_late_controller(clock_pair, late_ms) -> None:
 
 
 def test_ticks_of_a_controller_that_was_stopped_are_missed(clock_pair) -> None:
-    """If a user stops the controller, the clock does not pause, because the watchdogs of the drives must fire."""
+    """The shared clock does not pause if a user stops the controller process.
+
+    When the controller process is stopped, the watchdogs of the drives must fire.
+    """
     clock = clock_pair.controller
     clock.start()
     clock.wait(0)
@@ -125,7 +131,7 @@ def test_the_clock_waits_for_the_simulator(clock_pair) -> None:
 
 
 def test_a_simulator_that_stopped_is_not_waited_for_again(clock_pair) -> None:
-    """The controller waits once, and then continues.
+    """The controller waits once for a simulator that has stopped, and then continues.
 
     The missing frames cause the same faults as on a real bus.
     """
@@ -195,9 +201,10 @@ def test_a_closed_clock_opens_the_gate(clock_pair, tmp_path) -> None:
 
 
 def test_a_time_stamp_before_the_last_pause_is_converted(clock_pair) -> None:
-    """A client stamps its targets with CLOCK_MONOTONIC. This clock never pauses.
+    """A client stamps its targets with CLOCK_MONOTONIC, which never pauses.
 
-    The controller therefore converts the time stamp to the time of the run.
+    The controller therefore converts the time stamp to the time of the run, in which pauses do not
+    count.
     """
     clock = clock_pair.controller
     clock.start()

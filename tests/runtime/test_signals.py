@@ -1,4 +1,4 @@
-"""Signals of an operator or a terminal become requests to the control loop.
+"""Signals that an operator or a terminal sends become requests to the control loop.
 
 No signal is lost. After the run, the old signal handlers are restored.
 """

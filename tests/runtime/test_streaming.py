@@ -80,7 +80,7 @@ def test_a_stream_is_followed_observed_logged_and_repeated(work_folder, hand, ca
 
 @REALTIME
 def test_a_move_ends_with_an_error_if_another_client_takes_over(live_hand):
-    """Reproduce a defect: a move that another client had stopped returned as if it were complete."""
+    """Reproduce a defect: if another client stopped a move, the call of the move returned as if it were complete."""
     ended = []
 
     def move():
@@ -205,9 +205,10 @@ def test_values_are_checked_before_they_are_sent(fake_stream):
 
 
 def test_a_program_may_reuse_the_array_of_a_target(fake_stream):
-    """Reproduce a defect: a name that was left out got a value that the program had never sent.
+    """Reproduce a defect: a joint that a call left out got a value that the program had never sent.
 
-    The stream kept the array of the program, and the program changed this array after the call.
+    The stream had stored the program's array without a copy, and the program later changed this
+    array.
     """
     stream, sent = fake_stream
     angles = np.array([0.1, 0.2])

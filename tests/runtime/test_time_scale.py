@@ -1,7 +1,7 @@
 """Test the time scale of a run.
 
-By default the run takes the time scale of the simulator. The operator can request another time
-scale.
+By default, a run uses the time scale of the running simulator. The operator can request another
+time scale.
 """
 
 import pytest

@@ -17,7 +17,10 @@ from tests.runtime.processes import (
 pytestmark = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
 HAND_SIDES = ("left", "right")
 RATE_OPTION = ("--rate", "100")
-"""Options for a low control rate, because four processes with deadlines share the processors."""
+"""Options for a low control rate.
+
+The rate is low because four real-time processes share the processors.
+"""
 TIME_SCALE = 0.5
 
 
@@ -50,7 +53,8 @@ def test_a_stop_of_one_hand_leaves_the_other_moving(work_folder, processes, scal
         assert stopped.returncode == 0, stopped.stderr
         code, result, err = process_result(runs[0])
         assert (code, result["failure"]) == (0, ""), err
-        # A stop of the first hand has no effect on the second hand, which still holds its goal.
+        # The stop of the first hand has no effect on the second hand, which still holds its own
+        # goal.
         assert runs[1].poll() is None
         wait_for_phase("stay", watchers[1], runs[1])
     finally:

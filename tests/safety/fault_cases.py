@@ -1,4 +1,8 @@
-"""Cases for each fault: input that shows the fault, input just below its limit, its action, and who may clear it."""
+"""Test cases for each fault.
+
+A case has an input with the fault, an input just below the limit, the required action, and whether
+only an operator may clear the fault.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -29,23 +33,23 @@ from tests.safety.synthetic_monitor import (
 )
 
 TENDON_COUNT = 8
-"""Number of tendons of the synthetic hand.
+"""Number of tendons of the hand in the test cases.
 
-Faults that exclude each other in one tendon are shown in two tendons, so that all faults can be
-present at once.
+Some faults cannot occur together in one tendon. With this number of tendons, all faults can occur
+at once.
 """
 EIGHT_TENDON_LIMITS = replace(
     synthetic_limits(TENDON_COUNT), tension_trip=(140.0, 50.0, *(140.0,) * 6), drive_limit=(160.0, 60.0, *(160.0,) * 6)
 )  # fmt: skip
 LOAD_CELLS_NODE = TENDON_COUNT
-"""Index of all load cells together among the nodes of the hand."""
+"""Index that stands for all load cells together in the list of the hand's nodes."""
 
 
 class TickInput(NamedTuple):
     """Input of the safety monitor for one tick.
 
-    The input contains those rows of the state that differ from a hand at rest, by field and index.
-    The input also contains the reports of buses and host.
+    The input contains, by field and index, the values of the state that differ from a hand at rest.
+    The input also contains events of the buses and of the host.
     """
 
     rows: Mapping[str, dict[object, float]] = MappingProxyType({})
@@ -61,9 +65,10 @@ class FaultCase(NamedTuple):
     Attributes:
         input_with_fault: input that shows the fault.
         input_below_limit: input that is just below the limit of the fault.
-        instance: name of the part that has the fault. debounce: ticks until the fault counts. action: action that the
-            fault demands. latched: whether only an operator ends the fault.
-        only_while_armed: True if the fault does not count while no drive is armed.
+        instance: name of the part that has the fault. debounce: number of ticks with the fault
+            until it is reported. action: action that the fault demands. latched: True if only an
+            operator can clear the fault.
+        only_while_armed: True if the fault is reported only while a drive is armed.
     """
 
     input_with_fault: TickInput
@@ -76,18 +81,19 @@ class FaultCase(NamedTuple):
 
 
 def state_rows(**cells: object) -> TickInput:
-    """Return an input with rows of the state.
+    """Return an input with values of the state.
 
-    A row is a single number for a field of the run. For other fields, it is a number by index.
+    For a field of the whole run, the value is one number. For other fields, the value has one
+    number by index.
     """
     return TickInput({name: c if isinstance(c, dict) else {...: c} for name, c in cells.items()})  # type: ignore[misc]
 
 
 def frame_ages(field: str, **late: int) -> TickInput:
-    """Return an input with the ages of frames, in ticks.
+    """Return an input with old frames.
 
-    Each keyword names a node, and its value is the age of the frame of this node: motor 1 (m1=...),
-    load cell 1 (t1=...) or joint encoder 1 (j1=...).
+    Each keyword names a node, and its value is the age [ticks] of the latest frame of this node:
+    motor 1 (m1=...), load cell 1 (t1=...) or joint encoder 1 (j1=...).
     """
     first = TENDON_COUNT if field == "group_ns" and min(late)[0] == "j" else 0
     return state_rows(
@@ -122,7 +128,7 @@ def lost_frames(**number: int) -> TickInput:
 
 
 def malformed_frames(node: int, before: int) -> TickInput:
-    """Return an input with frames of a wrong length from one node: one now, and ``before`` in earlier ticks."""
+    """Return an input with one frame of a wrong length from a node now, and ``before`` such frames in earlier ticks."""
     return state_rows(misread_now={node: 1}, misshapen={node: (1 << before) - 1})
 
 
@@ -178,9 +184,9 @@ def slack_tendon(before: int, tendon: int = 3) -> TickInput:
 
 
 def derailed_tendon(tendon: int, deg: float) -> TickInput:
-    """Return an input with an angle difference between the joint and the spool of a tendon [deg].
+    """Return an input in which the angles of a tendon's joint and spool disagree by ``deg`` [deg].
 
-    The input has this difference for the third reading in a row.
+    The two angles disagree in the third reading in a row.
     """
     excursion = -20.0 / 1e5 - 0.02 * np.radians(deg)
     return state_rows(joints_read=1, taut_s={tendon: 1.0}, slip_from={tendon: 0.0}, derailed={tendon: 2.0},
@@ -208,7 +214,7 @@ def stuck_joint(joint: int, deg: float) -> TickInput:
 
 
 def replayed_readings(tendon: int, run: int) -> TickInput:
-    """Return an input in which the last ``run`` load-cell readings equal the readings 16 ticks before them."""
+    """Return an input in which the last ``run`` load-cell readings repeat those of 16 ticks earlier."""
     past = {(age, tendon): 20.0 + (age - 15) / 16.0 for age in range(64)}
     return state_rows(past=past, same={(15, tendon): run - 1})
 
@@ -219,9 +225,9 @@ def alone_on_the_bus(heard: bool) -> TickInput:
 
 
 RELAXING_ROWS = {"mode": {...: int(HandMode.RELAX)}, "mode_since": {...: NOW_NS * 1e-9 - 0.2}}
-"""Rows of the state of a hand that has been relaxing for longer than its tendons need to lose their tension."""
+"""Values of the state of a hand that has already been relaxing for longer than this usually takes."""
 AFTER_CUT_ROWS = {"mode": {...: int(HandMode.CUT)}, "cut_ticks": {...: 49}}
-"""Rows of the state of a hand whose motor torque was cut 100 ms ago."""
+"""Values of the state of a hand whose motors were disabled 100 ms ago."""
 
 
 def pulled_after_cut(tension: float) -> TickInput:
@@ -375,7 +381,7 @@ def rested_monitor() -> SyntheticMonitor:
 def reset_for_input(monitor: SyntheticMonitor, tick_input: TickInput) -> StateRows:
     """Reset a monitor to a hand at rest.
 
-    Return the rows of an input that must be set for one tick.
+    Return the values of ``tick_input`` that must be set for one tick.
     """
     monitor.reset_to_rest()
     return dict(tick_input.rows)

@@ -1,4 +1,7 @@
-"""Safety monitor of a generated hand: a test sets rows of the state, and each call is one tick of ``find_faults``."""
+"""Safety monitor of a generated hand.
+
+A test sets values of the state, and each call is one tick of ``find_faults``.
+"""
 
 from collections.abc import Iterable
 from types import FunctionType, SimpleNamespace
@@ -46,7 +49,7 @@ SPOOL_RADIUS_M = 0.005
 NOW_NS = 10_000_000_000
 """Time of every tick [ns].
 
-The time can stay the same in all ticks, because only the age of readings counts.
+All ticks have the same time, because the detectors use only the ages of readings.
 """
 PERIOD_NS = round(PERIOD_S * 1e9)
 StateRows = dict[str, Any]
@@ -70,14 +73,15 @@ class SyntheticMonitor:
 
     Each tendon has a motor, a joint, and separate frames for its load cell and its joint encoder.
 
-    The hand is active and at rest, and all nodes have just replied. The load cells, the motors and
-    the commands are at 20 N.
+    The hand is active and at rest, and all nodes have just replied. The load cells read 20 N, and
+    the commanded and the reported motor force is 20 N.
 
     Attributes:
         limits: names of the parts of the hand, and thresholds of its faults.
         layout, block: layout and block of the state. constants_layout, constants: layout and block of the
             constants. Tests may change them.
-        latched, reported_faults: latched and reported faults, as ``safety.tick_verdict`` keeps them.
+        latched, reported_faults: faults that are latched, and faults that were reported, in the
+            form that ``safety.tick_verdict`` uses.
     """
 
     def __init__(
@@ -158,7 +162,7 @@ class SyntheticMonitor:
     def reset_to_rest(self) -> None:
         """Reset all values to those of a hand at rest.
 
-        Only the time for which each fault has been present is kept.
+        Keep only the time for which each fault has been present.
         """
         present = self.view("fault_ticks").copy()
         self.block[:] = self.block_at_rest
@@ -175,9 +179,9 @@ class SyntheticMonitor:
         return _uncompiled(constant_tables)(self.constants, self.constants_layout.places)
 
     def tick(self, rows: StateRows | None = None, **more: Any) -> dict[str, dict[str, float]]:
-        """Set rows of the state, and find the faults of one tick.
+        """Set values of the state, and run the fault detectors for one tick.
 
-        Return the value of each finding by fault and instance.
+        Return the value of each finding by fault and by part of the hand.
         """
         self.set_rows({**(rows or {}), **more})
         self.demanded_action, self.found_values = tick_stages.find_faults(
@@ -196,7 +200,10 @@ class SyntheticMonitor:
         return reported
 
     def observe_readings(self, rows: StateRows | None = None) -> None:
-        """Convert received values to measurements, and reject impossible positions, as before the detectors."""
+        """Convert received values to measurements, and reject impossible positions.
+
+        In a tick, this happens before the detectors run.
+        """
         self.set_rows(rows or {})
         tick_stages.observe_tick(
             self.block,
@@ -218,12 +225,15 @@ class SyntheticMonitor:
     def judge(
         self, rows: StateRows | None = None, reports: Iterable[EventReport] = ()
     ) -> TickVerdict:
-        """Judge one tick with its findings, the latched faults, and the reports of buses and host."""
+        """Return the verdict of the safety monitor on one tick.
+
+        The verdict depends on the findings, the latched faults, and events of buses and host.
+        """
         self.tick(rows)
         return self.conclude(self.demanded_action, reports)
 
     def conclude(self, demanded: int, reports: Iterable[EventReport]) -> TickVerdict:
-        """Latch the findings of a tick, add the reports, and select the action."""
+        """Latch the findings of a tick, add events of buses and host, and select the action."""
         fresh = faults_counting_since_now(self.limits, self.found_values, self.view("fault_ticks"))
         verdict = judge_tick(self.latched, self.reported_faults, fresh, demanded, reports)
         self.latched, self.reported_faults = verdict.latched, verdict.reported_faults
@@ -237,10 +247,7 @@ class SyntheticMonitor:
         self.latched, self.reported_faults = state.latched, state.decisions.reported_faults
 
     def instance_name(self, kind: str, i: int) -> str:
-        """Return the name of the part that has a fault.
-
-        If the whole hand has the fault, the text is empty.
-        """
+        """Return the name of the part that has a fault, or an empty text for a fault of the whole hand."""
         names = {
             TENDON_INSTANCE: self.limits.tendons,
             MOTOR_INSTANCE: self.limits.motors,
@@ -261,7 +268,7 @@ class SyntheticMonitor:
 def _uncompiled(function: Any) -> Any:
     """Return an uncompiled copy of a function that only kernels call.
 
-    Functions of this kind that it calls are copied in the same way.
+    The copy calls uncompiled copies of the other functions that only kernels call.
     """
     if not hasattr(function, "py_func"):
         return function
@@ -276,9 +283,10 @@ def _uncompiled(function: Any) -> Any:
 
 
 def call_interpreted(function: Any, *arguments: Any) -> Any:
-    """Call a function that only kernels call in uncompiled form.
+    """Run a kernel helper as Python code, without compiling it.
 
-    Such a function may call other such functions of its module.
+    A kernel helper is a function that only kernels call. A kernel helper may call other kernel
+    helpers of its module.
     """
     with np.errstate(all="ignore"):
         return _uncompiled(function)(*arguments)

@@ -1,6 +1,6 @@
-"""A new fault needs only its declaration and its detector.
+"""A developer who adds a fault writes only a declaration and a detector.
 
-The test adds a fault of this kind to a copy of the package.
+The test adds such a fault to a copy of the package.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Test causes of faults that drives report, limits of a hand, faults that a test declares, and generated pages."""
+"""Test fault detectors: causes of drive errors, thresholds of a hand, newly declared faults, and generated pages."""
 
 import pytest
 
@@ -111,7 +111,7 @@ def test_rows_later_than_required_are_listed_with_reasons() -> None:
     longer = CatalogueRow("C", "u", "fault table", ticks=1, ms=30, required=5, why="because")
     free = CatalogueRow(
         "D", "t", "fault table", ticks=9
-    )  # a fault without a required reaction time is never late
+    )  # the reaction to a fault without a required reaction time is never late
     at_once = CatalogueRow("E", "t", "fault table", ticks=2, required=1)
     assert [is_late(one) for one in (soon, just, longer, free, at_once)] == [
         False,

@@ -1,4 +1,4 @@
-"""Test each row of the fault table exactly at its limit, and the text that its fault adds to an event."""
+"""Test each fault exactly at its limit, and the text that the fault adds to an event."""
 
 import math
 
@@ -27,7 +27,7 @@ INPUT_WITHOUT_TENSIONS = measured_tensions(**dict.fromkeys(EIGHT_TENDON_LIMITS.t
 
 
 def findings_of(id_: str, tick_input: TickInput) -> list[tuple[str, float]]:
-    """Return the findings of one fault in a tick with the given input, as pairs of a part and a value."""
+    """Run the detectors for one tick, and return the findings of one fault as pairs of a part and a value."""
     monitor = rested_monitor()
     return list(monitor.tick(reset_for_input(monitor, tick_input)).get(id_, {}).items())
 

@@ -1,4 +1,4 @@
-"""Test every row of the fault table: its limit from both sides, its action, and who may clear its fault."""
+"""Test every fault just below and just above its limit, its action, and whether only an operator may clear it."""
 
 import math
 import re
@@ -59,10 +59,9 @@ def check_ticks(
 def check_fault_alone(
     id_: str, *ticks: TickInput, monitor: SyntheticMonitor | None = None
 ) -> tuple[SyntheticMonitor, list[SafetyAction], list[tuple[str, str]]]:
-    """Judge several ticks.
+    """Judge several ticks with regard to one fault.
 
-    Return the monitor, the action that one fault demands in each tick, and the findings of this
-    fault.
+    Return the monitor, the action that this fault demands in each tick, and its findings.
     """
     monitor, actions, reported = monitor or rested_monitor(), [], []
     for tick_input in ticks:
@@ -195,9 +194,9 @@ FAULTS_OF_TENSION_LOOP = {
     "B06",
     "H13",
 }
-"""Faults that cast doubt on the tension loop.
+"""Faults after which the tension loop is not reliable.
 
-The measurements of this loop may be wrong, or a drive may not obey its commands.
+Measurements of the loop may be wrong, or a drive may not obey the commands of the loop.
 """
 
 
@@ -233,7 +232,7 @@ def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
     ]
     listed = {row[1].strip(): set(re.findall(r"[A-Z]\d\d[a-c]?", row[3])) for row in rows}
     for release in (RelaxMethod.FAST_LOOP, RelaxMethod.OPEN_LOOP):
-        # A fault that cuts the torque does not relax the hand.
+        # A fault that disables the motors at once does not relax the hand.
         relaxing = {
             one.id
             for one in FAULT_TABLE
@@ -243,9 +242,9 @@ def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
 
 
 def test_a_fault_is_either_found_or_reported() -> None:
-    """A fault is either found by a detector or reported by a bus or the host.
+    """Either a detector finds a fault, or a bus or the host reports it.
 
-    A detector has one row for each kind of part.
+    For each kind of part, a detector has one row in the fault table.
     """
     for fault in FAULT_TABLE:
         assert bool(fault.per) != bool(fault.reports), fault.id
@@ -269,7 +268,9 @@ def test_a_time_is_rounded_to_ticks(seconds: float, period: float, least: int, t
 
 
 def trace_fault(id_: str) -> list[tuple[SafetyAction, int]]:
-    """Return the action and the number of findings of one fault in each tick, from before its onset on.
+    """Return the action and the number of findings of one fault in each tick.
+
+    The first ticks are before the onset of the fault.
 
     In this test, interpreted code debounces the fault.
     """
@@ -320,9 +321,9 @@ def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 
 @pytest.mark.parametrize("id_", CASE_BY_FAULT)
 def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
-    """If a number or a word in a row is changed by one step, the cases of the fault fail.
+    """If the declaration of a fault is changed by one step in one place, the test cases of this fault fail.
 
-    This shows that the cases are able to fail.
+    The failure shows that the test cases notice wrong declarations.
     """
     fault = FAULT_BY_ID[id_]
     other = ENDED_BY_ITSELF if fault.latched else ENDED_BY_OPERATOR

@@ -1,4 +1,4 @@
-"""A load cell at either end of its range gives no information about the tension of its tendon."""
+"""A load cell that reads an end of its range gives no information about the tension."""
 
 import math
 from dataclasses import replace
@@ -28,9 +28,9 @@ def test_tensions_possible_for_a_tendon_are_no_fault(tension: float) -> None:
 
 
 def test_a_saturated_load_cell_is_reported_once_with_its_reading_for_any_tare() -> None:
-    """If the tare is -3 N, a load cell with a broken wire reads -3 N.
+    """With a tare of -3 N, a load cell with a broken wire reads -3 N.
 
-    An intact load cell may also read this value for a moment.
+    An intact load cell may also read -3 N for a moment.
     """
     tick_input = merge_inputs(measured_tensions(t1=-3.0), state_rows(saturated={1: 1}))
     assert SyntheticMonitor(RAIL_LIMITS).tick(tick_input.rows)["T06"] == {"t1": -3.0}

@@ -1,6 +1,6 @@
-"""Test the rules for lost frames, position jumps and stuck readings.
+"""Test the detection of lost frames, position jumps and stuck readings.
 
-Each rule is tested just below and just above its limit.
+Each detector is tested just below and just above its limit.
 """
 
 from types import SimpleNamespace
@@ -29,22 +29,25 @@ NAN = np.nan
 
 
 def loss_bits(text: str) -> int:
-    """Return the bits that a text of 0 and 1 describes.
+    """Return the number whose bits a text of 0 and 1 describes.
 
-    The last character of the text is the newest tick.
+    The last character of the text stands for the newest tick.
     """
     return int(text, 2)
 
 
 def window_words(window: int) -> tuple[int, int]:
-    """Return the two words that store a window of losses: its newer half and its older half."""
+    """Return the two words that store a window of losses.
+
+    One has the newer half of the window, and the other the older half.
+    """
     return window & frame_losses.WORD_MASK, window >> frame_losses.BITS_PER_WORD
 
 
 class LossWindows(SyntheticMonitor):
-    """A motor and its load cell.
+    """A motor and a load cell with their windows of lost frames.
 
-    Both have a window with one bit for each tick. The bit is set if a frame was lost.
+    A window has one bit per tick, which is set if a frame was lost.
     """
 
     def __init__(self, motor: int = 0, cells: int = 0, **constants: Any) -> None:
@@ -63,7 +66,7 @@ class LossWindows(SyntheticMonitor):
     ) -> tuple[int, int]:
         """Run one tick in which the given nodes have not replied.
 
-        Return the windows of losses of both nodes.
+        Return the windows of losses of motor and load cell.
         """
         self.tick(
             {"feedback_ns": NOW_NS - motor * PERIOD_NS, "group_ns": NOW_NS - cells * PERIOD_NS},
@@ -89,7 +92,7 @@ HALF_WINDOW = LOSS_WINDOW_TICKS // 2
     ((0, 0), (True, True), (0b1, 0b1)),
     ((0b1, 0b0), (False, True), (0b10, 0b1)),
     ((0b101, 0b1), (True, True), (0b1011, 0b11)),
-    # In this tick, the bit of the oldest tick leaves the window.
+    # In this tick, the bit of the oldest tick is dropped from the window.
     ((1 << (LOSS_WINDOW_TICKS - 1), 0), (False, False), (0, 0)),
     ((1 << (LOSS_WINDOW_TICKS - 1), 0), (True, False), (1, 0)),
     ((1 << (LOSS_WINDOW_TICKS - 2), 0), (False, False), (1 << (LOSS_WINDOW_TICKS - 1), 0)),
@@ -154,9 +157,9 @@ def test_the_count_of_unknown_frames_decays_in_a_second():
 
 
 def refusal_counter(rate: float) -> Any:
-    """Return a function that counts the targets that were refused in tick k.
+    """Return a function that is told how many targets were refused in tick k.
 
-    The function returns the ticks of all refusals that still count.
+    The function returns the ticks of all refusals that are recent enough to count.
     """
     window = LossWindows()
     state = ControllerState(window.layout, window.block, ControllerDecisions((), None))  # type: ignore[arg-type]
@@ -202,9 +205,9 @@ class ScreenedPositions(SyntheticMonitor):
         self.set_rows(before)
 
     def screen_positions(self, value: list[float], missed: int = 0) -> list[float]:
-        """Check one position per motor, NaN where it is missing.
+        """Check one position per motor, and return how far each motor has jumped.
 
-        Return the size of the jump of each motor.
+        A missing position is NaN.
         """
         given = np.array(value)
         self.observe_readings({"answered": ~np.isnan(given), "position": given, "missed": missed})
@@ -272,17 +275,18 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
 
 
 @pytest.mark.parametrize(("missed", "steps", "allowed_steps"), [
-    # In these cases, the unit of a step between readings is the step that one period allows. The
-    # number 1 marks a jump. The first reading after missed ticks may answer a request from before
-    # or after these ticks. The second reading may then be later by the same time.
+    # In these cases, a step between two readings is given in units of the largest step that one
+    # period allows. The number 1 marks a jump. The first reading after missed ticks may be the
+    # reply to a request from before or after these ticks. The second reading may then come from a
+    # time that is later by the missed ticks.
     (0, (1.0, 1.0), (0, 0)), (0, (1.1, 0.9), (1, 0)), (0, (1.0, 1.1), (0, 1)),
     (1, (2.0, 1.0), (0, 0)), (1, (1.0, 2.0), (0, 0)), (1, (2.1, 0.0), (1, 0)), (1, (1.0, 2.1), (0, 1)),
     (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),
 ])  # fmt: skip
 def test_allowed_step_grows_over_skipped_ticks(missed, steps, allowed_steps):
-    """In one run of this test, the position of the other motor is known.
+    """In one run of this test, the position of the second motor is known.
 
-    In a second run, the other motor has never been read.
+    In another run, the second motor has never been read.
     """
     for other in (0.0, NAN):
         positions, at, seen = ScreenedPositions([1.0] * 2, accepted=[0.0, other]), 0.0, []
@@ -303,8 +307,8 @@ def add_reading(
 ) -> tuple[int, float, float]:
     """Run a tick with an encoder reading, a target and a tension.
 
-    Return the number of ticks without a change of the reading. Also return how far target and
-    tension have moved since the last change of the reading.
+    Return for how many ticks the reading has not changed, and how far target and tension have moved
+    in this time.
     """
     rows: StateRows = {"measured_position": value, "followed": goal, "residual": {TENSION: tension}}
     monitor.tick(rows)
@@ -319,7 +323,7 @@ def add_reading(
 def ticks_and_motion(values, witnesses):
     """Return the monitor and, for each tick, the results of ``add_reading``.
 
-    In this test, the signals that are correlated with a reading are its target and its tension.
+    The target and the tension are the signals that should move together with a reading.
     """
     monitor = SyntheticMonitor(synthetic_limits(1), residual_fraction=0.0)
     return monitor, [
@@ -335,9 +339,9 @@ def test_constant_reading_counts_while_its_references_move():
 
 
 def test_an_encoder_is_stuck_although_the_carrier_of_its_digit_moves():
-    """The motion of a wrist changes the travel of the tendons that pass the wrist.
+    """The motion of a wrist changes the excursion of the tendons that pass the wrist.
 
-    This change does not show that the motors of these tendons turn.
+    The motors of these tendons need not turn for this change.
     """
     monitor = SyntheticMonitor(synthetic_limits(1), residual_fraction=0.0)
     for k in range(5):
@@ -361,10 +365,7 @@ def test_missing_reference_is_used_once_it_is_read():
 
 
 def test_goal_jump_moves_the_reference_of_the_stuck_test():
-    """When a target is reset to the measured position, it jumps.
-
-    No motor has to follow this jump.
-    """
+    """A target jumps when it is reset to the measured position. No motor has to follow this jump."""
     monitor = SyntheticMonitor(synthetic_limits(3), moment_arms=0.02 * np.eye(3))
     rows = {
         "followed": [0.0, 1e-3, 2e-3], "motor_anchor": [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "motor_stuck": [7, 8, 9],

@@ -1,6 +1,6 @@
 """Test the state that the safety monitor keeps from one tick to the next.
 
-Two generated tendons show each fault just below and just above its limit.
+Each fault is tested just below and just above its limit, with a generated hand of two tendons.
 """
 
 from dataclasses import replace
@@ -78,8 +78,8 @@ def resting_tick(**given: Any) -> dict[str, Any]:
         "read": False,
     }
     facts |= given
-    # The travel and the position come from the same encoder. The travel is the position times the
-    # radius of the spool.
+    # Travel and position come from the same encoder. The travel is the position times the spool
+    # radius.
     facts.setdefault("position", np.asarray(facts["travel"]) / SPOOL_RADIUS_M)
     return {FIELD_BY_NAME[name]: value for name, value in facts.items()}
 
@@ -94,9 +94,10 @@ def monitor_at_20_newton(monitor: SyntheticMonitor | None = None, **given: Any) 
 def run_ticks(
     number: int, monitor: SyntheticMonitor | None = None, **given: Any
 ) -> tuple[SyntheticMonitor, FindingsByFault]:
-    """Run the same tick several times. Return the monitor and the findings of the last tick.
+    """Run the same tick several times.
 
-    A value may be a function of the number of the tick.
+    Return the monitor and the findings of the last tick. A keyword may be a function that returns
+    the value in a tick with a given number.
     """
     monitor, found = monitor or monitor_at_20_newton(), {}
     for k in range(number):
@@ -117,10 +118,10 @@ def test_at_rest_nothing_is_reported():
 
 
 def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
-    """The filters start at the values that are present when the hand is armed.
+    """When a hand is armed, its filters start at the present values of tension and force.
 
-    The tension and the force have not changed since then. Constant readings therefore do not show a
-    stuck sensor.
+    In this test, neither of the two changes afterwards. Constant readings are therefore no sign of
+    a stuck sensor.
     """
     _, found = run_ticks(200, monitor_at_20_newton(wanted=NAN, followed=NAN, asked=NAN))
     assert found == {}
@@ -177,9 +178,10 @@ def unexplained_tensions(monitor: SyntheticMonitor) -> list[float]:
     ("tension", "residual"), [(29.8, 4.8), (30.2, 5.2), (9.7, 5.3), (5.0, 10.0), (20.0, 0.0)]
 )
 def test_lasting_residual_is_a_fault(tension, residual):
-    """In this test, friction explains 3 N of the residual.
+    """The residual is the measured tension minus the tension that the model explains.
 
-    The tolerance of the torque constant explains a tenth of 20 N.
+    In this test, friction may cause 3 N of the residual, and the tolerance of the torque constant a
+    tenth of 20 N.
     """
     monitor, found = run_ticks(1200, tension=tension)
     assert unexplained_tensions(monitor) == pytest.approx([residual] * 2, abs=0.05)
@@ -200,7 +202,7 @@ def test_lasting_residual_is_a_fault(tension, residual):
     ],
 )
 def test_missing_torque_is_a_fault(commanded, force, is_reported):
-    """Check the limit without a load cell: the smaller of 15 N, and 6 N plus a quarter of the command."""
+    """Without a load cell, the limit is 6 N plus a quarter of the command, but at most 15 N."""
     monitor = monitor_at_20_newton(asked=commanded, wanted=commanded)
     monitor.set_constants(cell_group=[-1, -1])
     _, found = run_ticks(600, monitor, force=force, tension=force)
@@ -211,10 +213,10 @@ def test_missing_torque_is_a_fault(commanded, force, is_reported):
 
 @pytest.mark.parametrize(("rub", "is_reported"), [(5.8, False), (6.1, True)])
 def test_friction_above_the_hand_file_is_a_fault(rub, is_reported):
-    """Friction is a fault if it exceeds the friction of the model by more than a limit, after seconds of motion.
+    """Friction is a fault if it exceeds the modelled friction by more than a limit for some seconds of motion.
 
-    The limit is 3 N plus a tenth of the force of 29 N, which is the tolerance of the torque
-    constant.
+    In this test, the limit is 3 N plus a tenth of the force of 29 N. The tenth is the tolerance of
+    the torque constant.
     """
     monitor = run_ticks(30)[0]
     monitor.set_rows({"residual": {EXCESS_FRICTION: rub, MOTOR_FORCE: 29.0}})
@@ -225,9 +227,9 @@ def test_friction_above_the_hand_file_is_a_fault(rub, is_reported):
 
 
 def test_a_noisy_encoder_is_detected():
-    """In this test, the position of the encoder alternates between -d and d.
+    """In this test, an encoder position alternates between -d and d.
 
-    The mean squared second difference of this position is 16 d^2.
+    The mean square of the second difference of this position is 16 d^2.
     """
     for size, expected in (
         (2.4e-3, {}),
@@ -286,7 +288,10 @@ def test_joint_and_spool_are_not_compared_during_slack_or_shortly_after():
 
 
 TICKS_PER_JOINT_READING = 4
-"""Ticks from one reading of the joints to the next. A bus may have no room for more readings."""
+"""Number of ticks from one joint reading to the next.
+
+On a slow bus, more readings may not be possible.
+"""
 
 
 def run_sparse_joints(
@@ -330,7 +335,10 @@ def test_good_reading_restarts_the_count_of_derailed_readings():
 
 
 def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
-    """After a step to 3.5 deg, the filtered angle reaches 3 deg after 0.3 s ln 7 = 0.58 s."""
+    """A filter with a time constant of 0.3 s reaches 3 deg at 0.58 s after a step to 3.5 deg.
+
+    The time is 0.3 s ln 7.
+    """
     for every in (1, TICKS_PER_JOINT_READING):
         monitor = monitor_at_20_newton(make_monitor(joint_period=every * PERIOD_S))
         run_ticks(100, monitor, excursion=0.0, read=True)
@@ -413,7 +421,7 @@ def test_constant_joint_reading_is_stuck_while_the_spool_turns():
 
 
 def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
-    """While a tendon is slack, its spool turns without moving its joint.
+    """The spool of a slack tendon turns without moving the joint.
 
     Spool and joint move together only after the tendon has become taut.
     """
@@ -445,7 +453,7 @@ def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(tension, e
 
 
 def test_each_joint_is_checked_with_its_own_tendons():
-    """If tendon a is slack, this does not change the check of joint b, which tendon b moves."""
+    """A slack tendon a does not change the check of joint b, which tendon b moves."""
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
     monitor, _ = run_ticks(200, None, tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
     travel = [np.radians(12.0) / 50.0, np.radians(12.0) / 100.0]
@@ -469,10 +477,10 @@ def test_constant_load_cell_is_stuck_while_the_torque_moves(number, force, tensi
 
 @pytest.mark.parametrize("late", [0, 1])
 def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
-    """After a gap of missing readings, one reading shows the motion of five ticks.
+    """After a gap of missing readings, one reading contains the motion of five ticks.
 
-    This reading arrives in the first tick after the gap. If the reply is late by a tick, it arrives
-    in the second.
+    This reading arrives in the first tick after the gap, or in the second if the reply is late by a
+    tick.
     """
 
     def run_over_gap(missed):
@@ -494,7 +502,7 @@ def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
 def screen_positions(
     monitor: SyntheticMonitor, motors: list[float], joints: list[float] | None, missed: int = 0
 ) -> tuple[Any, Any]:
-    """Check the positions of motors and joints for jumps. Return the size of each jump.
+    """Check the positions of motors and joints for jumps, and return how far each has jumped.
 
     ``joints`` is None if no joint was read.
     """
@@ -532,10 +540,10 @@ def test_missed_ticks_increase_the_allowed_step_of_motors_and_joints():
 
 
 def rows_with_ages(**ages: int) -> dict[str, Any]:
-    """Return rows of the state with the ages of replies in ticks.
+    """Return values of the state that contain the ages of replies [ticks].
 
-    The keyword ``ma`` is the age of the frame of the motor of tendon a. The keyword ``a`` is the
-    age of the frame of its load cell.
+    The keyword ``ma`` is the age of the last frame from the motor of tendon a. The keyword ``a`` is
+    the age of the last frame from the load cell of tendon a.
     """
     heard = {name: NOW_NS - ages.get(name, 0) * PERIOD_NS for name in ("ma", "mb", "a", "b")}
     return {"feedback_ns": [heard["ma"], heard["mb"]], "group_ns": {0: heard["a"], 1: heard["b"]}}

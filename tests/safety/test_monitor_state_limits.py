@@ -1,4 +1,7 @@
-"""Test the state that the safety monitor keeps from one tick to the next, exactly at its limits, to the last bit."""
+"""Test the state that the safety monitor keeps between ticks.
+
+The values are exactly at the limits of faults, to the last bit.
+"""
 
 import math
 from typing import Any
@@ -22,9 +25,9 @@ from tests.safety.synthetic_monitor import PERIOD_S, SyntheticMonitor, call_inte
 from tests.safety.test_monitor_state import make_monitor, resting_tick
 
 SOFT_STIFFNESS = 5e3
-"""Stiffness of a tendon that stretches by 4 mm under 20 N [N/m]."""
+"""Low stiffness of a tendon [N/m]. With this stiffness, 20 N stretch the tendon by 4 mm."""
 JOINTS_READ = {"excursion": 0.0, "joints": 0.0, "read": True}
-"""Readings of joint encoders that are at zero."""
+"""Readings of joint encoders whose angle is zero."""
 
 
 @pytest.fixture
@@ -52,7 +55,7 @@ def joint_turns(monitor: SyntheticMonitor, **given: Any) -> list[float]:
 def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: SyntheticMonitor) -> None:
     """When the tension rises, the spool winds up the length by which the tendon stretches.
 
-    The joint does not move by this length.
+    This length does not move the joint.
     """
     np.testing.assert_allclose(
         joint_turns(monitor, travel=20.0 / SOFT_STIFFNESS, **JOINTS_READ), 0.0, atol=1e-12
@@ -94,7 +97,8 @@ def stuck_names(
 ) -> dict[str, list[str]]:
     """Return the names of the sensors that count as stuck after one more equal reading.
 
-    ``changed_state`` is how far the signals that are correlated with their readings have moved.
+    ``changed_state`` states how far other signals have moved that should move together with these
+    readings.
     """
     zero = [0.0, 0.0]
     found = monitor.tick(
@@ -151,9 +155,9 @@ def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
 def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
     monitor: SyntheticMonitor, group: list[int], limit: float
 ) -> None:
-    """The test calls interpreted code with excursions whose angles are within four bits of the limit.
+    """The test calls interpreted code with excursions that are within four bits of the limit.
 
-    The limit of a tendon without a load cell is smaller.
+    A tendon without a load cell has a smaller limit.
     """
     monitor.set_constants(cell_group=group)
 
@@ -185,7 +189,7 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
 def test_a_tendon_without_load_cell_and_torque_is_not_off_its_pulley(
     monitor: SyntheticMonitor, group: list[int], commanded: float, is_judged: bool
 ) -> None:
-    """Reproduce a defect: commissioning of a hand without springs and load cells ended with T08.
+    """Reproduce a defect: a commissioning without springs and load cells ended with T08 (a tendon left its pulley).
 
     The rotor of a released tendon turned back by 1.6 mm, while the friction of the motor still
     looked like tension.

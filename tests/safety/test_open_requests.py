@@ -18,7 +18,7 @@ RequestTicks = tuple[tuple[int, ...], ...]
 
 
 class OpenRequests(SyntheticMonitor):
-    """Motors that have not yet replied to requests of earlier ticks."""
+    """Record of the motors that have not yet replied to requests of earlier ticks."""
 
     def __init__(self, outstanding: RequestTicks) -> None:
         super().__init__(synthetic_limits(len(outstanding)))
@@ -52,7 +52,10 @@ class OpenRequests(SyntheticMonitor):
         call_interpreted(add_requests, self.state_tables, k)
 
     def receive_replies(self, reply_counts: list[int]) -> list[int]:
-        """Receive ``reply_counts`` replies from each motor, and return the indices of motors that replied too often."""
+        """Receive ``reply_counts`` replies from each motor.
+
+        Return the indices of motors that replied more often than requested.
+        """
         self.set_rows({"answered": reply_counts})
         some = call_interpreted(close_answered_requests, self.state_tables, self.hand_tables)
         surplus = self.view("surplus")
@@ -63,7 +66,7 @@ class OpenRequests(SyntheticMonitor):
 @pytest.mark.parametrize(("outstanding", "able", "after"), [
     (((), ()), (True, True), ((7,), (7,))),
     (((5, 6), ()), (True, True), ((5, 6, 7), (7,))),
-    (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # a drive that may skip replies owes the last one
+    (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # this drive need only reply to the last request
     (((), ()), (False, False), ((7,), (7,))),
     ((tuple(range(7)), tuple(range(-1, 7))), (True, True), ((*range(7), 7), tuple(range(8)))),
     (((7 - LOSS_WINDOW_TICKS, 6), (8 - LOSS_WINDOW_TICKS, 6)), (True, True),
@@ -92,7 +95,7 @@ def test_outstanding_requests_are_limited() -> None:
     (((1, 2), (2,)), [2, 1], ((), ()), []),
     (((1,), (1,)), [2, 1], ((), ()), [0]),
     (((), (1,)), [1, 3], ((), ()), [0, 1]),
-    # requests whose replies are lost stay open
+    # a request whose reply is lost stays without a reply
     (((1, 2, 3), ()), [1, 0], ((1, 2), ()), []),
     (((), ()), [0, 0], ((), ()), []),
     (((1,), (1, 2)), [1, 1], ((), (1,)), []),
@@ -111,7 +114,7 @@ def test_replies_match_requests_and_the_rest_is_excess(outstanding, came, after,
 def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(ticks: int) -> None:
     """After some ticks without a reply, all missing replies may arrive at once.
 
-    One reply more than that is a duplicate.
+    One reply more than the missing ones is a duplicate.
     """
     questions = OpenRequests(((),))
     for start in range(2 * LOSS_WINDOW_TICKS):

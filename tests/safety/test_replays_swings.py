@@ -1,6 +1,6 @@
-"""Test the detection of load-cell readings that are repeated, and of tensions that oscillate.
+"""Test the detection of repeated load-cell readings, and of oscillating tensions.
 
-If there are no such readings or oscillations, nothing is reported.
+Without such readings or oscillations, nothing is reported.
 """
 
 import math
@@ -23,7 +23,10 @@ READING_STEP_N = 0.0625
 
 
 def noisy_readings(seed: int, ticks: int, noise: float, n: int = 4) -> np.ndarray:
-    """Return readings (ticks, n) [N] of load cells at 20 N with noise [N], rounded to their counts."""
+    """Return noisy readings (ticks, n) [N] of n load cells at a tension of 20 N.
+
+    Each reading is rounded to a count of the load cell.
+    """
     chance = np.random.default_rng(seed)
     return (
         np.round((20.0 + chance.normal(0.0, noise, (ticks, n))) / READING_STEP_N) * READING_STEP_N
@@ -31,9 +34,9 @@ def noisy_readings(seed: int, ticks: int, noise: float, n: int = 4) -> np.ndarra
 
 
 def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
-    """Return the first tick in which repeated readings are detected, and the ages of the readings of these tendons.
+    """Return the first tick in which repeated readings are detected, or -1.
 
-    If none are detected, the tick is -1.
+    Also return the affected tendons, each with the age of the readings that are repeated.
     """
     monitor = SyntheticMonitor(synthetic_limits(rows.shape[1]))
     for k, row in enumerate(rows):
@@ -69,7 +72,7 @@ def test_fresh_readings_are_no_repetition_at_any_noise(seed: int, noise: float) 
     "cycle", [[3.0], [3.0, 2.9375], [2.9375, 3.0, 3.0], [3.0, 3.0625, 3.0, 2.9375, 3.0]]
 )
 def test_limit_cycle_of_a_few_counts_is_no_repetition(cycle: list[float]) -> None:
-    """If the load cells are coarse, a tension loop has a limit cycle even without noise.
+    """With coarse load cells, a tension loop has a limit cycle even without noise.
 
     Such a limit cycle has occurred during commissioning.
     """
@@ -83,9 +86,9 @@ def test_a_missing_reading_is_no_repetition() -> None:
 
 
 def first_oscillation(deviation: np.ndarray, period: float) -> tuple[float, float]:
-    """Return the time [s] at which a tension deviation [N] first counts as oscillation, and its RMS [N].
+    """Return the time [s] at which a tension deviation first counts as oscillation, and its RMS [N].
 
-    If it never counts as an oscillation, the time is -1.
+    If the deviation never counts as an oscillation, the time is -1.
     """
     monitor = SyntheticMonitor(synthetic_limits(2), period=period)
     for k, value in enumerate(deviation):

@@ -1,4 +1,4 @@
-"""Test which faults follow from the reports of the buses, the host and the recorder."""
+"""Test which faults are reported after events of the buses, the host and the recorder."""
 
 from handctl.safety.tick_verdict import EventReport, filter_error_frames, locate_reports
 
@@ -45,9 +45,9 @@ def test_only_missing_acknowledges_mean_alone_on_the_bus() -> None:
 
 
 def test_missing_acknowledges_are_reported_only_until_a_node_has_answered() -> None:
-    """The fault B18 (alone on the bus) counts only before the hand is armed.
+    """The fault B18 (alone on the bus) is reported only before the hand is armed, and only until a node has replied.
 
-    A reply proves that there are other nodes on the bus.
+    A reply proves that the bus has other nodes.
     """
     unheard = ("error_frame", "can0 no acknowledge", 3.0)
     for word in ("no acknowledge", "bus error", "protocol"):

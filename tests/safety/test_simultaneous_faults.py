@@ -117,7 +117,7 @@ def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
 INPUTS_WITH_MANY_FRAMES = {id_: state_rows(frames=6 * 64 + 1) for id_ in ("B11a", "B11b")}
 """Inputs with too many frames.
 
-The number is above the limit even if another fault of the test comes with missed ticks.
+The number exceeds the limit even if ticks were missed because of another fault of the test.
 """
 INPUT_BY_FAULT = {
     id_: INPUTS_WITH_MANY_FRAMES.get(id_, CASE_BY_FAULT[id_].input_with_fault)
@@ -134,9 +134,8 @@ def test_additional_faults_never_weaken_the_action(
 ) -> None:
     """Two runs have the same requests to clear faults.
 
-    One of them has additional faults in some ticks.
-
-    The action of this run is never weaker than the action of the other run.
+    The second run has additional faults in some ticks. The action in the second run is never weaker
+    than in the first run.
     """
     less, more = rested_monitor(), rested_monitor()
     for tick_input, extra, cleared in ticks:

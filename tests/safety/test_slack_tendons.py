@@ -1,6 +1,6 @@
-"""Test tendons that are taut or slack, that have snapped, or that a motor still pulls after a cut.
+"""Test the detection of slack tendons, of snapped tendons, and of tendons that a disabled motor still pulls.
 
-Each rule is tested just below and above its limit.
+Each detector is tested just below and just above its limit.
 """
 
 import math
@@ -20,7 +20,7 @@ TensionList = list[float]
 
 
 class FilteredTendons(SyntheticMonitor):
-    """Tendons whose filtered tensions are set by the test."""
+    """Tendons with a safety monitor. The test sets the filtered tensions of these tendons."""
 
     def __init__(self, count: int, **rows: Any) -> None:
         super().__init__(synthetic_limits(count), residual_fraction=0.0)
@@ -40,7 +40,7 @@ class FilteredTendons(SyntheticMonitor):
         )
 
     def run_tick_after_cut(self, tension: TensionList, **rows: Any) -> dict[str, float]:
-        """Run a tick with load-cell readings after the torque was cut.
+        """Run a tick with load-cell readings after the motors were disabled.
 
         Return the tendons that a motor still pulls.
         """
@@ -48,18 +48,19 @@ class FilteredTendons(SyntheticMonitor):
 
 
 @pytest.mark.parametrize(("cell", "goal", "before", "after"), [
-    # tension, commanded tension, (ticks since taut, ticks slack) before and after
+    # Columns: tension [N], commanded tension [N], (ticks since taut, ticks slack) before the tick
+    # and after it
     (2.6, 20.0, (-1, 0), (0, 0)),     # taut for the first time
     (2.6, 20.0, (7, 5), (0, 0)),      # taut again
     (2.5, 20.0, (-1, 0), (-1, 0)),    # the tendon has never been taut, so it cannot become slack
     (0.0, 20.0, (-1, 0), (-1, 0)),
     (2.5, 20.0, (0, 0), (1, 0)),      # the tension is between slack and taut
-    # the tendon is just not slack, so the count of slack ticks begins again
+    # the tension is just high enough not to be slack, so the count of slack ticks begins again
     (2.0, 20.0, (3, 4), (4, 0)),
     (1.9, 20.0, (3, 4), (4, 5)),
     (1.9, 2.5, (3, 4), (4, 0)),       # the commanded tension is so low that slack is allowed
     (1.9, 2.6, (3, 4), (4, 5)),
-    (1.9, NAN, (3, 4), (-1, 0)),      # a limp tendon may be slack, but must become taut again
+    (1.9, NAN, (3, 4), (-1, 0)),      # a digit without tension control may be slack, but must become taut again
     (30.0, NAN, (3, 4), (-1, 0)),
     (NAN, 20.0, (3, 4), (4, 0)),      # without a reading, a tendon is neither slack nor taut
 ])  # fmt: skip
@@ -93,8 +94,8 @@ def test_slack_is_reported_by_name_and_in_seconds():
     (50, 0.0, 24.0, 0.05, False),     # last taut 100 ms ago
     (-1, 0.0, 24.0, 0.05, False),     # the tendon has never been taut
     (0, 4.7, 24.0, 0.05, True),
-    (0, 4.81, 24.0, 0.05, False),     # more than a fifth of the tension is left
-    (0, 4.0, 20.0, 0.05, False),      # exactly a fifth of the tension is left
+    (0, 4.81, 24.0, 0.05, False),     # more than a fifth of the commanded tension is left
+    (0, 4.0, 20.0, 0.05, False),      # exactly a fifth of the commanded tension is left
     (0, 0.0, 8.0, 0.05, False),       # the commanded tension was too low for a decision
     (0, 0.0, 8.1, 0.05, True),
     (0, 0.0, 24.0, 0.03, False),      # the spool is too slow
@@ -105,9 +106,9 @@ def test_slack_is_reported_by_name_and_in_seconds():
     (0, 0.0, 24.0, NAN, False),
 ])  # fmt: skip
 def test_a_snapped_tendon_is_detected(ago, cell, goal, speed, found):
-    """The tendon of this test is neither slack nor taut.
+    """In this test, one tendon is neither slack nor taut, so the count of ticks since it was taut continues.
 
-    The count of ticks since it was taut therefore continues. The other tendon is taut.
+    The other tendon of this digit is taut.
     """
     tendons = FilteredTendons(2, taut_ago=[0, ago - 1 if ago > 0 else ago])
     taut = 20.0 if ago == 0 else 2.2
@@ -174,9 +175,9 @@ def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading(
     (50, NAN, 30.0, False),           # the tendon had no reading before this tick
 ])  # fmt: skip
 def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, found):
-    """If a tendon has no earlier reading, its first reading is the reference.
+    """The detector compares a tendon's tension with the tension before the motors were disabled.
 
-    The first reading itself is not below this reference.
+    Without an earlier reading, the detector compares with the first reading.
     """
     tendons = FilteredTendons(2, cut_ticks=ticks - 1, cut_from=[0.0, before], cut_bears=NAN)
     reported = tendons.run_tick_after_cut([0.0, now])
@@ -190,9 +191,9 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, foun
 
 
 def test_the_last_tension_counts_if_the_latest_sample_is_missing():
-    """The check uses readings from at least 80 ms after the cut.
+    """The detector uses readings from at least 80 ms after the motors were disabled.
 
-    Earlier readings do not show whether the motor has released the tendon.
+    Earlier readings do not show whether a motor has released its tendon.
     """
     tendons = FilteredTendons(2)
     for k in range(50):
@@ -205,10 +206,10 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
 
 
 @pytest.mark.parametrize(("before", "now", "found"), [
-    # reported force [N] in the last tick under torque, and 100 ms after the cut
-    # the force is less than a load cell may read because of springs and weight
+    # Columns: reported force [N] in the last tick before the motor was disabled, and 100 ms later.
+    # A force of 8.5 N is less than springs and weight can cause at a load cell.
     (8.5, 8.5, True),
-    (-1.4, -1.4, True),      # a spool pair that pulls its other tendon
+    (-1.4, -1.4, True),      # a motor with two tendons that pulls the second one
     (8.5, 0.05, False),
     (8.5, 4.2, False),       # the force has fallen below half
     (0.9, 0.9, False),       # the force is no more than the noise of a current sensor
@@ -217,10 +218,10 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
 ])  # fmt: skip
 @pytest.mark.parametrize("group", [-1, 0])
 def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(group, before, now, found):
-    """A drive that keeps its torque after a cut is detected by the torque that it reports.
+    """A drive that keeps its torque after it was disabled is detected by the torque that it reports.
 
-    Earlier defect: without load cells, such a drive was not reported (N16). With a load cell, a
-    drive that kept 9 N was not reported either.
+    Earlier defect: without load cells, such a drive did not cause the fault N16 (a drive does not
+    release). With a load cell, a drive that kept 9 N did not cause this fault either.
     """
     tendons = FilteredTendons(1)
     tendons.set_constants(cell_group=group)
@@ -234,8 +235,9 @@ def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(group, before
 def test_a_step_of_a_coarse_torque_report_is_no_pull(step, found):
     """Reproduce a defect.
 
-    A CubeMars AK70-10 has no code for zero torque. After a cut it reports 1.2 N. Earlier defect:
-    this caused the fault N16 (a drive does not release).
+    A CubeMars AK70-10 has no code for zero torque. After such a motor was disabled, it reports a
+    torque that corresponds to 1.2 N. The reported torque caused the fault N16 (a drive does not
+    release).
     """
     tendons = FilteredTendons(1)
     tendons.set_constants(torque_step=step)
@@ -245,7 +247,7 @@ def test_a_step_of_a_coarse_torque_report_is_no_pull(step, found):
 
 
 def test_an_old_torque_is_no_sign_of_a_drive_that_does_not_release():
-    """If a drive sends no torque after a cut, its torque is ignored.
+    """If a drive sends no torque after it was disabled, its last reported torque is ignored.
 
     An example is an ODrive with torque feedback.
     """

@@ -98,7 +98,7 @@ def test_a_tendon_at_rest_leaves_no_residual(held):
 def test_inertia_friction_and_damping_are_explained():
     """In this test, the tendon speed oscillates by 10 mm/s at 2 Hz.
 
-    The friction equals that in the hand file.
+    The simulated friction equals the friction in the hand file.
     """
     w, a = 2 * np.pi * 2.0, 0.01
 
@@ -114,9 +114,9 @@ def test_inertia_friction_and_damping_are_explained():
 
 
 def test_acceleration_torque_is_no_residual():
-    """In this test, a rotor accelerates with 10 m/s2 for 0.1 s.
+    """In this test, a rotor accelerates with 10 m/s2 for 0.1 s, for which it needs 52 N of the motor force.
 
-    This takes 52 N of the motor force. The residual does not contain this force.
+    This force must not appear in the residual.
     """
 
     def force(t):
@@ -141,9 +141,9 @@ def test_a_torque_constant_within_its_tolerance_is_no_fault():
 
 
 def test_friction_that_has_grown_is_seen_in_motion_only():
-    """In this test, the friction is 8 N above that in the hand file.
+    """In this test, the friction is 8 N higher than in the hand file.
 
-    When the motor moves to and fro for 15 s, this causes the fault T09 (friction has grown).
+    If the motor moves to and fro for 15 s, the fault T09 (friction has grown) is reported.
     """
     w, a = 2 * np.pi, 0.02
 
@@ -164,7 +164,7 @@ def test_friction_that_has_grown_is_seen_in_motion_only():
 def test_missing_torque_is_detected():
     """If 39 N of the motor force are missing, the limit of a fault is exceeded within 20 ticks.
 
-    A missing force of 14.9 N stays below it.
+    A missing force of 14.9 N does not exceed this limit.
     """
     state = residuals_after(20 * PERIOD_S, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 39.0)
     assert state.filtered_residual(COMMAND_DIFFERENCE) > NOT_OBEYED_N

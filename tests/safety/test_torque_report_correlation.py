@@ -18,15 +18,18 @@ COMMAND_TICKS = 1000
 
 
 class ReportingMotors(SyntheticMonitor):
-    """Two motors with commanded and reported forces, and the safety monitor that compares these forces in each tick."""
+    """Two motors, and a safety monitor that compares commanded and reported forces in each tick."""
 
     def __init__(self, torque_step: float = 0.078) -> None:
         super().__init__(synthetic_limits(2), torque_step=torque_step)
-        self.set_constants(cell_group=[-1, -1])  # some tests are for tendons without load cell
+        self.set_constants(cell_group=[-1, -1])  # by default, the tendons have no load cells
         self.ever_unfollowed = np.zeros(2, dtype=bool)
-        """For each motor, whether any tick has reported that it does not follow its commands."""
+        """For each motor, True if the monitor has reported in any tick that the motor does not follow its commands."""
         self.disobeyed: list[int] = []
-        """Ticks in which N14 was present, counted from 0."""
+        """Numbers of the ticks in which the fault N14 (a command is not obeyed) was present.
+
+        The first tick is 0.
+        """
         self.ticks = 0
 
     def run_tick(self, force: np.ndarray, report: np.ndarray) -> None:
@@ -39,7 +42,7 @@ class ReportingMotors(SyntheticMonitor):
 
     @property
     def reported_fractions(self) -> list[float]:
-        """Return, for each motor, the fraction of a change in the command that its reports show."""
+        """Return, for each motor, which fraction of a command change appears in the torque reports."""
         return [
             call_interpreted(fraction_of_command_reported, self.state_tables, n) for n in range(2)
         ]
@@ -55,7 +58,10 @@ def motors_after(
 
 
 def noisy_commands(seed: int, size: float = 0.1) -> np.ndarray:
-    """Return commands (COMMAND_TICKS, 2) [N] of two motors that hold 90 N, rounded to 12 bits as in a drive."""
+    """Return noisy commands (COMMAND_TICKS, 2) [N] for two motors that hold 90 N.
+
+    The commands are rounded to 12 bits, as in a frame to a drive.
+    """
     return 90.0 + size * np.random.default_rng(seed).standard_normal((COMMAND_TICKS, 2))
 
 
@@ -64,7 +70,10 @@ def rounded_to_counts(force: np.ndarray) -> np.ndarray:
 
 
 def delayed_reports(commanded: np.ndarray, ticks: int = 1) -> np.ndarray:
-    """Return the reports of drives that obey with a delay in ticks. Row k is the report that tick k receives."""
+    """Return the torque reports of drives that obey with a delay [ticks].
+
+    Row k contains the reports that arrive in tick k.
+    """
     return rounded_to_counts(np.roll(commanded, ticks, axis=0))
 
 
@@ -80,7 +89,7 @@ def test_a_report_that_follows_is_never_doubted(seed: int, size: float) -> None:
 def test_a_report_in_coarse_steps_is_never_doubted(seed: int, fraction: float) -> None:
     """Reproduce a defect: the commissioning ended with the fault N17 (drives are exchanged, or obey late).
 
-    One count of an AK80-6 motor's torque report is 1.17 N at a spool of 5 mm.
+    One count in the torque report of an AK80-6 motor is 1.17 N at a spool radius of 5 mm.
     """
     step = 1.17
     commanded = 90.0 * (1.0 + 0.01 * np.random.default_rng(seed).random()) + fraction * step * (
@@ -131,7 +140,7 @@ def test_one_outlier_is_not_a_fault() -> None:
 def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, size: float) -> None:
     """Reproduce a defect: a demo in real time ended with the fault N17 (drives are exchanged, or obey late).
 
-    A busy host had read each reply one tick late.
+    In that demo, a busy host had read each reply one tick late.
     """
     commanded = noisy_commands(seed, size)
     assert not doubted_motors(commanded, delayed_reports(commanded, 2)).any()
@@ -140,7 +149,7 @@ def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, size: float) -> 
 def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return commands (COMMAND_TICKS, 2) [N], and reports of drives that obey, on a bus that sometimes stops.
 
-    Such a stop lasts one to five ticks. The commands continue to change during it. The first
+    The bus stops for one to five ticks at a time, while the commands continue to change. The first
     reports after a stop still show the command from before the stop.
     """
     random = np.random.default_rng(seed)
@@ -160,7 +169,7 @@ def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def doubted_motors(commanded: np.ndarray, made: np.ndarray) -> np.ndarray:
-    """Return, for both motors, True if in any tick a motor was reported that does not follow its commands."""
+    """Return, for each of two motors, True if any tick reports that the motor does not follow its commands."""
     return motors_after(commanded, made).ever_unfollowed
 
 
@@ -178,28 +187,29 @@ def test_swapped_reports_are_found_between_standstills(seed: int) -> None:
 def diverging_commands() -> np.ndarray:
     """Return commands (20, 2) [N] of two position loops that drive each other.
 
-    The commands grow from 1 N by a factor e every 8 ms, as they did on orca_like.
+    The commands grow from 1 N by a factor e every 8 ms, as they did in a run of the hand orca_like.
     """
     growth = np.exp(np.arange(20) / 4.0)
     return np.column_stack((growth, -growth))
 
 
 def test_exchanged_drives_are_found_before_their_rotors_gain_speed() -> None:
-    """Detect N14 below 40 N.
+    """Exchanged drives cause the fault N14 (a command is not obeyed) before the force reaches 40 N.
 
-    Earlier defect: on orca_like, this report came only at 80 N, and tendons reached 208 N.
+    Earlier defect: with the hand orca_like, the fault was reported only at 80 N, and tensions
+    reached 208 N.
     """
     commanded = diverging_commands()
     made = delayed_reports(commanded)[:, ::-1]
-    made[0] = 0.0  # delayed_reports takes the last command from here
+    made[0] = 0.0  # delayed_reports puts the last command into this row
     motors = motors_after(commanded, made)
     assert abs(commanded[motors.disobeyed[0]]).max() < 40.0
 
 
 def test_a_drive_without_torque_is_found_although_its_command_is_small() -> None:
-    """A missing torque of 9 N is detected within 60 ms.
+    """If 9 N of the motor force are missing, the fault is detected within 60 ms.
 
-    Earlier defect: on orca_like, this detection took 280 ms.
+    Earlier defect: with the hand orca_like, this detection took 280 ms.
     """
     commanded = np.full((100, 2), 9.0)
     silent = np.zeros((100, 2))
@@ -212,7 +222,10 @@ def test_a_drive_without_torque_is_found_although_its_command_is_small() -> None
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("ticks", [1, 2])
 def test_a_drive_that_obeys_fast_commands_is_not_a_fault(seed: int, ticks: int) -> None:
-    """The commands jump by up to 50 N and have ramps of 10 N per tick, and some reports and commands are lost."""
+    """In this test, commands jump by up to 50 N and have ramps of 10 N per tick.
+
+    Some reports and commands are lost.
+    """
     random = np.random.default_rng(seed)
     jumps = (
         50.0
@@ -228,7 +241,7 @@ def test_a_drive_that_obeys_fast_commands_is_not_a_fault(seed: int, ticks: int) 
 
 
 def test_a_drive_with_a_slow_current_and_a_wrong_torque_constant_is_not_a_fault() -> None:
-    """The simulated current follows with 4 ms, and the torque constant is 15 % too low."""
+    """In this test, the motor current lags by 4 ms, and the torque constant is 15 % too low."""
     commanded = 24.0 + 36.0 * (np.arange(COMMAND_TICKS) // 50 % 2)[:, None] * np.ones(2)
     made = np.zeros_like(commanded)
     for k in range(1, COMMAND_TICKS):
@@ -259,7 +272,8 @@ def test_a_late_report_is_no_fault_with_a_load_cell_or_at_a_high_rate(
 ) -> None:
     """Reproduce a defect.
 
-    At 1 kHz, on a computer that was busy for 4 ms, a run ended with N14 (a command is not obeyed).
+    A run at 1 kHz ended with the fault N14 (a command is not obeyed) because the computer was busy
+    for 4 ms.
     """
     motors = ReportingMotors()
     motors.set_constants(cell_group=group, period=period_s)

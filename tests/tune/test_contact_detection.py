@@ -1,7 +1,7 @@
 """Test the detection of contact during the sweeps of a digit.
 
-The fit of the parameters of the digit shows the contact. Parameters that depend on the contact are
-not stored.
+The identification notices the contact because the model of a free digit does not fit the data.
+Parameters that depend on the contact are not stored.
 """
 
 from pathlib import Path
@@ -76,7 +76,7 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     real = true_parameters(
         load_hand(hand), next(iter(found)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0)
     )
-    for one in found.values():  # the other parameters are still right
+    for one in found.values():  # the contact does not affect the other parameters
         for name in set(one.identified_names) & {
             "torque_gain",
             "motor_inertia",
@@ -126,10 +126,10 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
 
 
 def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> ResidualRamp | None:
-    """Fit a straight line to data, and return the steepest ramp in the residuals.
+    """Fit a straight line to generated data, and return the steepest ramp in the residuals.
 
-    The data are noise in two sweeps, plus a rise by ``kink`` per unit of angle beyond the angle
-    ``begin``.
+    The data are noise in two sweeps. Beyond the angle ``begin``, the data also rise by ``kink`` per
+    unit of angle.
     """
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROW_COUNT)) * 0.6

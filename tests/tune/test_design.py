@@ -1,6 +1,6 @@
 """Test designs of gains.
 
-Designed gains keep their stability margins on all plants of an ensemble.
+Designed gains keep their stability margins for all hands of an ensemble, whose parameters differ.
 """
 
 import math
@@ -39,7 +39,7 @@ FEW_PLANTS = 2
 def test_the_packaged_gains_keep_their_margins(name: str) -> None:
     """Reproduce a defect: with the gains of the hand jamia, the hand orca_like oscillated at 140 Hz.
 
-    The hand t42 had a gain margin of only 2.4 dB.
+    With the same gains, the hand t42 had a gain margin of only 2.4 dB.
     """
     hand = load_hand(name)
     model = HandModel.from_hand(
@@ -51,9 +51,9 @@ def test_the_packaged_gains_keep_their_margins(name: str) -> None:
 
 
 def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
-    """The margins of a tendon limit the force weight of this tendon.
+    """The stability margins of a tendon limit only the force weight of this tendon.
 
-    The force weights of all other tendons are not affected.
+    The force weights of other tendons do not change.
     """
     hand = load_hand("t42")
     left, right = hand.digit
@@ -72,8 +72,8 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     assert light.name == "right_flexor"
     assert light.motion_force_N == pytest.approx(both.gains.motion.force_N, rel=0.1)
     assert found.gains.motion.force_N < 0.5 * both.gains.motion.force_N
-    # Without separate force weights, the tendons of both digits would have the small weight of the
-    # heavy digit.
+    # Without separate force weights, the tendons of both digits would have the small force weight
+    # that the heavy digit requires.
     shared = found.gains.model_copy(update={"tendon": ()})
     assert model_with_gains(model, shared).motion.stiffness[1] < 0.6 * found_stiffness(
         model, found.gains
@@ -120,8 +120,9 @@ def test_a_filter_that_leaves_no_margin_is_refused(jamia: HandModel) -> None:
 
 @pytest.mark.parametrize("hz", [3.0, 6.0])
 def test_the_closed_loop_has_the_requested_poles(jamia: HandModel, hz: float) -> None:
-    """Compare the design with a single mass (rotor and digit) under sampled state feedback.
+    """The closed loop has the requested poles.
 
+    The test computes the poles for a single mass (rotor and digit) under sampled state feedback.
     The control rate is far above the poles.
     """
     gains = gains_with_poles(jamia, LoopKind.MOTION, hz, 1.0)
@@ -144,7 +145,7 @@ def test_the_closed_loop_has_the_requested_poles(jamia: HandModel, hz: float) ->
 def test_placed_poles_that_no_weights_have_are_refused(
     jamia: HandModel, hz: tuple[float, float], damping: float, right: str
 ) -> None:
-    """The error message proposes poles or a weight that would be possible."""
+    """The error message proposes poles, or a weight, with which the design would be possible."""
     with pytest.raises(ValueError, match=right):
         design_with_poles(jamia, (PlantFactors(),), *hz, damping)
 
@@ -160,7 +161,10 @@ def test_an_ensemble_is_at_least_as_wide_as_its_minimum_spread() -> None:
 
 
 def identification_of_tendon(stiffness: float, half_width: float) -> IdentifiedParameters:
-    """Return identified parameters of one tendon: a stiffness with its interval half width, and a delay."""
+    """Return identified parameters of one tendon: a stiffness and a delay.
+
+    ``half_width`` is the half width of the stiffness's confidence interval.
+    """
     return IdentifiedParameters(
         names=("tendon_stiffness", "delay"),
         values=(stiffness, 1e-3),

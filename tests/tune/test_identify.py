@@ -58,7 +58,7 @@ WEAK_MOTOR, STIFF_MOTOR = (23, "thumb"), (39, "thumb")
 def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
     tmp_path: Path, seed: int, digit: str
 ) -> None:
-    """If a motor makes 29 % less torque, this is not mistaken for a wrong load cell.
+    """The identification distinguishes a motor that makes 29 % less torque from a wrong load cell.
 
     Even a motor with high friction moves its tendon.
     """
@@ -74,11 +74,10 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
 
 
 def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path: Path) -> None:
-    """In such a digit, the spring stiffness can be identified because of the joint encoders.
+    """In a digit with several tendons, the identification of the spring stiffness needs joint encoders.
 
-    At 200 Hz, the inertia and the friction of a motor are less accurate.
-
-    The intervals of these two parameters are therefore wider.
+    At 200 Hz, the inertia and the friction of a motor are identified less accurately. The
+    confidence intervals of these two parameters are therefore wider.
     """
     row = measure_digit(3, "thumb", tmp_path, "jamia11")
     assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG_PARAMETERS
@@ -125,7 +124,7 @@ def test_the_window_is_smooth_and_its_derivatives_are_its_derivatives() -> None:
 
 
 def test_the_load_model_balances_every_joint() -> None:
-    """With the tension from the load model, the torques at every joint are in balance."""
+    """With the tensions that the load model computes, the torques at every joint are in balance."""
     digit = DigitModel.from_hand(load_hand("jamia"), "index")
     load = DigitLoad.from_digit(digit)
     p = LoadParameters(1e5, 1.1, 0.9, 0.1, 1.0, 1.0, 2e-4)
@@ -220,7 +219,7 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
 def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
     """The hand model and the centre of the ensemble use the identified parameters.
 
-    The gains still belong to the hand that the hand file describes.
+    The identity in the gain file is still that of the hand file.
     """
     hand, path = load_hand("jamia"), tmp_path / "c.toml"
     rows = dict.fromkeys(
@@ -249,10 +248,10 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
 
 
 def test_delay_is_judged_by_an_absolute_limit() -> None:
-    """The interval of a delay is compared with an absolute limit, because the delay itself may be zero.
+    """The width of a delay's confidence interval is compared with an absolute limit.
 
-    Other intervals are compared with a fraction of the value. For a value of zero, this would be no
-    limit.
+    For other parameters, the limit is a fraction of the value. The value of a delay may be zero,
+    and the limit would then also be zero.
     """
     rows = np.ones((3, len(PARAMETER_NAMES)))
     assert (

@@ -1,6 +1,7 @@
 """Test the identification of digits without springs.
 
-These digits have n + 1 tendons for n joints, or spool pairs without load cells.
+Such a digit has n + 1 tendons for n joints, or pairs of tendons that share one motor and have no
+load cells.
 """
 
 from pathlib import Path
@@ -29,17 +30,17 @@ from handctl.tune.identify.identifiability import unobservable_parameters
 SEED_RANGE = range(20)
 TESTED_HANDS = ("n_plus_1", "orca_like")
 MIN_COVERED = 0.9
-"""At least this fraction of all true parameter values must lie inside their intervals.
+"""At least this fraction of all true parameter values must lie inside the identified confidence intervals.
 
 The expected fraction is 0.95.
 """
 MIN_COVERED_OF_EACH = 0.8
-"""For each single parameter, at least this fraction of its true values must lie inside their intervals.
+"""For each single parameter, at least this fraction of the true values must lie inside the intervals.
 
 The limit is lower, because a parameter has only 40 to 70 values in this test.
 """
 PARAMETERS_OF_EVERY_PAIR = {"motor_coulomb", "tendon_stiffness", "moment_arm"}
-"""Parameters that the data identify for every spool pair of the packaged hand."""
+"""Parameters that can be identified for every pair of tendons on one motor in the packaged hand."""
 
 
 @pytest.mark.parametrize(
@@ -108,7 +109,7 @@ def test_the_excitation_of_antagonists_keeps_within_the_limits(name: str) -> Non
 
 
 def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
-    """While a tendon is stretched, each joint of its digit is opened by more torque than closes it."""
+    """While a tendon is stretched, more torque opens each joint of its digit than closes the joint."""
     hand = load_hand("n_plus_1")
     for step in excitation_steps(hand, hand.digit_names):
         if step.name == "stretch":
@@ -118,9 +119,10 @@ def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
 
 @pytest.mark.parametrize("passed", [0.8, 1.0, 1.25])
 def test_both_tendons_of_a_pair_balance_its_joint(passed: float) -> None:
-    """Friction lowers the tension of one tendon of the pair at the joint, and raises the tension of the other tendon.
+    """Two antagonistic tendons share one motor in this test.
 
-    The difference of these tensions acts on the joint.
+    At the joint, friction lowers the tension of one tendon and raises that of the other. The
+    difference of both tensions turns the joint.
     """
     nets = np.linspace(-40.0, 40.0, 81)
     spool = tension_of_pair(nets, 10.0, np.full(81, passed))
@@ -131,9 +133,10 @@ def test_both_tendons_of_a_pair_balance_its_joint(passed: float) -> None:
 
 
 def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
-    """If the stretch is d, the tendons of a pair have the tensions p + k d and p - k d, but never less than 0.
+    """Two antagonistic tendons on one motor have the tensions p + k d and p - k d, but never less than 0.
 
-    The net tension is the difference of these two tensions.
+    Here p is the pretension, k the stiffness and d the stretch. The net tension is the difference
+    of the two tensions.
     """
     stretch = stretch_of_pair(np.linspace(-50.0, 50.0, 101), 5e4, 10.0)
     single = [np.maximum(10.0 + 5e4 * side * stretch, 0.0) for side in (1.0, -1.0)]
@@ -143,8 +146,8 @@ def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
 def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
     """Reproduce a defect.
 
-    Earlier defect: such a run never ended, because the program makes no progress while a fault
-    holds the hand.
+    While a fault holds the hand, the identification makes no progress. Such a run therefore never
+    ended.
     """
     limit = HoldLimit()
 

@@ -1,4 +1,4 @@
-"""Test which parts of a log of ordinary use count as free motion."""
+"""Test which parts of the log of an ordinary run count as free motion."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ GRASP_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
     """Reproduce a defect: data of digits at their stops were used.
 
-    The identified springs and the identified friction were then too large by a third.
+    Because of these data, the identified spring stiffness and friction were too large by a third.
     """
     hand = load_hand("jamia")
     with RunLog(GRASP_LOG) as log:

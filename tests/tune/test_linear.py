@@ -1,6 +1,6 @@
 """The linear models of the control loops predict the behaviour of the running controller.
 
-The margins of these models equal those that the package `control` computes.
+Their stability margins equal those that the package `control` computes.
 """
 
 import math
@@ -84,9 +84,9 @@ def test_margins_are_those_of_control(
 def test_the_gain_margin_is_where_the_loop_becomes_unstable(
     jamia: HandModel, kind: LoopKind
 ) -> None:
-    """If the torque is slightly above the gain margin, the loop is unstable.
+    """The loop is unstable if the torque is multiplied by slightly more than the gain margin.
 
-    If the torque is slightly below the gain margin, the loop is stable.
+    The loop is stable if the factor is slightly smaller than the gain margin.
     """
     margin = 10.0 ** (margins_of_loop(open_loop(jamia, 0, kind)).gain_db / 20.0)
     assert margins_of_loop(
@@ -98,9 +98,9 @@ def test_the_gain_margin_is_where_the_loop_becomes_unstable(
 
 
 def test_closed_loop_responds_to_a_force_step(jamia: HandModel) -> None:
-    """After a step of the force by 1 N, a held tension returns to its goal.
+    """After a step of the force by 1 N, the controller returns a held tension to its goal.
 
-    Without a controller, the tension at a blocked rotor would stay 1 N away from its goal.
+    Without a controller, the tension would stay 1 N away from its goal.
     """
     _, tension = step_response(jamia, 0, LoopKind.TENSION, 1.0)
     assert abs(tension[-1]) < 0.3 < np.abs(tension).max() < 2.0

@@ -21,8 +21,8 @@ from handctl.tune.search.ensemble import draw_ensemble
 def test_motor_short_of_its_goal_is_no_stuck_encoder(seed: int) -> None:
     """Reproduce a defect: a motor had stopped 0.4 mm before its goal.
 
-    The filtered goal then continued to move, and after 2.5 s the controller reported a stuck
-    encoder (N04).
+    The filtered goal continued to move after that. The controller therefore reported the fault N04
+    (an encoder is stuck) after 2.5 s.
     """
     hand = load_hand("jamia")
     score = score_exercise(
@@ -55,7 +55,7 @@ def test_a_trial_may_cross_a_process_boundary(hand: str) -> None:
     ],
 )
 def test_digits_that_touch_each_other_are_not_scored(tmp_path: Path, links: str, seed: int) -> None:
-    """Reproduce a defect: digits blocked by each other counted as a tracking error of 6 to 8 deg."""
+    """Reproduce a defect: digits that blocked each other were scored with a tracking error of 6 to 8 deg."""
     file = tmp_path / "mine.toml"
     words = ["--fingers", "1", "--opposed", "1", "--links", links, "--tendons", "each"]
     assert main(["config", "init", "--yes", *words, "--output", str(file)]) == 0

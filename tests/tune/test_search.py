@@ -36,7 +36,10 @@ TRIAL_COUNT = 3
 
 @pytest.fixture(scope="session")
 def search_plan() -> SearchPlan:
-    """Return the plan of a search with few trials on the nominal plant."""
+    """Return the plan of a search with few trials.
+
+    All trials use the simulated hand with its nominal parameters.
+    """
     return SearchPlan(
         load_hand("jamia").to_toml(),
         500.0,
@@ -76,7 +79,7 @@ def test_search_result_does_not_depend_on_the_processes(
 def test_the_sampler_knows_which_trials_keep_their_margins(
     search_plan: SearchPlan, search_result: SearchResult, tmp_path: Path
 ) -> None:
-    """The sampler also uses the margins of random trials, as constraints.
+    """The sampler of Optuna uses the stability margins of all trials as constraints, also those of random trials.
 
     Optuna prints no warnings.
     """
@@ -175,9 +178,9 @@ class FakeWorkers:
 def long_search(
     search_plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[SearchPlan, SearchResult, bytes]:
-    """Run a search that continues after its batches of random trials.
+    """Run a search in which batches of chosen trials follow the random trials.
 
-    Return the plan, the result, and the bytes of the journal of this search.
+    Return the plan, the result, and the bytes of the search's journal.
     """
     longer = replace(
         search_plan,
@@ -192,9 +195,10 @@ def long_search(
 def test_search_resumes_from_a_truncated_journal(
     long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, fraction: float
 ) -> None:
-    """In this test, the journal is cut in the middle of a line.
+    """In this test, the journal of a search is cut in the middle of a line.
 
-    Some of the cuts are at times at which the sampler already chooses the trials of the batches.
+    Some cuts are in the part of the journal after the random trials. In this part, the sampler
+    chooses the trials.
     """
     longer, found, journal = long_search
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)
@@ -279,7 +283,7 @@ def test_a_dask_cluster_finds_what_one_process_finds(
 
 def test_two_searches_do_not_share_a_journal(search_plan: SearchPlan, tmp_path: Path) -> None:
     class Meanwhile(InProcessWorkers):
-        """Workers that start another search with the same journal before they compute their jobs."""
+        """Workers that start a second search with the same journal before they compute the jobs of the first search."""
 
         def compute_scores(
             self, jobs: Sequence[dict[str, Any]]

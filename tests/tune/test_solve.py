@@ -1,4 +1,6 @@
-"""Test the jackknife over blocks of time, which gives the intervals of a fit.
+"""Test the jackknife method, which computes the confidence intervals of a fit.
+
+The method leaves out one block of time after the other.
 
 A damaged log may have all its rows in one block.
 """
@@ -40,10 +42,10 @@ def test_equal_times_take_a_few_seconds_at_most(span: float) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -> None:
-    """A block with large residuals does not reduce the degrees of freedom.
+    """A block of time with large residuals does not reduce the degrees of freedom.
 
-    Earlier defect: only three degrees of freedom were left, and the intervals were 1.5 times as
-    wide.
+    Earlier defect: such a block left only three degrees of freedom, so the confidence intervals
+    were 1.5 times as wide.
     """
     random = np.random.default_rng(seed)
     jacobian, times = (
@@ -60,7 +62,7 @@ def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -
 
 
 def test_a_parameter_without_data_has_a_spread_of_its_prior() -> None:
-    """If the data do not depend on a parameter, its standard deviation is that of its prior.
+    """A parameter on which the data do not depend keeps the standard deviation of its prior.
 
     Earlier defect: the data of a digit that hardly moved caused a warning about an overflow.
     """

@@ -41,24 +41,25 @@ from tests.conftest import NIGHTLY
 TESTED_HANDS = packaged_hands()
 SEED_RANGE = range(20) if NIGHTLY else range(2)
 QUICK_HANDS = tuple(name for name in TESTED_HANDS if NIGHTLY or name != "orca_like")
-"""Packaged hands with a quick rest test, which runs in ordinary test runs.
+"""Packaged hands whose tests run in ordinary test runs.
 
-For a hand of 17 joints, the rest test takes more than five minutes.
+For a hand of 17 joints, the simulation that tests whether the hand comes to rest takes more than
+five minutes.
 """
 RATE_BY_HAND_HZ = {"jamia": 500.0, "n_plus_1": 250.0, "orca_like": 400.0, "t42": 500.0}
 SATURATED_GAINS = {"tension": {"tension_error_N": 0.5, "speed_error_m_s": 0.1}}
-"""Tension weights.
+"""Weights of the tension loop in the LQR design.
 
-With these weights and a force weight of 390 N, the law commands more torque than the motor has,
-even at the operating point.
+With these weights and a force weight of 390 N, the control law commands more torque than the motor
+has, even at the operating point.
 """
 
 
 def random_gains(seed: int, gain_range: float = 10.0) -> Gains:
     """Return random gains.
 
-    The weights, the integral gain and the filter differ from the usual gains by up to the factor
-    ``gain_range``.
+    The LQR weights, the integral gain and the filter parameters differ from the default gains by up
+    to the factor ``gain_range``.
     """
     random = np.random.default_rng(seed)
 
@@ -94,17 +95,17 @@ def model_of(hand: str, seed: int, gain_range: float = 10.0) -> HandModel:
 
 
 def with_force(force: float) -> HandModel:
-    """Return the model of jamia with the tension weights ``SATURATED_GAINS`` and a force weight [N]."""
+    """Return the model of jamia with the weights ``SATURATED_GAINS`` and the force weight ``force`` [N]."""
     table = SATURATED_GAINS | {"tension": SATURATED_GAINS["tension"] | {"force_N": force}}
     return HandModel.from_hand(load_hand("jamia"), Gains.model_validate(table), 500.0)
 
 
 @pytest.mark.parametrize("force", [5.0, 50.0, 150.0, 393.0])
 def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
-    """If the control law is at its limit, its output does not depend on its inputs.
+    """At its torque limit, the output of the control law does not depend on its inputs.
 
-    So the matrices of the linear model must be computed from the gains, even if the gains are
-    large.
+    The linear model must therefore be computed from the gains instead of from differences of the
+    output.
     """
     model = with_force(force)
     K = controller_system(model, 0, LoopKind.TENSION)
@@ -151,9 +152,9 @@ def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
 
 
 def brute_force(system: LinearSystem) -> tuple[float, float]:
-    """Find the gain margin [dB] and the phase margin [deg] of a loop by trial of many values.
+    """Find the gain margin [dB] and the phase margin [deg] of a loop by trying many values.
 
-    If the loop changes by its margin, an eigenvalue of the closed loop just leaves the unit circle.
+    At the margin, an eigenvalue of the closed loop just leaves the unit circle.
     """
 
     def radius(factor: complex) -> float:
@@ -192,7 +193,7 @@ def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
 
 
 def judged_stable(model: HandModel, found: GainDesign, seed: int) -> HandModel:
-    """Check that all loops of a design are stable on both plants of an ensemble.
+    """Check that all loops of a design are stable for both hands of an ensemble.
 
     Return the model with the gains of this design.
     """
@@ -207,7 +208,7 @@ def judged_stable(model: HandModel, found: GainDesign, seed: int) -> HandModel:
 
 @pytest.mark.parametrize("seed", SEED_RANGE if NIGHTLY else SEED_RANGE[:1])
 def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
-    """All eigenvalues are inside the unit circle, although the design made no rest test in simulation."""
+    """All eigenvalues of a design are inside the unit circle, even without a test in simulation."""
     model = model_of("jamia", seed, 3.0)
     found = design_gains(model, tuple(linear_factors(one) for one in draw_ensemble(2, seed)))
     judged_stable(model, found, seed)
@@ -217,9 +218,9 @@ def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_written_design_is_stable(hand: str, seed: int) -> None:
-    """The eigenvalues are stable.
+    """With a written design, all eigenvalues are inside the unit circle.
 
-    The rest test in simulation passes, even with a seed that the design has not used.
+    The simulated hand comes to rest, even with a seed that the design has not used.
     """
     model, factors = model_of(hand, seed, 3.0), draw_ensemble(2, seed)
     plants = tuple(linear_factors(one) for one in factors)
@@ -234,8 +235,8 @@ def test_written_design_is_stable(hand: str, seed: int) -> None:
 def test_tendons_that_share_joints_keep_their_margins_together() -> None:
     """Reproduce a defect: ``tune design`` gave up for n_plus_1.
 
-    The first tendon of a finger got a large force of its own, which took the margins of the other
-    tendons of the finger below 6 dB.
+    The design gave the first tendon of a finger a large force weight of its own. The gain margins
+    of the finger's other tendons then fell below 6 dB.
     """
     model = HandModel.from_hand(load_hand("n_plus_1"), Gains(), 250.0)
     plants = (linear_factors({}),)
@@ -260,7 +261,10 @@ def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
 
 
 def rest_test_of(model: HandModel) -> RestTest:
-    """Return a rest test on the nominal plant and an ensemble around it."""
+    """Return a test whether simulated hands come to rest.
+
+    The test uses the nominal hand, and an ensemble of hands with changed parameters.
+    """
     factors = draw_ensemble(2, 0)
     return RestTest(model.hand, factors, tuple(linear_factors(one) for one in factors), 0)
 
@@ -268,8 +272,8 @@ def rest_test_of(model: HandModel) -> RestTest:
 def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     """Reproduce a defect.
 
-    Earlier defect: every step test ended with a torn tendon (T01) when a digit without load cells
-    closed with 30 N.
+    A digit without load cells that closed with 30 N caused the fault T01 (a tendon snapped). Every
+    step test therefore ended with this fault.
     """
     model = HandModel.from_hand(load_hand("orca_like"), Gains(), RATE_BY_HAND_HZ["orca_like"])
     swing = simulate_swing(model.hand, model, {}, 0)
@@ -279,7 +283,7 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
 
 @pytest.mark.parametrize("hand", QUICK_HANDS)
 def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: str) -> None:
-    """An oscillation that also occurs without feedback is not regarded as an oscillation of the control loop."""
+    """An oscillation that also occurs without feedback is not an oscillation of the control loop."""
     model = HandModel.from_hand(
         load_hand(hand), packaged_gains(hand), RATE_BY_HAND_HZ.get(hand, 200.0)
     )
@@ -295,7 +299,10 @@ def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: 
 def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     monkeypatch: pytest.MonkeyPatch, hand: str, swing_N: float, chatter_N: float, accepted: bool
 ) -> None:
-    """Gains with such an oscillation are refused, although the hand comes to rest with all other plants."""
+    """Gains are refused if the tension oscillates with the least friction of the ensemble.
+
+    With all other parameters in the ensemble, this hand comes to rest.
+    """
     model = HandModel.from_hand(load_hand(hand), Gains(), RATE_BY_HAND_HZ.get(hand, 200.0))
 
     def fake(
@@ -317,7 +324,7 @@ def rest_test_with(
     chatter: tuple[float, ...],
     found: tuple[float, ...],
 ) -> RestTest:
-    """Return a rest test in which the oscillation of each tendon is given [N].
+    """Return a test whether hands come to rest, with given oscillations of each tendon [N].
 
     ``chatter`` is the oscillation without feedback, and ``found`` is the oscillation with the
     gains.
@@ -374,7 +381,7 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(
 def test_gains_that_fail_at_the_least_friction_are_refused(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """If the run without feedback also fails, the oscillation of the plant itself is unknown.
+    """If the run without feedback also fails, the oscillation of the hand without feedback is unknown.
 
     The gains are then refused.
     """
@@ -396,7 +403,10 @@ COUPLED_SYSTEMS = [((1.0,), (0.5,), (0.25,)), ((0.2,), (1.0,), (1.0,)), ((1.0,),
 def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(
     column: tuple[tuple[float], ...],
 ) -> None:
-    """The joint angles of the posture obey the coupling of the digit, and are inside their ranges."""
+    """The controller of a coupled digit is linearised at joint angles that obey the coupling.
+
+    These joint angles are inside the joint limits.
+    """
     hand = load_hand("jamia")
     content = {**hand.content, "digit": [dict(one) for one in hand.content["digit"]]}
     content["digit"][0]["coupling"] = [list(row) for row in column]

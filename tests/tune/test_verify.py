@@ -1,7 +1,7 @@
 """Test the verification of gains.
 
-If the control loops oscillate with new gains, the run returns to the old gains, and the log shows
-this change.
+A run whose control loops oscillate with new gains returns to the old gains. The log contains this
+return.
 """
 
 import argparse
@@ -87,7 +87,7 @@ OPPOSED_HANDS = [("1", "40,30", "each"), ("1", "24,16", "each"), ("1", "60,40", 
 def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
     tmp_path: Path, fingers: str, links: str, tendons: str
 ) -> None:
-    """Reproduce a defect: digits that blocked each other near 17 deg counted as a tracking error of 20 deg."""
+    """Reproduce a defect: digits that blocked each other near 17 deg were reported as a tracking error of 20 deg."""
     file = tmp_path / "mine.toml"
     words = ["--fingers", fingers, "--opposed", "1", "--links", links, "--tendons", tendons]
     assert main(["config", "init", "--yes", *words, "--output", str(file)]) == 0
@@ -102,7 +102,7 @@ def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
         scores = scores_by_round(log, hand, None, 0)
     limit_deg = math.degrees(VerifyLimits().tracking_rad)
     assert all(score.tracking_deg < limit_deg / 4 for score in scores)
-    # With the proposed amplitude, the digits do not touch each other.
+    # With the amplitude that the command proposes, the digits do not touch each other.
     assert 0.05 <= blocked.proposed_amplitude < 1.0
     narrow = _verify_gains(CALM_GAINS, tmp_path / "free.mcap", hand, blocked.proposed_amplitude)
     assert narrow.blocked is None
@@ -154,7 +154,7 @@ def test_the_tracking_limit_holds_for_prismatic_joints(
 def test_a_lag_of_a_prismatic_joint_counts_like_an_angle(
     file: str, lags: list[float], tracking_deg: float
 ) -> None:
-    """Reproduce a defect: the score took metres for rad, so that 1 mm counted 0.06 deg. It counts 0.1 rad."""
+    """Reproduce a defect: the score took metres for rad, so that 1 mm counted 0.06 deg. 1 mm counts 0.1 rad."""
     hand = load_hand(GRIPPER_FOLDER / file)
     goal = np.zeros((2, len(hand.joints)))
     reached = goal - np.array(lags)

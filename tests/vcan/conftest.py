@@ -1,6 +1,6 @@
-"""Run the tests in the folder inside/ in three guests that have real vcan interfaces.
+"""Run the tests in the folder inside/ in three guest systems that have real vcan interfaces.
 
-Report each test as if it had run in this process.
+Each test is reported as if it had run in this process.
 
 A guest is a virtual machine with user-mode Linux, or a network namespace. In the guest, this file
 writes each report of pytest to the file that HANDCTL_VCAN_REPORTS names. With
@@ -28,7 +28,7 @@ GUEST_FILES = (
     ("test_run.py", "test_drive.py", "test_bus_doctor.py"),
     ("test_protocols.py", "test_foreign_clients.py", "test_python_can.py"),
 )
-"""Test files that two of the guests run. All other files run in a third guest.
+"""Test files that two of the guests run. All other test files run in a third guest.
 
 The three groups take about the same time. A guest has one core and uses less than half of the
 core's time, because hands run in slowed time.
@@ -45,7 +45,7 @@ def pytest_itemcollected(item: pytest.Item) -> None:
         if not REPORTS_FILE:
             item.add_marker(
                 pytest.mark.timeout(0), append=False
-            )  # the first test waits until all tests of its guest have run
+            )  # the first test of a guest waits until all tests of this guest have run
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

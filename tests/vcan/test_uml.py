@@ -1,4 +1,4 @@
-"""Test the program that runs guests.
+"""Test the program that runs guest systems.
 
 The program returns the exit status of a command, however the command ends, and leaves no process
 behind.
@@ -37,7 +37,7 @@ def processes_of(folder: str) -> list[int]:
 
 @pytest.mark.parametrize("end", ["exit 7", "kill -SEGV $$"])
 def test_a_kernel_with_vcan_needs_no_guest(monkeypatch: pytest.MonkeyPatch, end: str) -> None:
-    # this makes the kernel seem to have vcan
+    # with this change, Linux seems to have vcan
     monkeypatch.setattr(uml_guest, "MAKE_INTERFACES_SCRIPT", "true\n")
     monkeypatch.setattr(uml_guest, "_namespace_command", lambda: ["env"])
     output: list[str] = []
@@ -98,7 +98,7 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
                 "kernel and program of a guest use one core"
             )
         end = time.monotonic() + 20.0
-        while processes_of(folder) and time.monotonic() < end:  # killed ones disappear later
+        while processes_of(folder) and time.monotonic() < end:  # killed processes end with a delay
             time.sleep(0.1)
         assert not processes_of(folder)
         assert not list(Path(folder).iterdir())

@@ -1,8 +1,8 @@
 """Run a command where the SocketCAN interfaces vcan0 and vcan1 exist: ``python tests/vcan/uml_guest.py -- COMMAND...``.
 
-If the kernel has vcan, the command runs in a network namespace. Otherwise it runs in a guest of
-user-mode Linux (Debian package user-mode-linux), which needs no special rights. All files of the
-guest are on the disk of the host, except those in /dev/shm.
+If the kernel has vcan, the command runs in a network namespace. Without vcan, the command runs in a
+guest of user-mode Linux (Debian package user-mode-linux), which needs no special rights. All files
+of the guest are on the disk of the host, except those in /dev/shm.
 """
 
 import argparse
@@ -75,8 +75,8 @@ def run_with_vcan(
         timeout_s: time after which the whole guest is killed [s].
         report_line: function that is called with each line of the command's output.
 
-    Returns: The exit status of the command. If there is none: TIMED_OUT_STATUS, NO_EXIT_STATUS or
-        NO_VCAN_STATUS.
+    Returns: The exit status of the command. If the command has none, it is TIMED_OUT_STATUS,
+        NO_EXIT_STATUS or NO_VCAN_STATUS.
     """
     kind, reason = vcan_access()
     if not kind:
@@ -129,7 +129,7 @@ def _run_natively(job: Path, timeout_s: float, report_line: Callable[[str], None
         for line in _read_lines(process, time.monotonic() + timeout_s):
             report_line(line)
         status = process.wait(timeout=10)
-        # in the way in which a shell reports a signal
+        # a shell reports a signal in the same way
         return status if status >= 0 else 128 - status
     except TimeoutError:
         return TIMED_OUT_STATUS
@@ -160,11 +160,12 @@ def _run_in_guest(job: Path, timeout_s: float, report_line: Callable[[str], None
 
 @contextlib.contextmanager
 def _on_one_core() -> Iterator[None]:
-    """Keep the child processes of this thread on one core. The next guest runs on the next core.
+    """Keep the child processes of this thread on one core.
 
-    A guest consists of two processes of the host, its kernel and its program, which run
-    alternately. To wake a process on another core takes five times as long. If both are on one
-    core, a system call takes 20 us instead of 100 us.
+    The next guest runs on the next core. On the host, a guest consists of two processes that run
+    alternately: the Linux kernel of the guest, and a program in the guest. To wake a process on
+    another core takes five times as long. With both processes on one core, a system call takes 20
+    us instead of 100 us.
     """
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[next(_guest_numbers) % len(cores)]})
@@ -242,7 +243,7 @@ def _start_process(command: list[str], environment: dict[str, str]) -> "subproce
 def _kill_group(process: "subprocess.Popen[bytes]") -> None:
     """Kill every process of a run.
 
-    For each address space of the guest, user-mode Linux has a process on the host.
+    User-mode Linux has one process on the host for each address space of the guest.
     """
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
@@ -266,8 +267,8 @@ def _read_lines(process: "subprocess.Popen[bytes]", deadline_s: float) -> Iterat
 def _report_job(lines: Iterator[str], job: Path, report_line: Callable[[str], None]) -> list[str]:
     """Report the lines that the command in a guest prints.
 
-    Returns: The lines before and after those of the command. These lines come from the kernel and
-        from init.
+    Returns: The other lines of the guest's output, before and after the lines of the command. These
+        lines come from Linux and from init.
     """
     other_lines: list[str] = []
     started = False

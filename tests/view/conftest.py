@@ -60,8 +60,7 @@ def rrd(log_path: Path) -> Path:
 def vulkan() -> dict[str, str]:
     """Return the environment variables of a process that draws pictures.
 
-    If this machine has no Vulkan driver, skip the test. If a driver is required on this machine,
-    let the test fail instead.
+    Without a Vulkan driver, skip the test. On a machine that must have a driver, fail instead.
     """
     try:
         return software_vulkan()

@@ -1,8 +1,8 @@
 """Measure the time that `handctl view LOG` needs for its first picture: `python tests/view/first_picture.py LOG`.
 
 The measurement begins with the start of the process, and ends when a viewer without a screen has
-drawn a picture with data. The program prints JSON with this time, and with the CPU times that
-handctl and the viewer have used in it.
+drawn a picture with data. The program prints JSON with the measured time, and with the CPU times of
+handctl and of the viewer in this time.
 """
 
 import json
@@ -38,7 +38,7 @@ def main() -> None:
 
 
 def _time_first_picture(seen: threading.Event) -> None:
-    """Wait for the viewer of this process, and for its data.
+    """Wait until the viewer of this process has received data.
 
     Then save a picture, print the times, and close the viewer.
     """

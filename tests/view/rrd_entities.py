@@ -17,7 +17,7 @@ class RecordingEntity(NamedTuple):
     """Data of one entity of a Rerun recording.
 
     Attributes:
-        times: time in the run of each row [ns]. For a static entity, the array is empty.
+        times: run time of each row [ns]. For a static entity, the array is empty.
         rows: values of each component in all rows, by the name of the component.
         static: constant value of each static component, by the name of the component.
     """
@@ -32,7 +32,10 @@ class RecordingEntity(NamedTuple):
 
 
 def read_entities(chunks: Iterable[Chunk]) -> dict[str, RecordingEntity]:
-    """Return all entities in chunks of a recording, with their rows in the order of time."""
+    """Return all entities in chunks of a recording.
+
+    The rows of an entity are in the order of time.
+    """
     entities_by_path: dict[str, RecordingEntity] = {}
     for chunk in chunks:
         entity = entities_by_path.setdefault(

@@ -128,9 +128,9 @@ def test_a_viewer_that_is_closed_leaves_no_files_behind(
 
 
 def command(child: psutil.Process) -> list[str]:
-    """Return the command line of a child process.
+    """Return the command line of a child process, or an empty list if the process has ended.
 
-    For a child process that has ended, the result is empty. Other tests may leave such processes.
+    Other tests may leave ended processes.
     """
     try:
         return child.cmdline()

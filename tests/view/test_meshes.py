@@ -1,6 +1,7 @@
 """Test the meshes in a Rerun recording.
 
-A mesh takes the place of the capsule of its link, with the right pose, scale and colour.
+A link with a mesh is drawn as this mesh instead of a capsule, with the right pose, scale and
+colour.
 """
 
 from pathlib import Path
@@ -96,7 +97,7 @@ def test_the_live_view_sends_the_same_meshes(
         "send_chunks",
         lambda chunks, recording: sent.extend(chunk.entity_path for chunk in chunks),
     )
-    monkeypatch.setattr(follow, "FLUSH_TIMEOUT_S", 0.05)  # short: no viewer listens
+    monkeypatch.setattr(follow, "FLUSH_TIMEOUT_S", 0.05)  # no viewer listens, so wait briefly
     run = run_info_of(mesh_log)
     follower = follow.LogFollower(mesh_log, run, "rerun+http://127.0.0.1:1/proxy")
     follower.close()

@@ -30,7 +30,7 @@ def pixels_of_png(png: bytes) -> NDArray[np.int16]:
 
 
 def fraction_near(image: NDArray[np.int16], colour: palette.Colour) -> float:
-    """Return the fraction of pixels whose hue is near that of a colour, at any brightness."""
+    """Return the fraction of pixels whose hue is near the hue of ``colour``, at any brightness."""
     light = np.linalg.norm(image, axis=2)
     cosine = image @ np.array(colour) / np.maximum(light * np.linalg.norm(colour), 1e-9)
     return float(((cosine > 0.995) & (light > 80)).mean())
@@ -101,7 +101,7 @@ def test_viewer_ignores_streams_of_other_programs(
 ) -> None:
     """A viewer does not show data that another program still sends to an earlier viewer.
 
-    Earlier defect: the data of such a program took the place of the views in the next viewer.
+    Earlier defect: the next viewer showed the data of this program in place of its own views.
     """
     running, client = bare_viewer
     assert not running.url.endswith(":9876/proxy"), (

@@ -1,4 +1,4 @@
-"""A growing log is read to its end without lost or duplicate messages, whatever the sizes of its growth steps are."""
+"""A growing log is read to its end without lost or duplicate messages, with growth steps of any size."""
 
 import random
 from pathlib import Path
@@ -16,7 +16,11 @@ from handctl.view.scene.topic_converters import TopicConverters
 
 
 def grow_file(whole: bytes, seed: int) -> list[int]:
-    """Return the sizes at which a growing log is read: the header, then random sizes, and finally the whole log."""
+    """Return the file sizes at which a growing log is read, in order.
+
+    The first size is that of the header, and the last size is that of the whole log. The sizes
+    between are random.
+    """
     source = random.Random(seed)
     first = 64 << 10
     return [first, *sorted(source.randrange(first, len(whole)) for _ in range(12)), len(whole)]

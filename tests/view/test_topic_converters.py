@@ -77,9 +77,9 @@ def test_a_distant_limit_is_not_drawn(
 def test_angles_are_in_degrees_digit_by_digit(
     recorded_entities: dict[str, RecordingEntity], run_log: RunLog
 ) -> None:
-    """Reproduce a defect: bands of 20 deg covered the curves of the angles.
+    """Reproduce a defect: uncertainty bands of 20 deg covered the curves of the angles.
 
-    An angle therefore has no band.
+    The view therefore draws no band for an angle.
     """
     for kind, name in {"estimate": "q", "command": "q_goal"}.items():
         parts = [

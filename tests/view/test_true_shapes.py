@@ -36,7 +36,10 @@ def truth_of(shapes: dict[str, Any], seconds: float = 1.0) -> TruthRecord:
 
 
 def drawn_entities(path: Path, truth: TruthRecord | None, offset_ns: int = 0) -> dict[str, Any]:
-    """Return the entities of the viewer for object and table, for a run with this truth record."""
+    """Return the viewer's entities for object and table of a run.
+
+    The run has the truth record ``truth``.
+    """
     run = run_info_of(path)
     header = replace(
         run.header, metadata={**run.header.metadata, "truth_offset_ns": str(offset_ns)}

@@ -1,4 +1,4 @@
-"""Program that draws the figures of the README and the site.
+"""Draw the figures of the README and the site.
 
 ``make figures`` draws all figures in one style, from runs of the simulated hand.
 """

@@ -59,7 +59,10 @@ OTHER_WRITERS: dict[str, Callable[[], None]] = {
     "paper": draw_paper,
 }  # fmt: skip
 SLOW_PICTURES = ("tune-search", "tune-verify")
-"""Pictures of which each takes minutes. The program draws them only if the command names them."""
+"""Pictures that take minutes each.
+
+The program draws such a picture only if the command line names it.
+"""
 FIGURE_NAMES = (*DIAGRAMS, *PLOTS, *PICTURES, *OTHER_WRITERS)
 
 

@@ -1,4 +1,4 @@
-"""The diagrams of the documentation: architecture, control law, wiring, tendon, and modes of the hand."""
+"""Draw the diagrams of the documentation: architecture, control law, wiring, tendon, and modes of the hand."""
 
 from typing import Any
 

@@ -1,6 +1,6 @@
-"""The animated picture of a grasp.
+"""Draw the animated picture of a grasp.
 
-MuJoCo renders the true poses of a run of `handctl demo`, without a screen.
+MuJoCo renders, without a screen, the true poses of a run of `handctl demo`.
 """
 
 import os
@@ -21,7 +21,7 @@ RATE_HZ = 12.5
 """Pictures per second of simulated time."""
 COLOUR_COUNT = 160
 SAMPLED_PICTURES = 8
-"""Number of colours in the file, and number of pictures that determine these colours."""
+"""Number of colours in the GIF file, and number of pictures from which these colours are chosen."""
 MAX_FILE_BYTES = 3_000_000
 """Largest allowed size of the file [bytes]."""
 SKYBOX_XML = """<asset><texture type="skybox" builtin="gradient" rgb1="0.95 0.97 0.99" rgb2="0.78 0.83 0.88"
@@ -60,7 +60,7 @@ def write_gif(folder: Path, path: Path) -> None:
 
 
 def picture_sheet(pictures: list[Any]) -> Any:
-    """Join all pictures, one below the other, to compute one palette for the colours of all."""
+    """Join all pictures, one below the other, to compute one palette with the colours of all pictures."""
     from PIL import Image
 
     made = Image.new("RGB", (PICTURE_SIZE_PX[0], PICTURE_SIZE_PX[1] * len(pictures)))

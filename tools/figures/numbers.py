@@ -1,6 +1,6 @@
-"""Writer of the table with the results of `handctl demo`, in the README and on the site.
+"""Write the results of `handctl demo` as a table into the README and the site.
 
-The table lies between marks that name the command.
+In a page, the table is between two marks that name the command.
 """
 
 import math
@@ -13,7 +13,7 @@ from tools.figures import runs
 TABLE_PATTERN = re.compile(
     r"(<!-- measured: handctl demo --lockstep -->\n)(.*?)(<!-- end of measured -->)", re.DOTALL
 )
-"""Pattern of the marks in a page and the table between these marks."""
+"""Pattern of the two marks in a page, with the table between them."""
 
 
 def numbers_table(result: dict[str, Any]) -> str:
@@ -39,7 +39,7 @@ def rows_of(result: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def write_numbers(root: Path, folder: Path) -> None:
-    """Write the table into every page that contains the marks of the table."""
+    """Write the table of results into every page that contains its two marks."""
     _, _, result = runs.grasp_run(folder)
     for path in (root / "README.md", *sorted((root / "docs").rglob("*.md"))):
         text = path.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Plots of simulated runs: estimate, snapped tendon, tip force, replay, and the frames of a tick."""
+"""Plot simulated runs: the tension estimate, a snapped tendon, tip forces, a replay, and the frames of a tick."""
 
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ def thinned_curves(t: Any, *curves: Any) -> tuple[Any, ...]:
 
 
 def estimate_plot(folder: Path) -> Any:
-    """Plot the raw load cell, the estimated tension with its band, and the true tension, in motion and at contact."""
+    """Plot raw load cell, estimated tension with its uncertainty, and true tension, in motion and at contact."""
     log, truth, _ = runs.grasp_run(folder)
     offset = int(log.header.metadata.get("truth_offset_ns", "0"))
     true = truth.column_at("tension/index_tendon", log.t_ns + offset)
@@ -144,8 +144,8 @@ def _draw_tip_forces(row: Any, run: runs.RunRecording, commanded: Any) -> None:
 
     Args:
         row: axes of the digits.
-        run: recording whose phases with a held force are named 0, 1 and so on.
-        commanded: commanded tip force of each hold and digit [N].
+        run: recording of a run. Its phases with a constant commanded force are named 0, 1 and so
+            on. commanded: commanded tip force of each of these phases and each digit [N].
     """
     phases = np.array(run.phase)
     part = run.t >= run.t[phases == "0"][0] - 0.4
@@ -172,7 +172,7 @@ def _draw_tip_forces(row: Any, run: runs.RunRecording, commanded: Any) -> None:
 
 
 def replay_plot(folder: Path) -> Any:
-    """Plot the angles and tensions of a grasp, and of its replay on a simulated hand with other noise."""
+    """Plot angles and tensions of a grasp, and of the replay of this grasp on a hand with other noise."""
     log, _, _ = runs.grasp_run(folder)
     again = runs.replay_run(folder)
     start, end = runs.recording_interval(log)
@@ -215,7 +215,7 @@ def replay_plot(folder: Path) -> Any:
 def bus_tick(folder: Path) -> Any:
     """Plot the frames of one tick on the bus.
 
-    A bar is as long as the longest time that its frame can take.
+    The length of a bar is the longest time that the frame can take.
     """
     del folder
     (load,) = bus_loads(load_hand("jamia"))

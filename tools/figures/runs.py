@@ -1,4 +1,4 @@
-"""Runs of the simulated hand, as data for the figures.
+"""Run simulated hands to get the data of the figures.
 
 All runs are in lockstep and therefore reproducible.
 """
@@ -35,7 +35,7 @@ DEMO_COMMAND = ("demo", "--lockstep", "--json")
 """Arguments of the command whose results are in the README."""
 RATE_HZ = 500.0
 SNAP_S = 0.25
-"""Length of the shown time after the tendon snaps [s]."""
+"""Time after the snap of the tendon that the figure shows [s]."""
 TIP_HAND, TIP_RATE_HZ = "jamia11", 200.0
 TIP_COMMANDS_N = (2.0, 4.0, 6.0)
 GRIP_COMMANDS_N = (1.0, 1.5, 2.0)
@@ -50,7 +50,7 @@ position_m = [0.045, -0.001, 0.0]
 [support]
 drop_when = "never"
 """
-"""Scene with a heavy block at a place that only the last link of each digit reaches."""
+"""Scene with a heavy block. Only the last link of each digit can reach the block."""
 
 
 @dataclass
@@ -79,7 +79,7 @@ RECORDED_FIELDS = ("q", "tension", "motor_torque_goal", "tip_force")
 def record_run(run: SimulatedRun, seconds: float, until: str = "") -> RunRecording:
     """Continue a run and record it.
 
-    Stop when a phase begins, the hand is done, or the time is over.
+    The recording stops when a given phase begins, when the run is done, or when the time is over.
 
     Args:
         run: simulation to continue, in any phase.
@@ -116,9 +116,9 @@ def record_run(run: SimulatedRun, seconds: float, until: str = "") -> RunRecordi
 
 
 def grasp_run(folder: Path) -> tuple[RunLog, TruthRecord, dict[str, Any]]:
-    """Run `handctl demo` unless its files exist.
+    """Return the log, the true values and the printed result of `handctl demo`.
 
-    Return its log, the true values of the plant, and its printed result.
+    The function executes the command only if its files do not exist yet.
     """
     log = folder / "grasp.mcap"
     printed = folder / "grasp.json"
@@ -145,7 +145,7 @@ def run_picture(folder: Path) -> Path:
 def view_picture(folder: Path) -> Path:
     """Draw the log of `handctl demo` in the viewer Rerun, at a time when the hand holds the object.
 
-    This needs a Vulkan driver.
+    The viewer needs a Vulkan driver.
     """
     log, _, _ = grasp_run(folder)
     at_s = next(change.t_ns for change in log.phases if change.name == "hold") * 1e-9 + 2.5
@@ -168,7 +168,7 @@ def replay_run(folder: Path) -> RunRecording:
 
 
 def recording_interval(log: RunLog) -> tuple[float, float]:
-    """Return the start and the end of that part of a log that a replay repeats [s]."""
+    """Return the start and the end of the part of a log that a replay repeats [s]."""
     return active_interval(log)
 
 
@@ -191,7 +191,7 @@ def snap_run() -> RunRecording:
 def tip_on_wall() -> RunRecording:
     """Record a hand that presses on a wall with three commanded tip forces.
 
-    Each joint of the hand has a tendon.
+    This hand has one tendon per joint.
     """
     opened = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
     return _record_press(
@@ -220,9 +220,9 @@ def tip_in_grasp() -> RunRecording:
 def _record_press(
     scene: str, opened: Any, closed: Any, holds: list[dict[str, Any]]
 ) -> RunRecording:
-    """Close the hand ``TIP_HAND`` on the object of a scene, then hold, and record the run.
+    """Close the hand ``TIP_HAND`` on the object of a scene, hold the object, and record the run.
 
-    The phases of the holds are named 0, 1 and so on.
+    The hold phases are named 0, 1 and so on.
     """
     hand = load_hand(TIP_HAND)
     phases: list[dict[str, Any]] = [

@@ -1,7 +1,4 @@
-"""Functions that draw the blocks, arrows and labels of diagrams in a plane.
-
-Each diagram has its own units of length.
-"""
+"""Draw the blocks, arrows and labels of diagrams. Each diagram has its own units of length."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -13,7 +10,7 @@ PlanePoint = tuple[float, float]
 
 
 def new_plane(width: float, height: float, size: PlanePoint) -> tuple[Any, Any]:
-    """Return a figure of ``width`` x ``height`` [inch], and axes over ``size`` units without a frame."""
+    """Return a figure of ``width`` x ``height`` [inch], and axes of ``size`` units without a frame."""
     figure = new_figure(width, height)
     axes = figure.add_subplot()
     axes.set(xlim=(0.0, size[0]), ylim=(0.0, size[1]), aspect="equal")
@@ -58,7 +55,7 @@ def draw_block(
 def draw_area(axes: Any, corner: PlanePoint, size: PlanePoint, text: str) -> None:
     """Draw a dashed frame around an area for blocks.
 
-    The text is its title at the upper left corner.
+    ``text`` is the title of the area, at its upper left corner.
     """
     from matplotlib.patches import Rectangle
 
@@ -92,8 +89,8 @@ def draw_arrow(
         axes: axes of the diagram.
         points: corners of the line. The tip of the arrow is at the last corner.
         text: label of the arrow.
-        at: middle of the label. The default is just above the middle of the longest part of the
-            line.
+        at: position of the label's middle. The default is just above the middle of the longest part
+            of the line.
         colour: colour of line and label.
         both: True for an arrow with a tip at each end.
     """

@@ -1,4 +1,4 @@
-"""The common style of all figures: fonts, colours, and the version of handctl in the metadata of each file."""
+"""Define the common style of all figures: fonts, colours, and the version of handctl in the metadata of each file."""
 
 import io
 import re
@@ -14,9 +14,9 @@ COMMAND_COLOUR = "#7a7a7a"
 ESTIMATE_COLOUR = "#3b6fb6"
 RAW_COLOUR = "#c9c9c9"
 FAULT_COLOUR = "#d01c1c"
-"""Colour of faults.
+"""Colour of faults in figures.
 
-The colours above belong to true values, commands, estimates and raw readings.
+The other constants above are the colours of true values, commands, estimates and raw readings.
 """
 INK_COLOUR = "#22303c"
 BLOCK_COLOURS = {
@@ -26,7 +26,10 @@ BLOCK_COLOURS = {
     "log": "#ece2f4",
     "safety": "#f8d9d9",
 }
-"""Colour of the blocks of each subject in diagrams. The colours above belong to lines and texts."""
+"""Colour of a block in diagrams, by the subject of the block.
+
+Lines and texts have other colours.
+"""
 PLOT_SETTINGS: dict[str, Any] = {
     "font.family": "DejaVu Sans", "font.size": 9, "axes.titlesize": 10, "axes.labelsize": 9, "axes.grid": True,
     "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False,
@@ -73,7 +76,7 @@ def save_figure(figure: Any, name: str, folder: Path = FIGURES_FOLDER) -> list[P
 
 
 def without_blanks(content: bytes) -> bytes:
-    """Remove the blanks at the line ends of an SVG file by matplotlib. git would report these blanks."""
+    """Remove the blanks at the line ends of an SVG file from matplotlib. git would report these blanks."""
     return b"\n".join(map(bytes.rstrip, content.split(b"\n")))
 
 

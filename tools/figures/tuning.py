@@ -1,6 +1,6 @@
-"""Pictures of tuning and of a report.
+"""Make the pictures of tuning and of a report.
 
-Commands of handctl draw these pictures. The pages of the site show the same commands.
+Commands of handctl draw these pictures, and pages of the site show the same commands.
 """
 
 import contextlib
@@ -34,7 +34,7 @@ PERTURBATION_FACTORS = (
     "torque_constant=1.1",
 )
 OTHER_HAND = ("stiffness=0.7", "friction=1.3", "motor_inertia=0.7")
-"""Factors that change the simulated hands on the page *Tune a hand*."""
+"""Factors that change the parameters of the simulated hands on the page *Tune a hand*."""
 BROWSER_COMMANDS = ("chromium", "chromium-browser", "google-chrome")
 PAGE_SIZE = (1100, 2080)
 """Width and height of the picture of a report [pixels]."""
@@ -58,9 +58,9 @@ def call_handctl(folder: Path, *words: str, codes: tuple[int, ...] = (0,)) -> No
 
 @contextlib.contextmanager
 def empty_folder(folder: Path, name: str) -> Iterator[Path]:
-    """Yield a folder for a run, emptied of the files of earlier runs.
+    """Yield a folder for a run.
 
-    Write two gains files into the folder.
+    The folder contains only two gains files, and no files of earlier runs.
     """
     path = folder / name
     shutil.rmtree(path, ignore_errors=True)
@@ -73,7 +73,7 @@ def empty_folder(folder: Path, name: str) -> Iterator[Path]:
 def identify_picture(folder: Path) -> Path:
     """Identify a simulated index finger whose parameters differ from the hand file.
 
-    Return the picture of the result.
+    Return the path of the picture that shows the result.
     """
     with empty_folder(folder, "identify") as path:
         call_handctl(path, "identify", "--hand", "jamia", "--lockstep", "--seed", "7", "--digits", "index", "--perturb",
@@ -82,9 +82,9 @@ def identify_picture(folder: Path) -> Path:
 
 
 def design_picture(folder: Path) -> Path:
-    """Design gains with margins, starting from gains without margins.
+    """Design gains with stability margins, starting from gains without stability margins.
 
-    Return the picture of the design.
+    Return the path of the picture of the design.
     """
     with empty_folder(folder, "design") as path:
         call_handctl(
@@ -102,9 +102,9 @@ def design_picture(folder: Path) -> Path:
 
 
 def return_picture(folder: Path) -> Path:
-    """Verify gains that make the control loops oscillate, and return the picture.
+    """Verify gains that make the control loops oscillate, and return the path of the picture.
 
-    The run goes back to the old gains.
+    The run returns to the old gains.
     """
     with empty_folder(folder, "return") as path:
         call_handctl(
@@ -146,7 +146,7 @@ def verify_picture(folder: Path) -> Path:
 
 
 def pair_picture(folder: Path) -> Path:
-    """Return the picture that `handctl demo` draws for a hand with spool pairs."""
+    """Return the picture that `handctl demo` draws for a hand with two tendons per motor."""
     with empty_folder(folder, "orca_like") as path:
         call_handctl(
             path,
@@ -187,7 +187,7 @@ def find_browser() -> str | None:
 
 
 def report_picture(folder: Path) -> Path:
-    """Draw the upper part of a report on `handctl demo` in a browser.
+    """Take a picture of the upper part of a report on `handctl demo` in a browser.
 
     Raises:
         RuntimeError: this machine has no Chromium.

@@ -1,1 +1,1 @@
-"""Program that computes the meshes of packaged hands from a few dimensions."""
+"""Compute the meshes of packaged hands from a few dimensions."""

@@ -1,4 +1,4 @@
-"""Convex prisms with chamfered edges, and their conversion to binary STL."""
+"""Make convex prisms with chamfered edges, and convert them to binary STL."""
 
 import math
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ def prism_triangles(
         outline: corners of a convex polygon in x and y, (m, 2), counter-clockwise.
         low: smallest z of the prism.
         high: largest z of the prism.
-        chamfer: width of the chamfer along z and, at most, in x and y.
+        chamfer: width of the chamfer along z. In x and y, the chamfer has at most this width.
     """
     corners = np.asarray(outline, dtype=np.float64)
     middle = corners.mean(axis=0)

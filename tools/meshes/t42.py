@@ -1,7 +1,7 @@
-"""Meshes of the hand t42 in millimetres: palm, inner link and outer link.
+"""Compute the meshes of the hand t42 in millimetres: palm, inner link and outer link.
 
 The lengths of the links, the distance of the fingers and the cross-section of 16 x 18 mm come from
-t42.toml. The other dimensions have no source.
+t42.toml. All other dimensions were chosen freely.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ INNER_LENGTH_MM = 62.551
 OUTER_LENGTH_MM = 48.0
 """Distance of the fingertip from the outer joint [mm]."""
 HALF_WIDTH_MM = 9.0
-"""Half of the extent of a link along the hinge axis [mm]."""
+"""Half of the width of a link along the joint axis [mm]."""
 MOUNT_DISTANCE_MM = 26.0
 """Distance of a finger's first joint from the middle of the palm [mm]."""
 

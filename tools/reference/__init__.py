@@ -1,4 +1,4 @@
-"""Generator of text blocks in the reference pages.
+"""Generate text blocks of the reference pages.
 
 ``python -m tools.reference`` generates these blocks from the code and writes them into docs/.
 """

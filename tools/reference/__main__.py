@@ -13,7 +13,7 @@ SCHEMA_FILE = REPOSITORY_ROOT / "src" / "handctl" / "hand" / "hand.schema.json"
 
 
 def main() -> int:
-    """Write or check the generated pages and the schema. Return the exit code."""
+    """Write or check the generated pages and the JSON Schema. Return the exit code."""
     parser = argparse.ArgumentParser(
         description="Write the generated blocks of the pages in docs/."
     )

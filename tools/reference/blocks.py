@@ -1,4 +1,4 @@
-"""The generated blocks by name, and the pages that contain blocks.
+"""Find the generated blocks in the pages, and replace them by new text.
 
 A page of docs/ contains ``<!-- generated: NAME -->``, the block, and ``<!-- end of generated -->``.
 """
@@ -31,7 +31,7 @@ BLOCK_FUNCTIONS: dict[str, Callable[[], str]] = {
 BLOCK_PATTERN = re.compile(
     r"(<!-- generated: ([\w-]+) -->\n)(.*?)(<!-- end of generated -->)", re.DOTALL
 )
-"""Pattern of a block in a page, with its marks."""
+"""Pattern of a block in a page, with the two marks around it."""
 
 
 def pages_with_blocks(root: Path) -> Iterator[tuple[Path, str, str]]:

@@ -1,4 +1,4 @@
-"""Blocks about the command line, generated from the parsers of the commands and from the exit codes."""
+"""Generate the blocks about the command line from the parsers of the commands and from the exit codes."""
 
 import argparse
 from collections.abc import Iterator
@@ -25,9 +25,9 @@ def verb_table() -> str:
 
 
 def verb_sections() -> str:
-    """Return a section for each command, with its purpose, arguments and example.
+    """Return a section for each command and each sub-command.
 
-    Sub-commands also have sections.
+    A section has the purpose of the command, its arguments and an example.
     """
     parts = []
     for group in VERB_GROUPS.values():
@@ -73,7 +73,7 @@ def _argument_row(action: argparse.Action) -> tuple[str, str]:
 
 
 def _value_placeholder(action: argparse.Action) -> str:
-    """Return the placeholder for the value of an argument. For a switch, the text is empty."""
+    """Return the placeholder for the value of an argument, or an empty text for an option without a value."""
     if action.nargs == 0:
         return ""
     if action.metavar is not None:

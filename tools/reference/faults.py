@@ -1,4 +1,4 @@
-"""Blocks about faults, generated from the declarations in ``handctl.safety.faults``."""
+"""Generate the blocks about faults from the declarations in ``handctl.safety.faults``."""
 
 from handctl.safety.faults.markdown import (
     catalogue_markdown,

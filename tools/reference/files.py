@@ -1,4 +1,4 @@
-"""Blocks about files and requests, generated from the pydantic models of files and requests."""
+"""Generate the blocks about files and requests from their pydantic models."""
 
 from collections.abc import Iterable, Iterator
 from types import NoneType, UnionType
@@ -27,9 +27,9 @@ KEY_MEANINGS = {
     "hold.tension_N": "Tension of each digit [N].",
     "hold.rate_N_per_s": "Rate of the tension [N/s].",
 }
-"""Meanings of those keys that have no description in their pydantic models."""
+"""Meanings of the keys that have no description in a pydantic model."""
 KEY_VALUES = {"hand.schema": "1 or 2"}
-"""Valid values of those keys that permit more values in a file than in the model.
+"""Valid values of keys for which a file may contain more values than the pydantic model permits.
 
 The model describes the content of a file after all defaults and templates were applied.
 """
@@ -85,7 +85,7 @@ def _keys_table(model: type[BaseModel], section: str) -> str:
 
 
 def _key_row(model: type[BaseModel], name: str, key: str) -> tuple[str, str, str]:
-    """Return three cells about a key: its valid values, whether the file needs it, and its meaning.
+    """Return three table cells about a key: its valid values, whether a file must contain it, and its meaning.
 
     Raises:
         KeyError: the key has neither a description in its model nor an entry in KEY_MEANINGS.
@@ -114,8 +114,8 @@ def _inner_types(annotation: Any) -> Iterator[Any]:
 def value_text(annotation: Any) -> str:
     """Return the valid values of a type annotation in words.
 
-    A type does not state its range in a readable form. This function therefore validates a wrong
-    value, and takes the range from the error message.
+    A type annotation has no readable text about its range. This function therefore validates a
+    wrong value, and takes the range from the error message.
     """
     origin = get_origin(annotation)
     arguments = [part for part in get_args(annotation) if part is not NoneType]

@@ -1,4 +1,4 @@
-"""Conversion of tables and of google-style docstrings to Markdown."""
+"""Convert tables and google-style docstrings to Markdown."""
 
 import ast
 import html
@@ -16,8 +16,8 @@ ENTRY_PATTERN = re.compile(r"^    (\*{0,2}[\w, ]+): (.*)$")
 def table_cell(text: object) -> str:
     """Return a text as the content of a cell in a Markdown table.
 
-    Code with a vertical bar is written in HTML. In Markdown the bar would need a backslash, which a
-    page would show.
+    Code with a vertical bar is written in HTML. In Markdown, the bar would need a backslash, and
+    the page would show this backslash.
     """
     plain = " ".join(str(text).split())
     return re.sub(r"`([^`]*\|[^`]*)`", _code_with_bars, plain).replace("|", "\\|")
@@ -67,10 +67,7 @@ def docstring_markdown(value: object) -> str:
 
 
 def attribute_docstrings(kind: type) -> dict[str, str]:
-    """Return the docstring below each attribute of a class as Markdown prose.
-
-    The keys are the attributes.
-    """
+    """Return the docstring below each attribute of a class as Markdown prose, by the name of the attribute."""
     body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
     assert isinstance(body, ast.ClassDef)
     texts: dict[str, str] = {}

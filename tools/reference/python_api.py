@@ -1,4 +1,4 @@
-"""The block about the Python API, generated from the names that the package ``handctl`` exports."""
+"""Generate the block about the Python API from the names that the package ``handctl`` exports."""
 
 import inspect
 import re

@@ -1,4 +1,4 @@
-"""Blocks about the topics of a log, generated from the topics that runs of packaged hands register."""
+"""Generate the blocks about the topics of a log from the topics that runs of packaged hands register."""
 
 import re
 
@@ -58,14 +58,14 @@ TOPIC_CONTENT = {
     ),
     "/actuator/MOTOR/temperature": ("5 Hz", "temperature of the drive [degC]"),
 }
-"""Rate and content of those topics that have no telemetry fields."""
+"""Rate and content of the topics that have no telemetry fields."""
 TOPIC_REMARKS = {
     "/joint_states": "The effort is the torque of the tendons at the estimated tension, R^T f without friction.",
     "/tendon_states": "The effort is the estimated tension at the load cell, the net tension of a spool pair.",
     "/tendon_commands": "The effort is the commanded tension at the load cell.",
     "/actuator_states": "At the spool. Positive values wind the tendon.",
 }
-"""Remarks on those JointState topics whose fields need an explanation."""
+"""Remarks on JointState topics whose fields need an explanation."""
 PRINTED_TYPES = ("handctl_msgs/", "sensor_msgs/JointState", "pal_statistics_msgs/StatisticsValues")
 """Prefixes of the message types whose definitions the page prints."""
 
@@ -73,7 +73,7 @@ PRINTED_TYPES = ("handctl_msgs/", "sensor_msgs/JointState", "pal_statistics_msgs
 def packaged_hand_topics() -> dict[str, tuple[str, str]]:
     """Return message type and note of each topic of the packaged hands.
 
-    In the topics, placeholders replace the names of digits and motors.
+    In the names of the topics, placeholders replace the names of digits and motors.
     """
     registered_topics = {}
     for name in EXAMPLE_HANDS:
@@ -105,7 +105,7 @@ def topic_table() -> str:
 def _linked_type(kind: str) -> str:
     """Return the name of a message type.
 
-    If the page contains the definition of the message type, the name links to this definition.
+    The name is a link if the page contains the definition of this message type.
     """
     name = kind.replace("/msg/", "/")
     if name not in MESSAGE_DEFINITIONS or not name.startswith(PRINTED_TYPES):

@@ -16,11 +16,15 @@ from tests.runtime.processes import time_scale_options
 TIME_SCALE = 0.15
 """Time scale of simulated hand, watchdogs and deadlines.
 
-The guest is slow: it has one core, and each reading of a clock is a system call.
+Time is slowed because the guest system has one core, and because each reading of a clock is a
+system call.
 """
 READY_TIMEOUT_S, EXIT_TIMEOUT_S = 60.0, 20.0
 STALL_FAULTS = ("H03", "B02", "N02", "B17", "N08")
-"""Faults that rightly end a run if the host or the simulator does not run for a while."""
+"""Faults that are right if the host or the simulator does not run for a while.
+
+Each of these faults ends the run.
+"""
 
 
 SIMULATOR_CODE = """
@@ -30,9 +34,9 @@ runpy.run_module("firmware_sim", run_name="__main__", alter_sys=True)
 """
 """Program that runs the simulator with another clock for MuJoCo's profile.
 
-MuJoCo reads the clock about forty times in a step, which takes 1 ms in the guest. With a C function
-that needs no system call, the step is a hundred times faster. The values of the clock are used only
-in MuJoCo's profile.
+MuJoCo reads the clock about forty times in a simulation step, which takes 1 ms in the guest system.
+With a C function that needs no system call as the clock, a step is a hundred times faster. MuJoCo
+uses this clock only for its profile.
 """
 
 

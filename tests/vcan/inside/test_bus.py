@@ -1,4 +1,4 @@
-"""Test the bus class of handctl on the CAN sockets of the kernel."""
+"""Test handctl's SocketCAN bus on the CAN sockets of Linux."""
 
 import socket
 import struct
@@ -16,7 +16,7 @@ CLASSICAL_FRAME = struct.Struct("=IB3x8s")
 NOMINAL_BITRATE, DATA_BITRATE = 1_000_000, 5_000_000
 WAIT_S = 20.0
 BUS_INDEX = 1
-"""Index of the bus on vcan0 among the buses of a hand."""
+"""Index of the bus on vcan0 in the list of a hand's buses."""
 
 
 @pytest.fixture
@@ -107,7 +107,7 @@ def test_every_frame_that_was_not_read_in_time_is_counted(other_bus: Bus) -> Non
         received = 0
         while frames := other_bus.drain():
             received += len(frames)
-        # this frame carries the kernel's number of dropped frames
+        # this frame carries the number of frames that Linux has dropped
         flood.send(CLASSICAL_FRAME.pack(0x7FF, 0, b""))
         received += len(drain_bus(other_bus, 1))
     dropped = sum(number for kind, _, number in other_bus.take_events() if kind == "dropped")
@@ -142,9 +142,9 @@ def wait_for(bus: Bus, kind: str) -> list[Frame]:
 
 
 def test_a_full_transmit_queue_refuses_and_is_an_event(slow_tunnel: tuple[str, str]) -> None:
-    """In this test, a queue of ten frames is in front of a wire of 50 kbit/s.
+    """In this test, frames pass a queue of ten frames and then a wire of 50 kbit/s.
 
-    netem simulates this wire, because vcan alone never refuses a frame.
+    The Linux module netem simulates this wire, because vcan alone never refuses a frame.
     """
     sender, receiver = (
         open_bus(f"socketcan:{name}", BUS_INDEX, NOMINAL_BITRATE, stamp=int) for name in slow_tunnel

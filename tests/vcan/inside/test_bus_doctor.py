@@ -1,4 +1,4 @@
-"""``handctl bus doctor`` and ``scan`` report the state that the kernel has for a real SocketCAN interface."""
+"""``handctl bus doctor`` and ``scan`` report the state of a real SocketCAN interface as Linux gives it."""
 
 import json
 import subprocess

@@ -21,9 +21,8 @@ GOLDEN_LOG = Path(__file__).parents[3] / "logs" / "golden" / "jamia-grasp.mcap"
 RATE_HZ, SLOW_TIME_SCALE = 200, 0.03
 """Control rate [Hz] and time scale of this test.
 
-Simulated time runs slower in this test than in the other tests.
-
-The guest shares its core with other work of the host. A pause of four ticks rightly ends a run.
+Simulated time is slower in this test than in other tests. A pause of four ticks ends a run, and the
+guest system may pause because the host also does other work on its core.
 """
 SCENE_FILE = Path("/dev/shm/drive-scene.toml")
 SIMULATOR_OPTIONS = ["--homed", "--scene", str(SCENE_FILE), "--time-scale", str(SLOW_TIME_SCALE)]

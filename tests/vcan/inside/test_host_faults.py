@@ -1,7 +1,7 @@
 """Test faults of the host that only root can cause.
 
-In these tests, the wall clock is set, or an interface is taken down. This happens in the guest,
-during a run.
+In these tests, the wall clock of the guest system is set, or a CAN interface of the guest is taken
+down, during a run.
 """
 
 import fcntl
@@ -33,11 +33,14 @@ from tests.vcan.inside.conftest import STALL_FAULTS
 from tests.vcan.inside.test_protocols import DIGIT_NAMES, PULL_N, RATE_HZ, simulated_hand_process
 
 SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP = 0x8913, 0x8914, 1
-"""Requests to the kernel, and the flag of an interface that is up. Source: Linux ``sockios.h`` and ``if.h``."""
+"""Numbers of two requests to Linux, and the flag of an interface that is up.
+
+Source: Linux ``sockios.h`` and ``if.h``.
+"""
 WATCHDOG_MS = 50
 HOUR_S = 3600.0
 FAULT_AFTER_S, PULL_AFTER_FAULT_S = 0.15, 0.3
-"""Time from the start of the pull to the fault, and time for which the pull would then continue [s]."""
+"""Time from the start of a pull to the fault [s], and time for which the pull would continue after that [s]."""
 TIME_SCALE = 0.1
 
 
@@ -65,7 +68,10 @@ class FaultObserver:
         self.reset()
 
     def reset(self) -> None:
-        """For a new run, reset the record of the faults that were caused and of the modes."""
+        """Prepare the observer for a new run.
+
+        Reset the record of the caused faults and of the modes.
+        """
         self.done_ns, self.modes, self.pulled, self.left = (
             0,
             list[HandMode](),
@@ -112,9 +118,9 @@ def run_until_done(
 ) -> tuple[RunOutcome, TruthFile]:
     """Return the first run that has ended as expected.
 
-    If a run ended because the only core of the guest was busy, it is repeated. A defect may end
-    runs in the same way as a busy core. In this case, none of five runs ends as expected, and the
-    test fails.
+    A run that ended because the only core of the guest was busy is repeated. A defect may end runs
+    in the same way as a busy core. With a defect, none of five runs ends as expected, so the test
+    fails.
     """
     failure = ""
     for number in range(5):

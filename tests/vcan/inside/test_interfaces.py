@@ -1,4 +1,4 @@
-"""Test the CAN sockets of the kernel without any library.
+"""Test the CAN sockets of Linux without any library.
 
 All other tests in this folder rely on these sockets.
 """

@@ -2,8 +2,8 @@
 
 The tests use each drive protocol, and a hand on two buses.
 
-The simulated hand is a fork of this process, because its imports would take longer in the guest
-than the test.
+The simulated hand is a fork of this process. A new process would need more time for its imports
+than the test takes.
 """
 
 import ctypes
@@ -42,7 +42,7 @@ PERIOD_NS = 5_000_000
 READY_TIMEOUT_S, EXIT_TIMEOUT_S = 30.0, 20.0
 SPOOL_TORQUE_N_M, TORQUE_S = 0.05, 0.3
 TAUT_N, PULLED_N = 5.0, 3.0
-"""Smallest tension of a tendon under motor torque, and largest tension after the torque [N]."""
+"""Smallest tension of a tendon under motor torque [N], and largest tension after the motor was disabled [N]."""
 PULL_N, PULL_S = 20.0, 0.2
 DIGIT_NAMES = ("index", "middle", "ring", "thumb")
 
@@ -169,7 +169,8 @@ def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) ->
 def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
     """In this test, the whole controller runs, with its recorder.
 
-    The drives of the hand have two protocols that the module ``test_run`` does not use.
+    The drives of this hand use two protocols. The module ``test_run`` covers neither of these two
+    protocols.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402", "cia402", "odrive"]))
     outcome, truth = run_pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)

@@ -1,7 +1,7 @@
 """Test that python-can receives the frames of a hand.
 
-Programs such as candump and BUSMASTER, and the scripts of users, can then also receive these
-frames.
+If python-can receives a frame, programs such as candump and BUSMASTER can receive the frame as
+well.
 """
 
 import can

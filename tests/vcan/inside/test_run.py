@@ -24,7 +24,7 @@ DIGIT_NAMES = {"index", "middle", "ring", "thumb"}
 TIME_SCALES = (TIME_SCALE, 0.5 * TIME_SCALE, 0.25 * TIME_SCALE)
 """Time scale of each attempt.
 
-When simulated time runs slower, an interruption of the guest is shorter in simulated time. A defect
+With a smaller time scale, an interruption of the guest system lasts less simulated time. A defect
 has the same effect at any time scale.
 """
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
@@ -80,7 +80,7 @@ def test_a_run_grasps_holds_and_releases(tmp_path: Path) -> None:
     assert result["failure"] == ""
     assert result["log_complete"]
     assert log.stat().st_size == result["log_bytes"]
-    assert result["ticks"] > 4 * result["rate_hz"]  # longer than four seconds
+    assert result["ticks"] > 4 * result["rate_hz"]  # the run was longer than four seconds
     assert result["frames_rx"] > 4 * result["ticks"]  # the four motors and the load cells reply
     assert result["frames_lost"] < 0.01 * result["frames_rx"]
     assert result["tension_hold_error_n"] < 2.0

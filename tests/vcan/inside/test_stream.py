@@ -18,11 +18,11 @@ from tests.vcan.inside.conftest import SIMULATOR_CODE, STALL_FAULTS, TIME_SCALE
 TIME_SCALES = (TIME_SCALE, 0.7 * TIME_SCALE, 0.4 * TIME_SCALE)
 """Time scale of each attempt.
 
-When simulated time runs slower, an interruption of the guest is shorter in simulated time. A defect
+With a smaller time scale, an interruption of the guest system lasts less simulated time. A defect
 has the same effect at any time scale.
 """
 TRACKED_S = 2.5
-"""Duration of the motion [s]. The error in its first second does not count."""
+"""Duration of the motion [s]. The tracking error of the first second is not counted."""
 LARGEST_RATIO = 1.5
 """Largest permitted tracking error of a stream, divided by the error of the same motion in a task."""
 
