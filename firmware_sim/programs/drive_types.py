@@ -1,4 +1,4 @@
-"""Drives as delivered: with the identifiers, ranges and timing of the manufacturer, and with a free shaft."""
+"""Drives as delivered: with the identifiers, ranges and timing that the manufacturer has set, and with a free shaft."""
 
 from firmware_sim.hand_description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS, cubemars

@@ -171,7 +171,7 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
 
 
 class StagedRun(Protocol):
-    """Experiment that starts from a given stage of a run: a scenario of the fault matrix, or a random sequence of faults."""
+    """Experiment that starts from a given stage of a run: a scenario of the fault matrix, or random faults."""
 
     @property
     def name(self) -> str:
@@ -273,7 +273,7 @@ def _run_to_json(
 
 
 def _read_result(reading: int, experiment: StagedRun, status: int) -> ScenarioResult:
-    """Read the result of an experiment from the pipe of the forked copy, which has ended with the exit status `status`."""
+    """Read the result of an experiment from the pipe of a forked copy that has ended with `status`."""
     with os.fdopen(reading) as pipe:
         text = pipe.read()
     if status or not text:

@@ -234,7 +234,7 @@ def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) 
 
 
 def _check_log(log: Path | None) -> None:
-    """Raise an error if the log file of a run already exists, has a wrong suffix, or lies in a folder that does not exist."""
+    """Raise an error if the log file of a run already exists, has a wrong suffix, or has no folder."""
     if log is None:
         return
     if log.suffix != ".mcap":
