@@ -34,7 +34,7 @@ class HubPort:
 
     @property
     def lost(self) -> int:
-        """Return the number of frames that were dropped because a client was slow, plus the number of invalid records."""
+        """Return the number of frames dropped because a client was slow, plus the number of invalid records."""
         return self._hub.dropped + self._unreadable
 
     def read_sockets(self) -> list[socket.socket]:

@@ -110,7 +110,7 @@ class SocketCanPort:
                 self._socket.send(raw)
             except (
                 OSError
-            ):  # The frame is lost, because the queue is full (ENOBUFS), or because the interface is down or has no CAN FD.
+            ):  # frame lost: the queue is full (ENOBUFS), or the interface is down or has no CAN FD
                 self.lost += 1
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""One tick in lockstep with transmission times: each frame of the host and of the nodes occupies a simulated wire for some time."""
+"""One tick in lockstep with transmission times: every frame occupies a simulated wire for some time."""
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence

@@ -192,7 +192,7 @@ class TimedPort:
         self._hub.drop_closed()
 
     def _delivery_function(self, link: HubConnection) -> Callable[[Frame, int], None]:
-        """Return the function that passes frames from the wire to a client, with the delay of the client's CAN adapter."""
+        """Return the function that passes frames from the wire to a client, delayed by the client's CAN adapter."""
 
         def deliver(frame: Frame, t_ns: int) -> None:
             at_ns = self._latencies[link].receive(t_ns)

@@ -207,7 +207,7 @@ def _mesh_geom(mesh: LinkMesh | None) -> str:
 def _palm_element(
     hand: Hand, carrier: str, opposed: dict[str, bool], meshes_by_link: dict[str, LinkMesh]
 ) -> str:
-    """Build the palm, or the box on the last link of a digit that carries others, with all digits that are attached to it."""
+    """Build the palm, or the box on the last link of a carrying digit, with all attached digits."""
     centre, half = palm_box(hand, carrier)
     name = f"{carrier}_palm" if carrier else "palm"
     link = f"{carrier}_link{_last_link(hand, carrier)}" if carrier else "palm"
@@ -328,7 +328,7 @@ def _joint_element(digit: Digit, i: int) -> str:
 def _link_geometry(
     digit: Digit, i: int, length: float, bits: tuple[int, int], has_mesh: bool
 ) -> str:
-    """Build the inertia and the collision shape of link ``i``: a capsule of the given length [m], or a ball if the length is 0."""
+    """Build the inertia and the collision shape of link ``i``: a capsule of the given length [m], or a ball."""
     moments = digit.inertia[i]
     inertia = (
         f'fullinertia="{_numbers_text(moments)}"'
@@ -411,7 +411,7 @@ def _normal_force_sensor(hand: Hand, digit: Digit) -> str:
 
 
 def _touch_sensors(hand: Hand, digit: Digit) -> str:
-    """Return the bodies whose contacts a sensor measures: all links of a digit, or only the last link of a digit that carries others."""
+    """Return the bodies whose contacts a sensor measures: all links, or only the last link of a carrying digit."""
     if hand.carried_by(digit.name):
         return f'body1="{digit.name}_link{len(digit.length)}"'
     return f'subtree1="{digit.name}_link1"'

@@ -148,7 +148,7 @@ class Motor:
         self.step_alone()
 
     def step_alone(self) -> None:
-        """Integrate the motor over one time step against its present load, with the faults of encoder and power stage."""
+        """Integrate the motor over one time step against its present load, with encoder and power-stage faults."""
         measure_angle(self)
         if self._encoder_fault and (self.servo.kp or self.servo.kd):
             self.angle = self._encoder_fault(self.angle)

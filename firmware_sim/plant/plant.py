@@ -328,7 +328,7 @@ class Plant:
         engine.step()
 
     def _joint_lists(self) -> tuple[list[float], list[float], list[float], list[float]]:
-        """Return lists of joint angles and velocities, and lists for torques and tendon damping, for interpreted kernels."""
+        """Return lists of joint angles and velocities, and lists for torques and damping, for interpreted kernels."""
         q = self.engine.q.tolist()
         dq = self.engine.dq.tolist()
         return q, dq, [0.0] * len(q), [0.0] * len(self.tendons)

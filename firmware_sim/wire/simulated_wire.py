@@ -193,7 +193,7 @@ class SimulatedWire:
         return self.options.error_rate > 0.0 and self._rng.random() < self.options.error_rate
 
     def _finish_frame(self, t_ns: int) -> None:
-        """End the transmission of the frame on the wire: deliver the frame, or keep the frame in the queue for a retry."""
+        """End the transmission of the frame on the wire: deliver the frame, or keep it in the queue for a retry."""
         senders = self._senders
         self._senders = []
         self._end_ns = NEVER_NS

@@ -1,18 +1,18 @@
-"""Relaxing of the hand: lower every tension to the floor, without increasing any motor command.
+"""Relaxing of the hand: lower every tension to the floor, and increase no motor command.
 
-The tension loop itself may be the cause of the fault (crossed feedback, late motor replies, a wrong
-encoder). Therefore an envelope bounds the motor force of each tendon. No measurement can raise the
-envelope:
+The tension loop itself may be the cause of the fault, for example with crossed feedback, late motor
+replies or a wrong encoder. Therefore an upper bound, called the envelope, limits the motor force of
+each tendon. No measurement can raise this envelope:
 
     e[k] = max(min(u[k-1], floor), u[k-1] - rate T)      0 <= u[k] <= e[k]
 
-where u is the commanded motor force at the tendon [N], and T is the control period. For a spool
-pair, u is the absolute value of the force, and the direction of the force does not change. The
-envelope begins at the last command, or at the present tension if the tension is smaller. If a load
-cell may be wrong, the envelope of a tendon in the tension loop begins at the setpoint instead of
-the tension. The tension loop may command less than the envelope, but not more. After a fault of the
-tension loop (``RelaxMethod.OPEN_LOOP``), the command u[k] equals e[k]. If a motor brakes when
-relaxing begins, its command goes to zero.
+Here, u is the commanded motor force at the tendon [N], and T is the control period. For a spool
+pair, u is the absolute value of the force, and the force keeps its direction. The envelope begins
+at the last motor command, or at the present tension if the tension is smaller. If the load cell of
+a tendon in the tension loop may be wrong, the envelope begins at the setpoint and not at the
+tension. The tension loop may command less force than the envelope, but not more. After a fault of
+the tension loop (``RelaxMethod.OPEN_LOOP``), the command u[k] equals e[k]. If a motor is braking
+when the relaxing begins, its command goes to zero.
 """
 
 from dataclasses import replace
