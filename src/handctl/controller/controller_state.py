@@ -291,7 +291,7 @@ class ControllerState:
 
     @property
     def sensor_counts(self) -> tuple[int, int, int]:
-        """Return the number of SYNC frames sent, of tension frames accepted, and of answers to an earlier SYNC frame."""
+        """Return the numbers of SYNC frames sent, tension frames accepted, and answers to an earlier SYNC."""
         return (
             self.run_integer(s.SYNCS),
             self.run_integer(s.TENSION_FRAMES),

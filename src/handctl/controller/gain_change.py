@@ -1,4 +1,4 @@
-"""Change of gains while the controller runs: a design in many small steps, and a switch to the new gains without a jump in torque.
+"""Change of gains while the controller runs: a design in small steps, and a switch without a jump in torque.
 
 The design of one control loop takes about a millisecond. Therefore a running controller designs one
 loop in each tick. When all loops are designed, it switches all of them in the same tick. At the

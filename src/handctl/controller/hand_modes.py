@@ -400,7 +400,7 @@ def _named_drives(state: ControllerState, inputs: ModeInputs) -> Iterator[tuple[
 
 
 def motors_not_confirmed_off(state: ControllerState, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of motors that may still be enabled, because their drives have not confirmed that they are disabled.
+    """Return the names of motors that may still be enabled, because their drives have not confirmed otherwise.
 
     Before arming, handctl has not enabled any motor. So a drive without a confirmation is not
     listed. After the end of a run, a drive is listed only if it had not confirmed at the end of the

@@ -1,4 +1,4 @@
-"""The page about the paper, in three forms: Markdown, an HTML file that contains the figures, and plain values for JSON."""
+"""The page about the paper, in three forms: Markdown, an HTML file with the figures, and JSON values."""
 
 import base64
 import html

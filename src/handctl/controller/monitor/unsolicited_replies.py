@@ -68,7 +68,7 @@ def _detect_duplicate_answers(
     state: ControllerState,
     frames: Sequence[Frame],
 ) -> None:
-    """Write duplicate answers of the load cells into ``DUPLICATES``, and count answers that are too late in ``STALE_FRAMES``."""
+    """Write duplicate load-cell answers into ``DUPLICATES``, and count late ones in ``STALE_FRAMES``."""
     duplicates = state.view("twice")
     excused = not sensors.has_counter and (
         state.run_integer(s.MISSED_TICKS) > 0 or _has_lost_answers(last_state)

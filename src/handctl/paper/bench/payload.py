@@ -215,7 +215,7 @@ def _object_positions(truth: TruthRecord, times: Any) -> Array:
 
 
 def _find_slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
-    """Return the row of the true values at which the object slips, and the name of the criterion that found the slip."""
+    """Return the row of the true values at which the object slips, and the criterion that found the slip."""
     positions = _object_positions(truth, truth.t_ns[first:end])
     window = round(SPEED_WINDOW_S * 1000)
     moved = np.linalg.norm(positions - positions[0], axis=1)

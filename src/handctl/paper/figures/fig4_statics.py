@@ -19,7 +19,7 @@ def draw_statics_figure(figure: Any) -> None:
 
 
 def _draw_digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
-    """Draw the moments that balance the tip force at the joints of a digit, and the moments that the tendon produces."""
+    """Draw the moments that balance the tip force at a digit's joints, and the moments of the tendon."""
     levers = [float(lever) for lever in src.levers_mm(digit)]
     positions = [levers[0] - lever for lever in levers]
     constant = levers[0]

@@ -19,7 +19,7 @@ AXIS_COLOURS = (BLUE, ORANGE, GREEN)
 
 
 def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
-    """Draw the measured curves of two tendons, the two knees that the paper states, and the stress limit of section 5."""
+    """Draw the measured curves of two tendons, the knees that the paper states, and its stress limit."""
     axes = figure.subplots()
     allowed = float(src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger()))
     top = 1.12 * float(max(src.KNEE_TENSIONS_N))
@@ -143,7 +143,7 @@ def _draw_bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _draw_lines(axes: Any) -> None:
-    """Draw a line at the payload that the paper states, and a line at the payload with friction on both sides of the object."""
+    """Draw a line at the payload in the paper, and a line at the payload with friction on both sides."""
     both = 2.0 * float(src.payload_kg(src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N))
     edge = len(payload.LOAD_DIRECTIONS) - 0.6
     for value, colour, text in (

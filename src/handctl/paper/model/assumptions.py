@@ -126,7 +126,7 @@ def _payload_of_both_sides() -> list[ErrataItem]:
 
 
 def _check_bending() -> ErrataItem:
-    """Check the ratio of the pulley's diameter to the diameter of the wire, which determines how much the wire is bent."""
+    """Check the ratio of pulley diameter to wire diameter, which determines how sharply the wire is bent."""
     diameter = src.wire_diameter_mm(
         src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger())
     )

@@ -1,4 +1,4 @@
-"""Equations 1 to 12 of the paper, term by term: the printed term, the ways in which it can be read, and the correct term.
+"""Equations 1 to 12 of the paper, term by term: the printed term, its readings, and the correct term.
 
 The correct terms (`correct`) follow from Lagrange's equations. The tests derive them with sympy. If
 the printed form of a term is ambiguous, because an operator is missing or a bracket is never

@@ -20,7 +20,7 @@ DIMENSIONLESS: Dimension = (0, 0, 0)
 
 
 class DimensionError(Exception):
-    """Error for a formula that adds quantities of different dimensions, or that applies a function to a quantity other than an angle."""
+    """Error for a formula that adds different dimensions, or takes a function of something that is no angle."""
 
 
 @dataclass(frozen=True, slots=True)

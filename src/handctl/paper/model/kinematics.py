@@ -1,4 +1,4 @@
-"""Section 4 of the paper: checks of Eq. 1 and 2 and of the meaning of the angles, and the reachable positions of a digit."""
+"""Section 4 of the paper: checks of Eq. 1 and 2 and of their angles, and the reach of a fingertip."""
 
 from collections.abc import Callable
 
@@ -50,7 +50,7 @@ def fingertip_path(name: str, angles: Array) -> Array:
 
 
 def reachable_tips(name: str, per_joint: int) -> Array:
-    """Return the positions (points, 2) that the tip of a digit could reach if its joints moved independently within their limits [mm]."""
+    """Return the tip positions (points, 2) that a digit could reach if its joints moved independently [mm]."""
     model = paper_digit(name)
     axes = [
         np.linspace(low, high, per_joint)

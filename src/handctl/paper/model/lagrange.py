@@ -169,7 +169,7 @@ def _dimension_evidence(term: EquationTerm) -> str:
 
 
 def _symmetry_evidence(term: EquationTerm) -> str:
-    """Return a text if the printed coefficients of a term and of its mirror term differ, and otherwise an empty text."""
+    """Return a text if the printed coefficients of a term and its mirror term differ, or an empty text."""
     if not term.mirror_id:
         return ""
     mirror = next(
@@ -269,7 +269,7 @@ def joint_torques(digit: DigitModel, states: StateSamples) -> Array:
 
 
 def model_torques(digit: DigitModel, states: StateSamples) -> list[Array]:
-    """Convert the joint torques tau of handctl to torques T for absolute angles: T = S^-T tau, each of shape (STATES,) [N m]."""
+    """Convert joint torques tau of handctl to torques for absolute angles: T = S^-T tau, (STATES,) each [N m]."""
     tau = joint_torques(digit, states)
     return [tau[:, 0] - tau[:, 1], tau[:, 1] - tau[:, 2], tau[:, 2]]
 

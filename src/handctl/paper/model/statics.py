@@ -1,4 +1,4 @@
-"""Sections 5 and 6 of the paper: moments, tension, torque, payload and wire, calculated from the numbers in the paper."""
+"""Sections 5 and 6 of the paper: moments, tension, torque, payload and wire, calculated again."""
 
 import math
 from fractions import Fraction

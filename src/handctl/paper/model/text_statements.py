@@ -110,7 +110,7 @@ def _depends_on(term: Sequence[EquationTerm], name: str) -> bool:
 
 
 def _check_phalanges() -> ErrataItem:
-    """Check whether the energy of each link is independent of the other links, as if each link were a separate finger."""
+    """Check whether the energy of each link is independent of the other links, as in separate fingers."""
     # In one finger, the energy of link 2 depends on the rate of joint 1, and the energy of link 3
     # on the rate of joint 2.
     apart = not _depends_on(equations.KINETIC_TERMS_2, "dth1") and not _depends_on(
