@@ -604,7 +604,7 @@ class Controller:
     # encode
 
     def _encode_frames(self, state: ControllerState, t_ns: int) -> Frames:
-        """Return the frames of the tick: first the frames that remove torque, then SYNC, then the command of each drive."""
+        """Return the frames of the tick: first those that remove torque, then SYNC, then each drive's command."""
         mode = state.mode
         if mode in (SILENT, DONE):
             return frames_as_records(hand_modes.shutdown_frames(self.drives, state))

@@ -243,7 +243,7 @@ class CommissionProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Wait until the pressed digit is at rest, read all load cells and motor zero angles, then pull the present tendon."""
+        """Wait until the pressed digit is at rest, read load cells and motor zero angles, then pull the tendon."""
         i = progress.step - 1
         own = model.digit_tendons[model.digit_of[i]]
         waiting = progress.touching[0]

@@ -215,7 +215,7 @@ def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
 
 
 def _pressing_tension(hand: Hand, name: str) -> float:
-    """Return the tension of closing tendons with which the tip of a half-closed digit presses with PRESSING_FORCE_N [N]."""
+    """Return the tension of closing tendons at which the tip of a half-closed digit presses hard enough [N]."""
     digit = DigitModel.from_hand(hand, name)
     half = digit.coordinate_units.si(_closed_angles_deg(hand, name)) / 2
     q = digit.coupling @ half

@@ -357,12 +357,15 @@ Value = TypeVar("Value")
 
 
 def value_for_digit(value: float | dict[str, Value], digit: str) -> float | Value | None:
-    """Return the value of a phase for a digit, or None if the phase gives values only for other digits."""
+    """Return the value that a task phase gives for a digit.
+
+    If the phase gives values only for other digits, return None.
+    """
     return value.get(digit) if isinstance(value, dict) else float(value)
 
 
 def joint_values(value: float | Mapping[str, Value], digit: "DigitModel") -> dict[int, Value]:
-    """Return the values of a phase for joints of a digit, by the index of the joint."""
+    """Return the values that a task phase gives for joints of a digit, by the index of the joint."""
     if not isinstance(value, Mapping):
         return {}
     return {j: value[name] for j, name in enumerate(digit.joint_names) if name in value}
@@ -371,13 +374,13 @@ def joint_values(value: float | Mapping[str, Value], digit: "DigitModel") -> dic
 def end_angles(
     value: float | dict[str, DigitAnglesDeg], digit: "DigitModel", present_angles: Vector
 ) -> DigitAnglesDeg | Vector | None:
-    """Return the coordinates of a digit at the end of a phase [deg], None if the phase gives the digit no angle.
+    """Return the coordinates of a digit at the end of a phase [deg], or None if the phase gives the digit no angle.
 
     Args:
-        value: angles of the phase, by digit or joint [deg].
+        value: angles in the phase [deg], by the name of the digit or joint.
         digit: model of the digit.
-        present_angles: (n_c,) coordinates at the beginning [deg]. Joints without an angle keep their present
-            angles.
+        present_angles: (n_c,) coordinates of the digit when the phase begins [deg]. A joint without
+            an angle in the phase keeps its present angle.
     """
     given = joint_values(value, digit)
     if not given:

@@ -6,11 +6,11 @@ in the module of its kind: ``bus``, ``node``, ``tendon``, ``host``. The tables i
 deadlines in the fault campaign, the event texts and the reactions are all derived from the
 declarations.
 
-The declaration of a fault may have the argument ``per``, which lists what the fault can affect,
-such as motors or tendons. Compiled code in ``core.detectors`` detects such a fault. The declaration
-of such a fault returns the row of the fault in the detectors' table of results, which is used as in
-``evidence[N07, motor]``. The declaration of a fault may instead have the argument ``reports``. A
-bus, the host or the recorder reports such a fault.
+The declaration of a fault may have the argument ``per``, which lists the parts that the fault can
+affect, such as motors or tendons. Compiled code in ``core.detectors`` detects such a fault. The
+declaration of such a fault returns the row of the fault in the detectors' table of results, which
+is used as in ``evidence[N07, motor]``. The declaration of a fault may instead have the argument
+``reports``. A bus, the host or the recorder reports such a fault.
 """
 
 from dataclasses import dataclass
