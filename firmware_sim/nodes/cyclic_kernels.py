@@ -508,7 +508,7 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         odrive: rows of ODrives.
         cia402: rows of CiA 402 drives.
         drives: all drives as receivers.
-        sensor: row of the sensor node, shape (1,), shape (0,) without a sensor node.
+        sensor: (1,) row of the sensor node, or (0,) if the hand has no sensor node.
         cell_order: see ``_answer_sync``.
         joint_order: see ``_answer_sync``.
         bias: see ``_answer_sync``.
@@ -520,7 +520,7 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         rotors: see ``drivetrain.tensions``.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
-        cells: array for the tension of each tendon, filled by the kernel [N].
+        cells: array for the tension of each tendon [N], which the kernel fills.
     """
     count = progress[ANSWERS]
     buses = len(table) // (2 * _STANDARD_ID_COUNT)
@@ -537,8 +537,8 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         while index >= 0:
             receiver_row = receivers[index]
             if receiver_row.kind == SENSOR_NODE_KIND:
-                # The kernel cannot draw random numbers, so all random numbers for one SYNC frame
-                # must be drawn before.
+                # The kernel cannot draw random numbers. So all random numbers for one SYNC frame
+                # must be drawn before the call.
                 drawn = noise_bounds[1] >= noise_bounds[0] + 2 * len(cell_order) + len(joint_order)
                 needs_python = needs_python or frame.length != 1 or not drawn
             else:
@@ -591,16 +591,18 @@ ROTOR_DTYPE = np.dtype(RotorStruct)
 
 @compiled(FRAME_DTYPE, FRAME_DTYPE, "counts", "count", "count", "count")
 def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answers: int) -> None:
-    """Answer frames, with most arrays given by address. See ``_answer``.
+    """Answer frames, where most arrays are given by their addresses.
+
+    The kernel ``_answer`` explains the answers.
 
     Args:
         frames: frames of the host.
-        answers: array for the answers, filled by the kernel.
+        answers: array for the answers, which the kernel fills.
         at: address and length of each other array of ``_answer``, in the order of
             ``tick_exchange.TickExchange``.
         t_ns: present time [ns].
-        last_ns: maximum delay of an answer after the start of the tick [ns].
-        max_answers: maximum number of answers to one frame.
+        last_ns: largest delay of an answer after the start of the tick [ns].
+        max_answers: largest possible number of answers to one frame.
     """
     _answer(
         frames, answers, rows_at(at[0], at[1], COUNT_DTYPE), t_ns, last_ns, rows_at(at[2], at[3], COUNT_DTYPE),
@@ -618,9 +620,9 @@ def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answ
 
 @kernel_helper
 def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
-    """Return True if Python must wake an ODrive, because something other than the two cyclic messages is due.
+    """Return True if Python must wake an ODrive, because something else than the two cyclic messages is due.
 
-    Python does the update of temperatures, the watchdog, the end of a calibration, the modes of
+    Python handles the update of temperatures, the watchdog, the end of a calibration, the modes of
     ``odrive.motion_modes``, and the messages of firmware 0.5.
     """
     busy = node.busy_until_ns > 0 or node.motion_due_ns > 0
@@ -631,7 +633,7 @@ def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
 
 @kernel_helper
 def _cia402_needs_wake(node: Any, now_ns: int) -> bool:
-    """Return True if Python must wake a CiA 402 drive, because something other than the heartbeat is due."""
+    """Return True if Python must wake a CiA 402 drive, because something else than the heartbeat is due."""
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= CIA402_THERMAL_PERIOD_NS
     if node.motion_due_ns > 0:
         return True
@@ -640,7 +642,7 @@ def _cia402_needs_wake(node: Any, now_ns: int) -> bool:
 
 @kernel_helper
 def _send_cia402(node: Any, now_ns: int, sent_frames: Any, count: int) -> int:
-    """Write the heartbeat of a CiA 402 drive if it is due.
+    """If the heartbeat of a CiA 402 drive is due, write its frame.
 
     Returns:
         Number of frames in ``sent_frames``.
@@ -657,7 +659,7 @@ def _send_cia402(node: Any, now_ns: int, sent_frames: Any, count: int) -> int:
 
 @kernel_helper
 def _send_odrive(node: Any, rotor: Any, now_ns: int, sent_frames: Any, count: int) -> int:
-    """Write the cyclic messages of an ODrive that are due.
+    """Write those cyclic messages of an ODrive that are due.
 
     Returns:
         Number of frames in ``sent_frames``.
@@ -690,20 +692,20 @@ def send_due(
     sent_frames: Any,
     progress: Any,
 ) -> bool:
-    """Write the unsolicited frames of all drives that are due.
+    """Write the frames that are due and that drives send without a request.
 
     Args:
-        drives: drives in the order of sending.
+        drives: drives in the order in which they send.
         mit: rows of MIT drives.
         odrive: rows of ODrives.
         cia402: rows of CiA 402 drives.
         rotors: rows of the rotors.
         now_ns: present time [ns].
         sent_frames: array with room for two frames of each drive.
-        progress: array with the number of frames in ``sent_frames``, see ``SENT``.
+        progress: array that contains the number of frames in ``sent_frames``, see ``SENT``.
 
     Returns:
-        False if Python must wake a drive. In this case, no frame is written.
+        False if Python must wake at least one drive. In this case, no frame is written.
     """
     for i in range(len(drives)):
         receiver_row = drives[i]
@@ -747,8 +749,8 @@ def merge(frames: Any, other_frames: Any, merged: Any) -> None:
     count = len(frames)
     for i in range(len(merged)):
         frame = frames[i] if i < count else other_frames[i - count]
-        # The loop is an insertion sort, because both arrays are almost sorted and equal times must
-        # keep their order.
+        # The loop is an insertion sort. It is fast because both arrays are almost sorted, and it
+        # keeps the order of equal times.
         place = i
         while place > 0 and merged[place - 1].t_ns > frame.t_ns:
             merged[place] = merged[place - 1]

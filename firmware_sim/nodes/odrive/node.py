@@ -27,19 +27,20 @@ little-endian:
     0x1A  Set_Pos_Gain           f32 gain [1/s]
     0x1B  Set_Vel_Gains          f32 gain [N m s/turn], f32 integrator gain
 
-A host requests a Get message with a remote frame or an empty data frame of the message's
-identifier.
+A host requests a Get message with a remote frame or an empty data frame that has the identifier of
+the message.
 
-Choices where the fact sheet has only an assumption:
+Choices of this simulation where the fact sheet has only an assumption:
 
-- The error field of the heartbeat combines the active errors and the disarm reason.
-- Only setpoint messages feed the watchdog.
+- The error field of the heartbeat contains the active errors as well as the disarm reason.
+- Only messages with setpoints restart the watchdog.
 - A setpoint of NaN disarms the axis with the error *missing input*.
-- A disarm reason stays until Clear_Errors. With a disarm reason, the axis refuses closed loop.
+- A disarm reason stays until a host sends Clear_Errors. While there is a disarm reason, the axis
+  refuses the state closed loop.
 - The hand file gives the numbers of the endpoints.
 - A calibration takes ``CALIBRATION_NS`` and moves nothing. With the option ``uncalibrated``, the
-  axis refuses closed loop before a calibration.
-- The module ``motion_modes`` has position control, velocity control and their input modes.
+  axis refuses the state closed loop until it has been calibrated.
+- The module ``motion_modes`` contains position control, velocity control and the input modes.
 """
 
 import math
@@ -130,19 +131,20 @@ class OdriveNode:
     Attributes:
         state: present axis state.
         active_errors: bits of the present errors.
-        disarm_reason: bits of the errors that have disarmed the axis since the last Clear_Errors.
+        disarm_reason: bits of those errors that have disarmed the axis since the last Clear_Errors.
         result: result of the last procedure.
-        endpoints: bytes of the stored settings by endpoint number, such as enable_watchdog,
+        endpoints: bytes of the stored settings, by endpoint number, such as enable_watchdog,
             watchdog_timeout and the torque limits.
         control_mode: control mode, which selects the controlled quantity.
         input_mode: input mode, which selects how setpoints follow the inputs.
         setpoint: torque setpoint, or feedforward torque in other control modes [N m].
         motion: position control, velocity control and input modes of the axis.
-        motion_due_ns: time of the next update of ``motion_modes`` [ns], 0 in torque control without a
-            ramp.
-        torque_min: lower torque limit, from its endpoint [N m].
-        torque_max: upper torque limit, from its endpoint [N m].
-        timeout_ns: timeout of the watchdog, from its endpoints [ns], 0 if the watchdog is off.
+        motion_due_ns: time of the next update of ``motion_modes`` [ns], or 0 in torque control
+            without a ramp.
+        torque_min: lower torque limit, as the endpoint contains it [N m].
+        torque_max: upper torque limit, as the endpoint contains it [N m].
+        timeout_ns: timeout of the watchdog [ns], as the endpoints contain it, or 0 if the watchdog
+            is off.
         velocity_limit: velocity limit of the axis [turn/s].
         current_limit: current limit of the axis [A].
         velocity_gain: gain of the velocity loop [N m s/turn].
@@ -154,7 +156,7 @@ class OdriveNode:
         thermal_ns: time of the last update of the temperatures [ns].
         heartbeat_due_ns: time of the next heartbeat [ns].
         encoder_due_ns: time of the next encoder estimates [ns].
-        accepted_ids: identifiers for the node to answer.
+        accepted_ids: identifiers of the frames that the node answers.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -163,7 +165,7 @@ class OdriveNode:
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: shaft angle at the spool angle theta = 0 [rad].
+            offset: shaft angle when the spool angle theta is 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -203,8 +205,8 @@ class OdriveNode:
             self._numbers["torque_min"]: struct.pack("<f", -math.inf),
         }
         self.endpoints.pop(0, None)
-        # If the hand file uses the number of a default endpoint for another endpoint, the endpoint
-        # of the hand file counts.
+        # If the hand file gives the number of a default endpoint to another endpoint, the endpoint
+        # of the hand file is used.
         defaults = {
             number: struct.pack("<f", value) for number, (_, value) in MOTION_ENDPOINTS.items()
         }
@@ -235,7 +237,7 @@ class OdriveNode:
         self.input_mode = input_mode
 
     def _update_derived(self) -> None:
-        """Update the attributes derived from endpoints."""
+        """Update those attributes that follow from endpoints."""
         self.torque_min, self.torque_max = (
             self._endpoint_limit("torque_min", -math.inf),
             self._endpoint_limit("torque_max", math.inf),
@@ -258,7 +260,7 @@ class OdriveNode:
         """Process a frame from the bus, and answer it.
 
         Returns:
-            The answers. None if the frame is not for this axis.
+            The answers, or None if the frame is not meant for this axis.
         """
         can_id = frame.can_id & ~REMOTE_FLAG
         node = can_id >> 5
@@ -275,7 +277,7 @@ class OdriveNode:
         return self._execute_message(command, frame.data, t_ns)
 
     def _answer_remote(self, node: int, command: int) -> list[Frame]:
-        """Answer a request for a Get message.
+        """Answer a request for one of the Get messages.
 
         Only the request for Get_Address may be a broadcast.
         """
@@ -344,9 +346,9 @@ class OdriveNode:
         return []
 
     def _set_state(self, state: int, t_ns: int) -> None:
-        """Set the axis state as the host requests.
+        """Set the axis to the state that a host requests.
 
-        If the axis has an error, it refuses closed loop.
+        If the axis has an error, it refuses the state closed loop.
         """
         if state == IDLE_STATE:
             self._release_axis(CANCELLED_RESULT if self.busy_until_ns else SUCCESS_RESULT)
@@ -387,7 +389,7 @@ class OdriveNode:
             self.current_limit = current
 
     def _set_torque(self, torque: float, t_ns: int) -> None:
-        """Set a torque setpoint [N m], or disarm the axis if the setpoint is not finite."""
+        """Set a torque setpoint [N m]. If the setpoint is not finite, disarm the axis."""
         if not math.isfinite(torque):
             self.disarm(MISSING_INPUT)
             return
@@ -412,14 +414,17 @@ class OdriveNode:
         self.motion.advance(t_ns, update_now=True)
 
     def _endpoint_limit(self, name: str, default: float) -> float:
-        """Return the float of a named endpoint, or the default if the hand file does not give its number."""
+        """Return the float that a named endpoint contains.
+
+        If the hand file does not give its number, return the default.
+        """
         raw = self.endpoints.get(self._numbers[name])
         return float(struct.unpack("<f", raw)[0]) if raw else default
 
     def endpoint_float(self, endpoint: int) -> float:
         """Return a setting of ``MOTION_ENDPOINTS``.
 
-        If the hand file uses the number of this setting for another endpoint, return the default.
+        If the hand file gives the number of this setting to another endpoint, return the default.
         """
         if endpoint in self._numbers.values():
             return MOTION_ENDPOINTS[endpoint][1]
@@ -427,7 +432,10 @@ class OdriveNode:
         return max(0.0, float(value)) if math.isfinite(value) else 0.0
 
     def _execute_sdo_request(self, data: bytes) -> list[Frame]:
-        """Read or write an endpoint. A write is not answered, as in firmware before 0.6.11."""
+        """Read or write an endpoint.
+
+        As in firmware before 0.6.11, a write request gets no answer.
+        """
         operation = data[0]
         endpoint = int.from_bytes(data[1:3], "little")
         stored = self.endpoints.get(endpoint)
@@ -443,7 +451,7 @@ class OdriveNode:
         ]
 
     def _set_position(self, data: bytes) -> None:
-        """Shift the zero until the present position has the given value, in turns or (firmware 0.5) in counts."""
+        """Shift the position values, so that the present position has the given value [turn, or count for firmware 0.5]."""
         (value,) = struct.unpack_from("<i" if self.legacy else "<f", data)
         position = value / COUNTS_PER_TURN if self.legacy else value
         if math.isfinite(position):
@@ -463,7 +471,8 @@ class OdriveNode:
     def _reboot(self, action: int) -> None:
         """Restart with the saved settings.
 
-        Action 1 saves the present settings first, and action 2 erases them.
+        With action 1, first save the present settings. With action 2, first erase the saved
+        settings.
         """
         self._saved = {1: self._storable_settings(), 2: self._factory}.get(action, self._saved)
         self._release_axis(SUCCESS_RESULT)
@@ -483,7 +492,10 @@ class OdriveNode:
         self._update_derived()
 
     def _release_axis(self, result: int) -> None:
-        """Enter the axis state idle with a procedure result. The motor turns freely."""
+        """Enter the axis state idle, and store the result of the procedure.
+
+        The motor can then turn freely.
+        """
         self.motor.servo.release()
         self.motion_due_ns = 0
         self.state = IDLE_STATE
@@ -492,7 +504,7 @@ class OdriveNode:
         self.setpoint = 0.0
 
     def disarm(self, error_bit: int) -> None:
-        """Enter the axis state idle because of an error. The motor turns freely."""
+        """Enter the axis state idle because of an error. The motor can then turn freely."""
         self.disarm_reason |= error_bit
         self._release_axis(DISARMED_RESULT)
 
@@ -536,7 +548,7 @@ class OdriveNode:
         return struct.pack("<IBBBB", errors, self.state, self.result, self.motion.done, 0)
 
     def _update_thermal(self, t_ns: int) -> None:
-        """Advance the temperatures, and disarm the axis on over-temperature of the motor."""
+        """Advance the temperatures. If the motor is too hot, disarm the axis."""
         if self.thermal_ns >= 0:
             self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0
@@ -546,11 +558,14 @@ class OdriveNode:
 
 
 class OdriveNodeRow(OdriveStruct, OdriveNode):
-    """An axis whose numbers are kept in a row of an array, for compiled kernels."""
+    """An axis whose numbers are in a row of an array, so that compiled kernels can use them."""
 
     layout = OdriveStruct
 
     def prepare(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Initialize the row of the axis. See ``OdriveNode``."""
+        """Set the row of the axis to the state after power-up.
+
+        The class ``OdriveNode`` explains the arguments.
+        """
         OdriveNode.__init__(self, spec, motor, offset)
         self.motor_number = motor.number

@@ -1,4 +1,6 @@
-"""A motor with RobStride's firmware and private protocol. Source: docs/facts/robstride.md.
+"""A motor with the firmware of RobStride, which uses RobStride's private protocol.
+
+Source: docs/facts/robstride.md.
 
     type   identifier 23..16   15..8   7..0     payload
     0      0                   host    motor    identity request, answered by motor in 15..8, 0xFE, 64 bits
@@ -15,12 +17,13 @@
 
 The motor answers the types 1, 3, 4, 6, 0x12 and 0x16 with a frame of type 2.
 
-Choices where the fact sheet has only an assumption:
+Choices of this simulation where the fact sheet has only an assumption:
 
 - The answer to a control command goes to the host that sent the latest request.
-- Enable and control commands feed the watchdog. When the watchdog fires, the motor enters reset
-  mode without a fault.
-- Faults other than over-temperature stay until they are cleared. A fault prevents enabling.
+- Enable commands and control commands restart the watchdog. When the watchdog fires, the motor
+  enters reset mode without a fault.
+- All faults except over-temperature stay until a host clears them. While there is a fault, the
+  motor cannot be enabled.
 - After each new fault, the motor sends a fault report to the host that sent the latest request.
 - The motor does not answer a request for a mode of operation other than 0, or for another bit rate
   or protocol.
@@ -97,7 +100,7 @@ READ_ONLY_PARAMETERS = (0x7019, 0x701A, 0x701B, 0x701C)
 def to_code(value: float, largest: float) -> int:
     """Encode a value between -largest and largest as 16 bits.
 
-    Values outside of this range are limited to it.
+    If a value is outside of this range, the nearest value of the range is encoded.
     """
     return round((min(largest, max(-largest, value)) + largest) / (2.0 * largest) * 65535)
 
@@ -113,7 +116,7 @@ class RobstrideNode:
     Attributes:
         mode: mode of the motor, reset or run.
         fault: bits of the present faults.
-        parameters: bytes of each parameter that can be written, by its number.
+        parameters: bytes of each parameter that can be written, by the number of the parameter.
         thermal: temperatures of the motor and the drive.
         offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         ids: None, because the node answers many identifiers.
@@ -163,7 +166,7 @@ class RobstrideNode:
 
     @property
     def timeout_ns(self) -> int:
-        """Return the time without a command after which the watchdog fires [ns], 0 if the watchdog is off."""
+        """Return the time without a command after which the watchdog fires [ns], or 0 if the watchdog is off."""
         return int.from_bytes(self.parameters[0x7028], "little") * TIMEOUT_UNIT_NS
 
     @property
@@ -176,7 +179,7 @@ class RobstrideNode:
         """Execute and answer a frame.
 
         Returns:
-            The answers, or None if the frame is not for the motor.
+            The answers, or None if the frame is not meant for this motor.
         """
         number = frame.can_id & ~EXTENDED_FLAG
         if (
@@ -201,9 +204,9 @@ class RobstrideNode:
     def _execute_request(
         self, frame_type: int, data_area: int, frame: Frame, t_ns: int
     ) -> list[Frame]:
-        """Execute a request of a host and answer it."""
+        """Execute a request of a host, and return the answers."""
         if frame_type in (0, 7):
-            # A new motor number takes effect at once, and the answer is the identity.
+            # A new motor number takes effect at once, and the motor answers with its identity.
             if frame_type == 7 and 0 < data_area < 0x80:
                 self.node_id = data_area
             return [self._identity_frame(frame)]

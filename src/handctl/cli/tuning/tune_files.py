@@ -88,7 +88,7 @@ def write_gains(
 
 
 class TunedHand(NamedTuple):
-    """Hand to tune, as described by the hand file and by the identified parameters, with the spread of these parameters.
+    """Hand to tune: the hand of the hand file, the hand with identified parameters, and their spread.
 
     Attributes:
         hand: hand with the parameters of the hand file. A gains file contains the name and the
