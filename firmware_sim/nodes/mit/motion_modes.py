@@ -64,7 +64,7 @@ class MotionModes:
         )
 
     def follow_force_position(self, position: float, speed: float, fraction: float) -> None:
-        """Store the target position [rad], the largest speed [rad/s] and the fraction of the largest current from a frame."""
+        """Store target position [rad], largest speed [rad/s] and fraction of the largest current from a frame."""
         self._set_target(
             assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, fraction
         )

@@ -146,7 +146,7 @@ def watchdog_expired(node: Any, t_ns: int) -> bool:
 
 @kernel_helper
 def schedule_wake(node: Any) -> None:
-    """Set the time at which the drive must work next: for temperatures, cyclic messages, watchdog, calibration or motion."""
+    """Set the time at which the drive must work next, e.g. for temperatures, cyclic messages or the watchdog."""
     wake_ns = min(node.thermal_ns + THERMAL_PERIOD_NS, node.heartbeat_due_ns, node.encoder_due_ns)
     if node.state == CLOSED_LOOP and node.timeout_ns > 0:
         wake_ns = min(wake_ns, node.watchdog_fed_ns + node.timeout_ns)

@@ -451,7 +451,7 @@ class OdriveNode:
         ]
 
     def _set_position(self, data: bytes) -> None:
-        """Shift the position values, so that the present position has the given value [turn, or count for firmware 0.5]."""
+        """Shift the position values, so that the present position has the given value [turn, or count in 0.5]."""
         (value,) = struct.unpack_from("<i" if self.legacy else "<f", data)
         position = value / COUNTS_PER_TURN if self.legacy else value
         if math.isfinite(position):

@@ -232,7 +232,7 @@ class RobstrideNode:
         )
 
     def _enable(self, _data: bytes, t_ns: int) -> None:
-        """Enter run mode, if the motor has no fault and its mode of operation is 0 (operation control)."""
+        """Enter run mode, if the motor has no fault and the mode of operation is 0 (operation control)."""
         if self.fault or self.run_mode != 0:
             return
         self.watchdog_fed_ns = t_ns
@@ -242,7 +242,7 @@ class RobstrideNode:
         self._schedule()
 
     def _stop_on_request(self, data: bytes, _t_ns: int) -> None:
-        """Enter reset mode. If byte 0 of the request is 1, also clear the faults."""
+        """Enter reset mode. If byte 0 of the request is 1, also clear all faults."""
         self._stop(clear_faults=data[0] == 1)
 
     def _set_zero(self, data: bytes, _t_ns: int) -> None:
@@ -264,7 +264,7 @@ class RobstrideNode:
         self._schedule()
 
     def _follow_control_command(self, torque: int, data: bytes, t_ns: int) -> None:
-        """Follow a control command in run mode."""
+        """In run mode, follow a control command."""
         self.watchdog_fed_ns = t_ns
         if self.mode == RUN_MODE:
             self.follow(torque, data)
@@ -294,7 +294,7 @@ class RobstrideNode:
         return Frame(head, data[:2] + b"\0\0" + (value or bytes(4)), 0, frame.bus)
 
     def _measured_parameter(self, parameter: int) -> float:
-        """Return the present value of a measured parameter."""
+        """Return the present value of a parameter that the motor measures."""
         sign = self._direction
         values = {
             0x7019: sign * self.motor.encoder() + self.offset,
@@ -305,7 +305,7 @@ class RobstrideNode:
         return values[parameter]
 
     def _write_parameter(self, data: bytes, _t_ns: int) -> None:
-        """Write a parameter. Unknown parameters and values out of range are ignored."""
+        """Write a parameter. Unknown parameters, and values out of range, are ignored."""
         number = int.from_bytes(data[:2], "little")
         coding = WRITABLE_PARAMETERS.get(number)
         if coding is None:
@@ -318,7 +318,7 @@ class RobstrideNode:
         self.parameters[number] = struct.pack(f"<{coding}", value).ljust(4, b"\0")
 
     def _feedback_frame(self, frame: Frame) -> Frame:
-        """Return the frame with the feedback, to the host that sent the latest request."""
+        """Return the feedback frame for the host that has sent the latest request."""
         motor = self.motor
         sign = self._direction
         position = to_code(sign * motor.encoder() + self.offset, POSITION_RANGE)
@@ -336,7 +336,7 @@ class RobstrideNode:
     def trip(self, fault: int) -> None:
         """Enter reset mode with a fault.
 
-        The value 0 stands for the watchdog. It sets no fault.
+        The value 0 stands for the watchdog, which sets no fault.
         """
         self.motor.servo.release()
         self.mode = RESET_MODE
@@ -356,7 +356,7 @@ class RobstrideNode:
         self.parameters = dict(self._saved)
 
     def _schedule(self) -> None:
-        """Set the time of the next call of ``wake``."""
+        """Set the time at which the motor must work next."""
         self.wake_ns = self._thermal_ns + THERMAL_PERIOD_NS
         if self.mode == RUN_MODE and self.timeout_ns:
             self.wake_ns = min(self.wake_ns, self.watchdog_fed_ns + self.timeout_ns + 1)

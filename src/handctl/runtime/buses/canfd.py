@@ -1,12 +1,15 @@
-"""Conversion of batches of frames between records and ``struct canfd_frame``, without a loop over frames.
+"""Conversion of batches of frames between records and ``struct canfd_frame``.
+
+No loop over the frames is needed.
 
     can_id 32 | length 8 | flags 8 | reserved 16 | data 64 x 8
 
-The local bus sends this struct. For a classical frame, a CAN socket fills only the first 16 bytes
-of the struct. The head of a struct is its first 8 bytes. The head of a record is its 8 bytes from
-identifier to length. Every tick exchanges the same identifiers, flags and lengths. Therefore the
-converted heads of each batch are cached, and a tick copies only the payloads. Source: Linux
-``can.h``.
+The local bus sends this struct for every frame. For a classical frame, a CAN socket fills only the
+first 16 bytes of the struct. The head of a struct is its first 8 bytes. The head of a record is its
+8 bytes from identifier to length. In every tick, the same identifiers, flags and lengths are
+exchanged. Therefore the converted heads of a batch are cached, and a tick has to copy only the
+payloads.
+Source: Linux ``can.h``.
 """
 
 import functools
@@ -54,9 +57,9 @@ WordArray = NDArray[np.uint64]
 
 
 def _payload_masks() -> WordArray:
-    """Return masks of the 64-byte data field, as an array (MAX_PAYLOAD_BYTES + 1, 8).
+    """Return bit masks for the 64-byte data field, as an array (MAX_PAYLOAD_BYTES + 1, 8).
 
-    Row n selects the first n bytes.
+    Row n of the array selects the first n bytes of the field.
     """
     masks = np.zeros((MAX_PAYLOAD_BYTES + 1, MAX_PAYLOAD_BYTES), np.uint8)
     for length in range(MAX_PAYLOAD_BYTES + 1):
@@ -82,10 +85,10 @@ class ReceivedHeads(NamedTuple):
 
     Attributes:
         heads: (n,) identifier, flags, bus and length of each record.
-        payload_words: number of 8-byte words that contain the longest payload of the batch, at
-            least 1.
-        payload_masks: bits that belong to each payload, (n,) for one word and (n, words) for more.
-            If every payload fills all its words, there are no masks (None).
+        payload_words: number of 8-byte words that the longest payload of the batch needs, at least
+            1.
+        payload_masks: bits that belong to each payload. The shape is (n,) for one word, and (n,
+            words) for more words. It is None if every payload fills all of its words.
         has_error_frames: True if there is an error frame among the structs.
     """
 
@@ -97,7 +100,7 @@ class ReceivedHeads(NamedTuple):
 
 @functools.lru_cache
 def _flag_table(mask: int, added: int) -> bytes:
-    """Return a table for ``bytes.translate`` that converts the flags of a struct to the flags of a record."""
+    """Return a table for ``bytes.translate`` which converts the flags of a struct to the flags of a record."""
     return bytes(flags & mask | added for flags in range(256))
 
 
@@ -105,7 +108,7 @@ def _flag_table(mask: int, added: int) -> bytes:
 def _convert_received(raw: bytes, bus: int, flag_mask: int, added_flags: int) -> ReceivedHeads:
     """Convert heads of structs to heads of records.
 
-    The conversion slices columns of bytes. For a batch that is not cached, this is faster than
+    The function slices columns of bytes. For a batch that is not in the cache, this is faster than
     numpy.
     """
     # Bytes of a head in a struct:  can_id 0..3 | length 4 | flags 5 | reserved 6..7
@@ -118,8 +121,8 @@ def _convert_received(raw: bytes, bus: int, flag_mask: int, added_flags: int) ->
     heads[4::8] = raw[5::8].translate(_flag_table(flag_mask, added_flags))
     heads[6::8] = bytes((bus,)) * count
     heads[7::8] = lengths
-    words = max(1, -(-max(lengths, default=0) // 8))  # division, rounded up
-    masks = None  # usually every payload fills its words, and no byte has to be cleared
+    words = max(1, -(-max(lengths, default=0) // 8))  # division of two integers, rounded up
+    masks = None  # usually every payload fills its words, so that no byte has to be set to zero
     if lengths.count(8 * words) < count:
         masks = PAYLOAD_MASKS[:, 0] if words == 1 else PAYLOAD_MASKS[:, :words]
         masks = masks.take(np.frombuffer(lengths, np.uint8), axis=0)
@@ -129,13 +132,13 @@ def _convert_received(raw: bytes, bus: int, flag_mask: int, added_flags: int) ->
 
 
 class SentHeads(NamedTuple):
-    """Heads of records to be sent, converted to structs.
+    """Heads of the records to send, converted to structs.
 
     Attributes:
         heads: (n,) identifier, length and flags of each struct.
-        payload_words: number of 8-byte words that contain the longest payload of the batch, at
-            least 1.
-        frame_sizes: (n,) number of bytes to send of each struct: the size of ``can_frame`` or of
+        payload_words: number of 8-byte words that the longest payload of the batch needs, at least
+            1.
+        frame_sizes: (n,) number of bytes of each struct that are sent: the size of ``can_frame`` or
             ``canfd_frame``.
     """
 
@@ -149,7 +152,7 @@ def _convert_sent(raw: bytes) -> SentHeads:
     """Convert heads of records to heads of structs.
 
     Raises:
-        ValueError: a payload is longer than its kind of frame can carry.
+        ValueError: a payload is longer than a frame of its kind can carry.
     """
     words = np.frombuffer(raw, WORD_DTYPE)
     records = np.zeros(len(words), FRAME_RECORD_DTYPE)
@@ -173,14 +176,14 @@ def _convert_sent(raw: bytes) -> SentHeads:
 
 
 class FrameStructs:
-    """An array of ``struct canfd_frame`` in memory, read and written by columns.
+    """An array of ``struct canfd_frame`` in memory, whose columns can be read and written.
 
     Attributes:
         count: number of structs.
     """
 
     def __init__(self, memory: Any) -> None:
-        """Create views into ``memory``, a writable buffer whose size is a whole number of structs."""
+        """Create views of ``memory``, a writable buffer whose size is a whole number of structs."""
         rows = np.frombuffer(memory, WORD_DTYPE).reshape(-1, CANFD_FRAME_BYTES // 8)
         self.count = len(rows)
         self._heads = rows[:, 0]
@@ -195,9 +198,9 @@ class FrameStructs:
 
         Args:
             count: number of structs to convert.
-            bus: index of the bus, written into every head.
-            flag_mask: mask of the flags to copy from the structs.
-            added_flags: flags to set in every converted head.
+            bus: index of the bus, which is written into every head.
+            flag_mask: mask that selects the flags to copy from the structs.
+            added_flags: flags that are set in every converted head.
         """
         convert = _convert_received if count <= MAX_CACHED_FRAMES else _convert_received.__wrapped__
         return convert(self._heads[:count].tobytes(), bus, flag_mask, added_flags)
@@ -214,7 +217,7 @@ class FrameStructs:
         Args:
             count: number of structs to read.
             heads: converted heads of these structs.
-            t_ns: time of reception [ns], either a single time for all frames or a time for each
+            t_ns: time of reception [ns], which is one time for all frames or one time for each
                 frame.
         """
         records: RecordArray = np.zeros(count, FRAME_RECORD_DTYPE)
@@ -234,10 +237,11 @@ class FrameStructs:
         return records
 
     def write(self, frames: Frames) -> SentHeads:
-        """Write frames into the first structs. Payload bytes behind the end of a frame are set to zero.
+        """Write frames into the first structs. Bytes after the end of a payload are set to zero.
 
         Raises:
-            ValueError: a payload is longer than its kind of frame can carry. Nothing is written.
+            ValueError: a payload is longer than a frame of its kind can carry. In this case,
+                nothing is written.
         """
         records = frames.records
         count = len(records)
@@ -246,7 +250,7 @@ class FrameStructs:
         self._heads[:count] = sent.heads
         if (
             sent.payload_words < self._written
-        ):  # clear the bytes that remain from longer payloads of the previous batch
+        ):  # set the bytes to zero that remain from longer payloads of the previous batch
             self._data[:, sent.payload_words :] = 0
         self._written = sent.payload_words
         if sent.payload_words == 1:

@@ -1,8 +1,8 @@
 """Conformance checks of a real drive.
 
-The checks run one after the other, and keep the torque within a given limit. The shaft may turn.
-Two checks raise the torque until the shaft has moved a little or the torque limit is reached. Then
-they brake the shaft.
+The checks run one after the other, and keep the torque below a given limit. During the checks, the
+shaft of the drive may turn. Two checks raise the torque until the shaft has moved a little or the
+torque limit is reached. Then they brake the shaft.
 """
 
 import math
