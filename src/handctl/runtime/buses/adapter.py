@@ -1,4 +1,4 @@
-"""Properties of the CAN adapter that belongs to a network interface, as Linux reports them: driver, USB speed, serial number.
+"""Properties of the CAN adapter behind a network interface, as Linux reports them: driver, USB speed, serial number.
 
 Source: Linux ABI documentation, ``sysfs-bus-usb`` (speed in Mbit/s) and ``sysfs-class-net``.
 """

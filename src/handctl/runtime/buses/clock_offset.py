@@ -23,7 +23,7 @@ READINGS_PER_MEASUREMENT = 3
 
 
 class ClockOffset:
-    """Offset between the wall clock and CLOCK_MONOTONIC, which is measured again after ``USES_PER_MEASUREMENT`` uses."""
+    """Offset between the wall clock and CLOCK_MONOTONIC, measured again after many uses."""
 
     def __init__(self) -> None:
         """Start without a measurement."""

@@ -70,7 +70,7 @@ def read_link(name: str) -> CanLinkState | None:
 
 
 def parse_link(text: str) -> CanLinkState | None:
-    """Return the state of the interface that the output of ``ip`` describes, or None if the output lists no interface."""
+    """Return the state of the interface that the output of ``ip`` describes, or None if it lists no interface."""
     try:
         (link,) = json.loads(text)
     except ValueError:
