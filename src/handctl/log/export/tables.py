@@ -81,7 +81,7 @@ def column_names(log: RunLog) -> tuple[str, ...]:
 
 
 def column_unit(column: str, prismatic: Collection[str] = ()) -> str:
-    """Return the unit of a column with numbers: for example `rad` for `q/index_j1`, `ns` for `t_ns`, and 1 without unit.
+    """Return the unit of a column with numbers: `rad` for `q/index_j1`, `ns` for `t_ns`, and 1 for none.
 
     Args:
         column: name of the column.

@@ -242,8 +242,8 @@ class StateTopics:
     def _tendon_torque(self, tension: FloatArray, q: FloatArray) -> FloatArray:
         """Return the joint torques R^T f (n, J) that follow from the tensions f at the joint angles q [N m].
 
-        The terms of the sum are added in a fixed order. In a matrix product, the order of the
-        additions may depend on n. The rounding of the result may then depend on n, too.
+        The terms of the sum are added in a fixed order. A matrix product may add the terms in an
+        order that depends on n. Then the rounding of the result would also depend on n.
         """
         torque = np.zeros((len(tension), self._arms.shape[1]))
         arms = (
@@ -264,7 +264,7 @@ class StateTopics:
     def _joint_state_values(
         self, topic: str, part: dict[str, FloatArray]
     ) -> dict[str, NDArray[np.generic]]:
-        """Return the values of position, velocity and effort for a JointState topic."""
+        """Return the positions, velocities and efforts for the messages of a JointState topic."""
         _, *fields = JOINT_STATE_TOPICS[topic]
         return {
             part_name: part[name]
@@ -279,7 +279,7 @@ class StateTopics:
         before = np.concatenate([[first_start], start[:-1]])
         period = np.where(before < 0, np.nan, (start - before) * 1e-9)
         missed = np.clip(np.diff(batch.k, prepend=first_k) - 1, 0, 2**32 - 1)
-        # The smallest int64 stands for a tick in which no reply arrived. This time becomes NaN.
+        # If no reply arrived in a tick, this time is the smallest int64. It is converted to NaN.
         latest = np.full(len(start), np.iinfo(np.int64).min)
         np.maximum.at(latest, batch.received.tick_indexes, batch.received.frames["t_ns"])
         received = (latest > np.iinfo(np.int64).min) & (before >= 0)
