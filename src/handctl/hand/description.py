@@ -1,4 +1,4 @@
-"""Description of a hand: the validated, unchangeable content of its TOML file, and quantities derived from it."""
+"""Description of a hand: the validated content of its TOML file, which cannot be changed, and quantities that follow from it."""
 
 import hashlib
 import json
@@ -74,7 +74,7 @@ It has no channels, so its identifiers and noise have no effect.
 class Hand(Section):
     """Hand as its hand file describes it.
 
-    Lists are in the order of the file. Tendons are listed digit by digit.
+    Lists are in the order of the hand file. The tendons are listed digit by digit.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_by_name=False)
@@ -106,7 +106,7 @@ class Hand(Section):
     @model_validator(mode="before")
     @classmethod
     def _without_sensors(cls, given: Any) -> Any:
-        """Add a sensor node without channels to the content of a hand file without a section ``sensor_node``."""
+        """If the content of a hand file has no section ``sensor_node``, add a sensor node without channels."""
         if not isinstance(given, dict) or "sensor_node" in given:
             return given
         buses = given.get("bus")
@@ -116,19 +116,19 @@ class Hand(Section):
             or not isinstance(buses[0], dict)
             or "name" not in buses[0]
         ):
-            # pydantic reports the missing buses. The sensor node gets any name of a bus, so that it
-            # causes no second report.
+            # If the buses are missing, pydantic reports this later. Any bus name is used here, so
+            # that the missing buses are not reported twice.
             return given | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": "main"}}
         return given | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": buses[0]["name"]}}
 
     @cached_property
     def has_cell(self) -> NDArray[np.bool_]:
-        """Return True for each tendon with a load cell, (N,)."""
+        """Return (N,) True for each tendon that has a load cell."""
         return np.array([name in self.sensor_node.tendons for name in self.tendon_names])
 
     @cached_property
     def is_pair(self) -> NDArray[np.bool_]:
-        """Return True for each tendon that is a spool pair: two antagonistic tendons on one spool, (N,)."""
+        """Return (N,) True for each tendon that is a spool pair: two antagonistic tendons on one spool."""
         return np.array([tendon.pretension_N is not None for tendon in self.tendon])
 
     @cached_property
@@ -141,7 +141,7 @@ class Hand(Section):
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Return joint names, digit by digit from the palm outwards: ``index_j1``, ``index_j2``, .."""
+        """Return the joint names of all digits, each digit from the palm to the tip: ``index_j1``, ``index_j2``, .."""
         return tuple(joint for digit in self.digit for joint in digit.joints)
 
     @cached_property
@@ -172,24 +172,24 @@ class Hand(Section):
 
     @cached_property
     def is_prismatic(self) -> NDArray[np.bool_]:
-        """Return True for each prismatic joint, (J,)."""
+        """Return (J,) True for each prismatic joint."""
         return np.array([slides for digit in self.digit for slides in digit.is_prismatic])
 
     @cached_property
     def display_units(self) -> DisplayUnits:
-        """Return the units in which a user sees the positions of the joints, (J,)."""
+        """Return the units (J,) in which a user sees the positions of the joints."""
         return DisplayUnits.of(self.is_prismatic)
 
     def displayed_mean(self, digit: str) -> DisplayUnits:
-        """Return the unit in which a user sees the mean position of a digit's joints, (1,).
+        """Return the unit (1,) in which a user sees the mean position of a digit's joints.
 
-        It is mm if all joints of the digit are prismatic.
+        If all joints of the digit are prismatic, the unit is mm.
         """
         return DisplayUnits.of([self.is_prismatic[self.digit_joints[digit]].all()])
 
     @cached_property
     def joint_noise(self) -> NDArray[np.float64]:
-        """Return the standard deviation of a sample of each joint's encoder, (J,) [rad or m]."""
+        """Return the standard deviation (J,) of one reading of each joint encoder [rad or m]."""
         sliding = self.sensor_node.joint_noise_m
         return np.where(
             self.is_prismatic,
@@ -199,12 +199,12 @@ class Hand(Section):
 
     @cached_property
     def moment_arms(self) -> NDArray[np.float64]:
-        """Return the moment arms R, (N, J) [m], read-only.
+        """Return the moment arms R of all tendons (N, J) [m], as a read-only array.
 
-        The excursion is R q, and tensions f exert the joint torque R^T f.
+        With joint angles q, the excursion is R q. Tensions f exert the joint torques R^T f.
 
-        If a moment arm depends on the joint angle, R has its mean over the range of the joint. The
-        entry of a prismatic joint is the tendon's excursion per motion of the joint [m/m].
+        If a moment arm depends on the joint angle, R contains the mean over the range of the joint.
+        For a prismatic joint, R contains the excursion of the tendon per motion of the joint [m/m].
         """
         limits = self.joint_limits.T.tolist()
         arms = np.array([
@@ -226,11 +226,11 @@ class Hand(Section):
 
     @cached_property
     def carrier_arms(self) -> NDArray[np.float64]:
-        """Return the moment arms of each tendon about joints that carry its digit, (N, J) [m], read-only.
+        """Return the moment arms of each tendon about the joints of digits that carry its digit, (N, J) [m], read-only.
 
-        For example, the tendons of a finger pass the wrist. If such a tendon does not run through
-        the axis of the wrist, its tension turns the wrist, and a motion of the wrist winds or
-        unwinds the tendon.
+        For example, the tendons of a finger also cross the wrist. If such a tendon does not run
+        through the axis of the wrist, its tension turns the wrist, and a motion of the wrist winds
+        or unwinds the tendon.
         """
         arms = self.moment_arms - self.own_arms
         arms.setflags(write=False)

@@ -1,1 +1,1 @@
-"""Tuning of a hand whose friction is not known: identify its parameters, design gains, search for better gains, verify them."""
+"""Tuning of a hand: identify its unknown parameters, design gains, search for better gains, verify them."""

@@ -251,7 +251,7 @@ class VerifyObserver:
         return [len(digit.joints) for digit in self.hand.digit]
 
     def _torque_rate(self, entry: TickIn, out: TickOut) -> float:
-        """Return the rate of change of the motor torques, as RMS over the time window that ends with this tick [N m/s]."""
+        """Return the rate of change of the motor torques, as RMS over the window up to this tick [N m/s]."""
         torque = out.telemetry.motor_torque_goal
         before = self._torque
         self._torque = torque

@@ -151,7 +151,7 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
                 )
             break
         if code == _MESSAGE_INDEX_OPCODE and length >= _LENGTHS[_MESSAGE_INDEX_OPCODE]:
-            scan.end = end  # Most records of a log are message indexes. The scan does not use the content of message indexes.
+            scan.end = end  # most records are message indexes, whose content the scan does not use
             continue
         if code == Opcode.DATA_END:
             _check_end(file, scan, at, end, checked)

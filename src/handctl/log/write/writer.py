@@ -246,7 +246,7 @@ class LogWriter:
             self._close_after_failure(error)
 
     def _clock_pair(self, t_ns: int) -> list[MessageBlock]:
-        """If PAIR_PERIOD_NS has passed since both clocks were read last, read them, and return a message with the readings."""
+        """If PAIR_PERIOD_NS has passed since the last reading of both clocks, return a message with new readings."""
         if self._header.deterministic or t_ns < self._next_pair_ns:
             return []
         self._next_pair_ns = t_ns + PAIR_PERIOD_NS

@@ -236,7 +236,7 @@ class TendonFitProblem:
         return np.asarray(np.interp(t, self.drift_knots, drift))
 
     def _prior_residuals(self, z: Array, drift: Array) -> list[Array]:
-        """Return the residuals that belong to the drift of the load cell and to the prior knowledge of the parameters."""
+        """Return the residuals of the load-cell drift and of the prior knowledge about the parameters."""
         spread = np.array(
             [PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION) for name in PARAMETER_NAMES]
         )
@@ -312,7 +312,7 @@ class TendonFit:
         return self.half_widths_of(1)
 
     def half_widths_of(self, count: int) -> dict[str, float]:
-        """Return half of the widths of intervals that all together contain `count` parameters with a probability of 95 %.
+        """Return half of the widths of intervals that together contain `count` parameters with 95 % probability.
 
         Source: Sidak (1967). If the parameters are not independent of each other, the intervals are
             wider than necessary.

@@ -206,7 +206,7 @@ def _joint_rates(
 
 
 def fit_digit(balance: TorqueBalance) -> FitSolution:
-    """Fit the factors that all tendons of a digit share, and the capstan coefficient and load-cell offset of each tendon.
+    """Fit the factors that all tendons of a digit share, and each tendon's capstan coefficient and offset.
 
     Factors and coefficients are relative to the values in the hand file.
     """

@@ -108,7 +108,7 @@ class WindowWeights(NamedTuple):
         )
 
     def derivatives(self, values: Array) -> tuple[Array, Array, Array]:
-        """Return the mean, the first and the second derivative (...) of a signal, from its readings in windows (..., n)."""
+        """Return the mean, the first and the second derivative (...) of a signal from its windows (..., n)."""
         # Integration by parts replaces the derivative of the signal by that of the window, with the
         # opposite sign.
         return values @ self.mean, -values @ self.first, values @ self.second
