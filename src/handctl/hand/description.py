@@ -1,4 +1,4 @@
-"""Description of a hand: the validated content of its TOML file, which cannot be changed, and quantities that follow from it."""
+"""Description of a hand: the validated, unchangeable content of its TOML file, and values that follow from it."""
 
 import hashlib
 import json
@@ -229,7 +229,7 @@ class Hand(Section):
         """Return the moment arms of each tendon about the joints of digits that carry its digit, (N, J) [m], read-only.
 
         For example, the tendons of a finger also cross the wrist. If such a tendon does not run
-        through the axis of the wrist, its tension turns the wrist, and a motion of the wrist winds
+        through the axis of the wrist, its tension turns the wrist. A motion of the wrist then winds
         or unwinds the tendon.
         """
         arms = self.moment_arms - self.own_arms
@@ -238,9 +238,9 @@ class Hand(Section):
 
     @cached_property
     def arm_polynomials(self) -> NDArray[np.float64]:
-        """Return the moment arms as polynomials of the joint angle, read-only.
+        """Return the moment arms as polynomials of the joint angle, in a read-only array.
 
-        The array (N, J, quantities.POLYNOMIAL_COEFFICIENTS) contains the coefficients of each
+        The array (N, J, quantities.POLYNOMIAL_COEFFICIENTS) contains the coefficients for each
         tendon at each joint.
         """
         rows = [
@@ -253,25 +253,25 @@ class Hand(Section):
 
     @cached_property
     def has_varying_arm(self) -> NDArray[np.bool_]:
-        """Return True for each tendon with a moment arm that depends on the joint angle, (N,)."""
+        """Return (N,) True for each tendon with at least one moment arm that depends on the joint angle."""
         return np.array(
             [any(map(is_arm_varying, tendon.moment_arm_m.values())) for tendon in self.tendon]
         )
 
     @cached_property
     def joint_limits(self) -> NDArray[np.float64]:
-        """Return the smallest and the largest position of each joint, (2, J) [rad or m]."""
+        """Return the smallest and the largest position of each joint (2, J) [rad or m]."""
         return np.concatenate([digit.joint_limits for digit in self.digit], axis=1)
 
     @cached_property
     def tendons_with_encoders(self) -> NDArray[np.bool_]:
-        """Return True for each tendon if all joints that it crosses in its own digit have encoders, (N,)."""
+        """Return (N,) True for each tendon if all joints that it crosses in its own digit have encoders."""
         measured = np.array([joint in self.sensor_node.joints for joint in self.joints])
         return np.asarray(~((self.own_arms != 0.0) & ~measured).any(axis=1))
 
     @cached_property
     def digit_joints(self) -> dict[str, slice]:
-        """Return the slice of ``joints`` that contains the joints of each digit."""
+        """Return, for each digit, the slice of ``joints`` that contains its joints."""
         return dict(
             zip(
                 self.digit_names,
@@ -282,9 +282,9 @@ class Hand(Section):
 
     @cached_property
     def base_joints(self) -> dict[str, int]:
-        """Return for each digit the index in ``joints`` of the joint whose link carries the digit.
+        """Return, for each digit, the index in ``joints`` of the joint whose link carries the digit.
 
-        The palm has the index -1.
+        If the palm carries the digit, the index is -1.
         """
         return {
             digit.name: -1 if digit.mount_on is None else self.digit_joints[digit.mount_on].stop - 1
@@ -297,9 +297,10 @@ class Hand(Section):
         return frozenset(digit.mount_on for digit in self.digit if digit.mount_on is not None)
 
     def carriers_of(self, digit: str) -> tuple[str, ...]:
-        """Return the names of the digits that carry a digit, beginning with the one directly before it."""
+        """Return the names of the digits that carry a given digit, beginning with the one that carries it directly."""
         carrier = self.digit_named(digit).mount_on
-        # Digits may still carry each other in a circle here. Later checks refuse such a hand file.
+        # In an invalid hand file, digits may carry each other in a circle. Later checks refuse such
+        # a file.
         found: list[str] = []
         while carrier in self.digit_names and carrier not in found:
             found.append(carrier)
@@ -309,7 +310,7 @@ class Hand(Section):
     def digit_of_tendon(self, tendon: Tendon) -> str | None:
         """Return the name of the digit that a tendon moves.
 
-        All other digits that the tendon crosses carry it.
+        All other digits that this tendon crosses must carry the returned digit.
 
         If there is no such digit, return None.
         """
@@ -320,34 +321,34 @@ class Hand(Section):
         return outermost[0] if outermost else None
 
     def base_link(self, digit: Digit) -> str:
-        """Return the name of the link that carries a digit: ``palm``, or the last link of another digit."""
+        """Return the name of the link that carries a digit, which is ``palm`` or the last link of another digit."""
         if digit.mount_on is None:
             return "palm"
         return f"{digit.mount_on}_link{len(self.digit_named(digit.mount_on).joints)}"
 
     @cached_property
     def digit_tendons(self) -> dict[str, slice]:
-        """Return the slice of ``tendon`` that contains the tendons of each digit."""
+        """Return, for each digit, the slice of ``tendon`` that contains its tendons."""
         moved = [self.digit_of_tendon(tendon) for tendon in self.tendon]
         counts = [moved.count(digit.name) for digit in self.digit]
         return dict(zip(self.digit_names, _consecutive_slices(counts), strict=True))
 
     @cached_property
     def motor_index(self) -> tuple[int, ...]:
-        """Return the index in ``motor`` of the motor of each tendon."""
+        """Return, for each tendon, the index of its motor in ``motor``."""
         return tuple(self.motor_names.index(tendon.motor) for tendon in self.tendon)
 
     def motor_of(self, tendon: str) -> Motor:
-        """Return the motor of a tendon, by the tendon's name."""
+        """Return the motor that pulls the tendon with the given name."""
         return self.motor[self.motor_index[self.tendon_names.index(tendon)]]
 
     def digit_named(self, name: str) -> Digit:
-        """Return a digit by name."""
+        """Return the digit with the given name."""
         return self.digit[self.digit_names.index(name)]
 
     @cached_property
     def content(self) -> dict[str, Any]:
-        """Return the content of the file as plain values, by the keys of the file, with defaults filled in."""
+        """Return the content of the hand file as plain values, with all defaults filled in."""
         content = self.model_dump(by_alias=True, mode="python")
         later = {
             "digit": DIGIT_KEYS_ADDED_LATER,
@@ -357,7 +358,7 @@ class Hand(Section):
         for kind, keys in later.items():
             for section in content[kind]:
                 for key in keys:
-                    # A hand file without the key keeps its identity.
+                    # If a hand file does not contain this key, its identity must not change.
                     if section[key] is None or section[key] in ((), {}):
                         del section[key]
         if content["sensor_node"]["joint_noise_m"] is None:
@@ -365,41 +366,42 @@ class Hand(Section):
         content["mount"] = {
             key: value for key, value in content["mount"].items() if value is not None
         }
-        # The content of a sensor node has only the keys of its protocol. Thus a hand file from
-        # before sensor protocols existed keeps its identity.
+        # The content of a sensor node contains only the keys of the node's protocol. So the
+        # identity of a hand file from the time before sensor protocols existed does not change.
         for key in HANDCTL_NODE_KEYS if self.sensor_node.is_cia404 else ("protocol", *CIA404_KEYS):
             del content["sensor_node"][key]
         return content
 
     def to_toml(self) -> str:
-        """Return the content of the file as TOML text, for the log.
+        """Return the content of the hand file as TOML text, for the log of a run.
 
-        ``load_hand`` reads an equal hand from this text.
+        From this text, ``load_hand`` reads a hand that is equal to this one.
         """
         return toml_text(self.content)
 
     @cached_property
     def identity(self) -> str:
-        """Return the SHA-256 hash of the content that calibration and gains depend on, in hexadecimal.
+        """Return the SHA-256 hash, in hexadecimal, of the content on which calibrations and gains depend.
 
-        Comments, spelling of numbers, and order of keys in the file have no effect on the hash. The
-        limits of streams, the meshes, and the keys of a drive's position loop are left out, because
-        no calibration and no gains depend on them.
+        Comments, the way in which numbers are written, and the order of keys do not change the
+        hash. The limits of streams, the meshes, and the keys of a drive's position loop are not
+        part of it, because neither calibrations nor gains depend on them.
         """
         content = {key: value for key, value in self.content.items() if key != "stream"}
         content["digit"] = [_without_keys(digit, MESH_KEYS) for digit in content["digit"]]
         content["motor"] = [_without_keys(motor, CONTROL_KEYS) for motor in content["motor"]]
         content["mount"] = _without_keys(content["mount"], PALM_MESH_KEYS)
-        # With sorted keys and fixed separators, equal content becomes an equal text.
+        # Because the keys are sorted and the separators are fixed, equal content becomes equal
+        # text.
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 def _without_keys(table: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
-    """Return a table without the given keys."""
+    """Return a copy of a table without the given keys."""
     return {key: value for key, value in table.items() if key not in keys}
 
 
 def _consecutive_slices(counts: list[int]) -> list[slice]:
-    """Return consecutive slices of the given lengths."""
+    """Return slices with the given lengths that follow one another."""
     return [slice(end - count, end) for count, end in zip(counts, accumulate(counts), strict=True)]

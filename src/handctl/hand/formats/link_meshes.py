@@ -1,6 +1,6 @@
-"""Meshes of a hand's links and palm, for display only.
+"""Meshes of the links and the palm of a hand, which are only displayed.
 
-These meshes have neither mass nor contacts.
+These meshes have neither mass nor contacts in a simulation.
 """
 
 import os
@@ -35,10 +35,10 @@ A binary STL with the largest number of triangles has 10 MB.
 
 @dataclass(frozen=True, slots=True)
 class LinkMesh:
-    """Mesh of a link or of the palm, and its place in the frame of the link.
+    """Mesh of a link or of the palm, with its placement in the frame of the link.
 
     Attributes:
-        link: name of the link, ``palm`` for the palm.
+        link: name of the link, or ``palm`` for the palm.
         key: key path of the mesh in the resolved content of the hand file.
         file: path of the mesh file as it is written in the hand file.
         scale: factors from the file's unit to metres, for x, y, z.

@@ -84,7 +84,7 @@ class TendonResult:
 
     @property
     def identified_names(self) -> tuple[str, ...]:
-        """Return the names of the identified parameters, without those that a contact or a low coherence made invalid."""
+        """Return the names of the identified parameters, without those that contact or low coherence made invalid."""
         if self.blocked_event:
             return ()
         return tuple(

@@ -1,4 +1,4 @@
-"""Design of gains, either with the largest authority that keeps the stability margins on all plants, or with poles at given frequencies.
+"""Design of gains: with the largest authority that keeps the stability margins, or with poles at given frequencies.
 
 The design varies one parameter of the LQR method, which is called authority. The authority is the
 force whose cost equals the cost of the errors, by Bryson's rule. With more authority, a loop is

@@ -278,7 +278,7 @@ def all_margins(
 def worst_loop(
     margins_by_loop: dict[tuple[str, LoopKind], LoopMargins],
 ) -> tuple[tuple[str, LoopKind], LoopMargins]:
-    """Return the name (tendon and kind) and the margins of the loop whose margin is too small by the largest fraction."""
+    """Return the name (tendon and kind) and the margins of the loop whose margin is too small by most."""
     return max(margins_by_loop.items(), key=lambda item: item[1].shortfall)
 
 
