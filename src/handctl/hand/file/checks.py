@@ -1,4 +1,4 @@
-"""Checks of a hand file that concern several sections: references, lengths of lists, tendon routing, limits, CAN identifiers."""
+"""Checks of a hand file across its sections: references, lengths of lists, tendon routing, limits, identifiers."""
 
 from __future__ import annotations
 
@@ -580,7 +580,7 @@ def _check_pretension(tendon: Tendon) -> MistakeIterator:
 
 
 def _check_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
-    """Check that a digit with spool pairs has one pair for each coordinate, and no single tendons, springs or load cells."""
+    """Check that a digit with spool pairs has one pair per coordinate, and no single tendons, springs or cells."""
     tendons = hand.tendon[hand.digit_tendons[digit.name]]
     pairs = [tendon for tendon in tendons if tendon.pretension_N is not None]
     if not pairs:
@@ -612,7 +612,7 @@ def _check_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
 
 
 def _check_drive(tendon: Tendon, motor: Motor) -> MistakeIterator:
-    """Check that the torque limit of a drive suits the tendon's ``drive_limit_N``, and that the motor can reach this limit."""
+    """Check that the torque limit of a drive suits ``drive_limit_N`` of its tendon, and that the motor reaches it."""
     where = f"motor[{motor.name}].torque_max_N_m"
     limit = tendon.drive_limit_N * motor.spool_radius_m
     if abs(motor.torque_max_N_m - limit) > 0.01 * limit:

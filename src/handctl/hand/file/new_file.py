@@ -129,7 +129,7 @@ class HandAnswers:
 
     @property
     def spacious_palm(self) -> float:
-        """Return the distance between the two sides of the palm at which a thick object fits between the digits [mm]."""
+        """Return the distance between both sides of the palm at which a thick object fits between the digits [mm]."""
         return (
             max(SMALLEST_OBJECT_MM, OBJECT_DIAMETER_RATIO * self.digit_mm)
             + self.width_mm

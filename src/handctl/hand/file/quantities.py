@@ -251,7 +251,7 @@ def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
 def _checked_numbers(
     values: Any, key: str, min_length: int, max_length: int, largest: float
 ) -> tuple[float, ...]:
-    """Check that a list has ``min_length`` to ``max_length`` numbers from ``-largest`` to ``largest``, and return it."""
+    """Check that a list has an allowed length and numbers from ``-largest`` to ``largest``, and return it."""
     right = f"{min_length} to {max_length} numbers from {-largest:g} to {largest:g} in {key}"
     if not isinstance(values, list | tuple) or not min_length <= len(values) <= max_length:
         raise validation_error(right)

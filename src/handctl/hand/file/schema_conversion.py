@@ -191,7 +191,7 @@ def _take_common_values(kind: str, blocks: Sequence[TomlTable]) -> list[TomlEntr
 def _take_shared_values(
     blocks: Sequence[TomlTable], can_be: Callable[[str, Any], bool]
 ) -> list[TomlEntry]:
-    """Remove those values from all tables that are the same in all of them, and return their lines with all comments."""
+    """Remove those values from all tables that all of them share, and return their lines with all comments."""
     first = blocks[0].values()
     others = [block.values() for block in blocks[1:]]
     keys = [
@@ -297,7 +297,7 @@ def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
 
 
 def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
-    """Remove those values from digits with equal links that are the same in all of them, and return them as templates."""
+    """Remove those values that digits with equal links share, and return templates with these values."""
     groups: dict[str, list[TomlTable]] = {}
     for block in digits:
         groups.setdefault(str(block.values().get("link_length_m")), []).append(block)

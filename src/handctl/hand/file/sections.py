@@ -446,7 +446,7 @@ class Digit(Section):
 
     @property
     def rated_loads(self) -> tuple[float, ...] | None:
-        """Return the largest torque or force that each joint withstands [N m or N], or None if any of them is not known."""
+        """Return the largest torque or force that each joint withstands [N m or N], or None if one is not known."""
         turning = self.joint_rated_torque_N_m
         sliding = self.joint_rated_force_N
         slides = self.is_prismatic
@@ -538,7 +538,7 @@ class Tendon(Section):
 
     @property
     def arms(self) -> dict[str, Any]:
-        """Return the entries of R for this tendon by joint: moment arms [m], or excursion ratios for prismatic joints."""
+        """Return the entries of R for this tendon by joint: moment arms [m], or ratios for prismatic joints."""
         return {**self.moment_arm_m, **self.excursion_ratio}
 
     def arm_key(self, joint: str) -> str:

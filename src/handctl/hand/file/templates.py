@@ -229,7 +229,7 @@ class _TemplateResolver:
     def _resolve_digit(
         self, layers: Sequence[ValueLayer], values: dict[str, Any], path: str
     ) -> None:
-        """Take the tendons and motors out of a digit, and extend single numbers to lists with one value for each link."""
+        """Take the tendons and motors out of a digit, and extend single numbers to lists with a value per link."""
         digit = values.get("name")
         inner = {kind: _template_layers_by_name(layers, kind) for kind in DIGIT_KINDS}
         for kind in DIGIT_KINDS:

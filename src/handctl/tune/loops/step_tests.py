@@ -52,7 +52,7 @@ unstable loop, a held tension oscillates by 2.9 N or more, or the run ends with 
 
 
 class StepExercise(ExerciseProgram):
-    """Exercise: tighten the tendons, make a step of the angles in free motion, and a step of the tensions of closed digits."""
+    """Exercise: tighten the tendons, step the angles in free motion, then step the tensions of closed digits."""
 
     @property
     def stages(self) -> tuple[ExerciseStage, ...]:
