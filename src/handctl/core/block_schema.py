@@ -167,7 +167,7 @@ class BlockLayout:
         return int(np.prod([self.axes[axis] for axis in _axes_of_table(table)], dtype=np.int64))
 
     def _field_span(self, field: BlockField) -> tuple[int, int, tuple[int, ...], bool]:
-        """Return the position of a field in a block: first element, end, shape, and True if its numbers are integers."""
+        """Return the place of a field in a block: first element, end, shape, and True for integers."""
         start, _, width, whole = self._tables[field.table]
         shape = tuple(self.axes[axis] for axis in _axes_of_table(field.table))
         first = start + field.first * width
@@ -210,7 +210,7 @@ class BlockLayout:
     def difference(
         self, block: BlockArray, other_block: BlockArray
     ) -> tuple[str, int, float, float] | None:
-        """Return the first difference between two blocks in the order of the schema: name of the field, element, both values.
+        """Return the first difference between two blocks: name of the field, element, and both values.
 
         If the blocks are equal, return None. Values are compared bit by bit. So a NaN equals a NaN.
         """

@@ -31,7 +31,7 @@ InverseDynamics = Callable[[DigitModel, JointValues, JointValues, JointValues], 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandModel:
-    """A hand, its gains, and all quantities that follow from both.
+    """A hand, its gains, and all constants that follow from both.
 
     Attributes:
         hand: description of the hand.

@@ -218,7 +218,7 @@ class InspectedHand(NamedTuple):
 
 
 def inspect_content(content: Mapping[str, Any]) -> InspectedHand:
-    """Validate the parsed content of a hand file, and find all mistakes that must be corrected before the hand may run."""
+    """Validate the parsed content of a hand file, and find all mistakes that prevent the use of the hand."""
     hand, mistakes = validate_content(content)
     origins = resolve_templates(content).origins if content.get("schema") == WRITTEN_SCHEMA else {}
     if hand is not None:

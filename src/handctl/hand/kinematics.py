@@ -35,7 +35,7 @@ def joint_positions(poses: Array) -> Array:
 
 
 def joint_points(digit: DigitModel, q: JointValues) -> Array:
-    """Return the positions (n + 1, 3) of the joints, from the palm to the tip, and of the tip, in the palm frame [m]."""
+    """Return the positions (n + 1, 3) of the joints and of the tip in the palm frame, from palm to tip [m]."""
     poses = link_poses(digit, q)
     tip = joint_positions(poses)[-1] + digit.lengths[-1] * link_rotations(poses)[-1, :, 0]
     return np.vstack((joint_positions(poses), tip))

@@ -1,4 +1,4 @@
-"""Geometry and mass of a digit's links: joint axes, rotations, centres of mass and inertias, in the frame of each link."""
+"""Geometry and mass of a digit's links: joint axes, rotations, centres of mass and inertias."""
 
 import math
 

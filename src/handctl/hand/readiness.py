@@ -56,7 +56,7 @@ def _check_rates(bus: Bus) -> Iterator[FileMistake]:
 
 
 def _check_direction(digit: Digit) -> Iterator[FileMistake]:
-    """Check that each coordinate of a coupled digit can move within the joint limits, and that positive values flex the digit."""
+    """Check that coupled joints can move within their limits, and that positive values flex the digit."""
     if digit.coupling is None:
         return
     where = f"digit[{digit.name}].coupling"

@@ -444,7 +444,7 @@ def _move_link(
 
 @kernel_helper
 def _load_link(table: Array, row: int, work: Array, j: int) -> None:
-    """Write the force and the torque at the joint of link j that the motion of this link requires, in the link's frame."""
+    """Write the force and the torque at the joint of link j that the motion of this link requires."""
     mass = table[row + MASS_ROW, j]
     hx, hy, hz = (
         table[row + MOMENT_ROW, j],

@@ -26,7 +26,7 @@ The rotor starts at rest, and its elastic tendon is slack at first and has no da
 
 
 def runaway_tension(force: float) -> float:
-    """Return the largest tension if a drive runs away from rest with a constant ``force``, converted to the tendon [N]."""
+    """Return the largest tension if a drive runs away from rest with a constant ``force`` [N]."""
     return RUNAWAY_OVERSHOOT * force
 
 

@@ -461,9 +461,10 @@ def _take_up_slack(
     Args:
         x: state tables.
         c: constants of the hand.
-        trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
-        terms: (2, N) tension goal and feedback of motion [N], modified in place.
-        internal: (2, N) null-space force and integral [N], modified in place.
+        trajectory: (3, J) angles, rates and accelerations of the joints on their trajectories.
+        terms: (2, N) tension goals and feedback forces of the motion loop [N], modified in place.
+        internal: (2, N) forces in the null space, and integrals of the tension errors [N], modified
+            in place.
     """
     for n in range(x.tendon.shape[1]):
         if _is_paid_out_while_slack(x, c, n, terms[1, n]):
@@ -486,14 +487,15 @@ def _take_up_slack(
 def _is_paid_out_while_slack(x: StateTables, c: ConstantTables, n: int, feedback: float) -> bool:
     """Return True if the feedback of a motion without stream would pay out a slack tendon without load cell.
 
-    Neither the motor nor a load cell measures the excursion of such a tendon. If its estimate is
-    too large, the motor would pay out more and more of the tendon, because the estimate stays.
+    Neither the motor nor a load cell measures the excursion of a slack tendon without load cell. If
+    the estimated excursion is too large, the motor would pay out more and more of the tendon,
+    because no measurement corrects the estimate.
 
     Args:
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        feedback: feedback force of the errors of excursion and speed [N].
+        feedback: feedback force that the errors of excursion and speed cause [N].
     """
     return bool(
         feedback < 0.0
@@ -508,7 +510,7 @@ def _is_paid_out_while_slack(x: StateTables, c: ConstantTables, n: int, feedback
 
 @kernel_helper
 def _goal_along_tendon(c: ConstantTables, n: int, trajectory: Matrix) -> tuple[float, float, float]:
-    """Return excursion [m], rate [m/s] and acceleration [m/s2] of a tendon on the trajectories of the joints."""
+    """Return excursion [m], rate [m/s] and acceleration [m/s2] that a tendon has on the joint trajectories."""
     excursion = 0.0
     rate = 0.0
     acceleration = 0.0
@@ -528,7 +530,7 @@ def _goal_along_tendon(c: ConstantTables, n: int, trajectory: Matrix) -> tuple[f
 
 @kernel_helper
 def _goal_of_carriers(c: ConstantTables, n: int, trajectory: Matrix) -> tuple[float, float]:
-    """Return the rate [m/s] and acceleration [m/s2] of a tendon that the trajectories of carrying digits cause."""
+    """Return the rate [m/s] and acceleration [m/s2] of a tendon caused by the digits that carry its digit."""
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0, 0.0
     return carrier_excursion(c, n, trajectory[1]), carrier_excursion(c, n, trajectory[2])
@@ -541,8 +543,8 @@ def _force_for_carriers(c: ConstantTables, n: int, rate: float, acceleration: fl
     Args:
         c: constants of the hand.
         n: index of the tendon.
-        rate: rate of the tendon that the carrying digits cause [m/s].
-        acceleration: acceleration of the tendon that the carrying digits cause [m/s2].
+        rate: rate of the tendon caused by the digits that carry its digit [m/s].
+        acceleration: acceleration of the tendon caused by the digits that carry its digit [m/s2].
     """
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0
@@ -564,24 +566,24 @@ def _motion_force(
     rate: float,
     acceleration: float,
 ) -> float:
-    """Return the motor force of a moving tendon by computed torque [N], and write its tension goal.
+    """Return the motor force of a tendon on a trajectory by computed torque [N], and write the tension goal.
 
     Args:
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        tension: tension goal at the load cell [N].
-        feedback: feedback force of the errors of excursion and speed [N].
-        rate: rate of the tendon at its spool on the trajectories [m/s].
-        acceleration: acceleration of the tendon at its spool on the trajectories [m/s2].
+        tension: tension goal of the tendon at its load cell [N].
+        feedback: feedback force that the errors of excursion and speed cause [N].
+        rate: rate of the tendon at its spool on the trajectory [m/s].
+        acceleration: acceleration of the tendon at its spool on the trajectory [m/s2].
     """
     speed = motor_speed(x, c, n)
     counted = c.run[h.FRICTION_FRACTION]
     x.tendon[s.TENSION_GOAL, n] = tension
     if _takes_up_slack(x, c, n):
         rate = _take_up_speed(rate)
-    # If the drive closes the position loop, its position command includes the planned stretch of
-    # the tendon. The loop in the drive then also controls the tension.
+    # If the drive closes the position loop, the position in its command includes the planned
+    # stretch of the tendon. The position loop of the drive then also controls the tension.
     inner_gain = 0.0 if _is_moved_by_drive(x, c, n) else c.run[h.TENSION_FEEDBACK]
     return (
         tension
@@ -600,13 +602,13 @@ def _motion_force(
 def _tension_force(
     x: StateTables, c: ConstantTables, n: int, limit: float
 ) -> tuple[float, float, float]:
-    """Return the motor force of the tension loop, its setpoint and its integral [N].
+    """Return three values of a tendon's tension loop: motor force, setpoint and integral of the error [N].
 
     Args:
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        limit: largest tension [N].
+        limit: largest allowed tension [N].
     """
     target = min(x.tendon[s.TENSION_TARGET, n], limit)
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
@@ -628,8 +630,7 @@ def _tension_force(
         - c.run[h.DISTURBANCE_REJECTION] * x.tendon[s.DISTURBANCE, n]
     )
     if slack and setpoint > 0.0:
-        # The small tension error of a slack tendon does not overcome the friction of a rotor at
-        # rest.
+        # The small tension error of a slack tendon cannot overcome the friction of a motor at rest.
         force += c.tendon[h.MOTOR_COULOMB, n]
     if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT_OF_TENDON, n]] != NO_TRAJECTORY:
         force += _feedforward_force(x, c, n)
@@ -639,7 +640,7 @@ def _tension_force(
 
 @kernel_helper
 def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the feedforward motor force of a tension-controlled tendon on an expected trajectory [N]."""
+    """Return the feedforward motor force of a tension-controlled tendon whose digit is expected to move [N]."""
     speed = 0.0
     acceleration = 0.0
     for k in range(x.coordinate.shape[1]):
@@ -656,7 +657,7 @@ def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
 def _relaxing_force_limit(
     x: StateTables, c: ConstantTables, n: int, rate: float, ticks: int
 ) -> float:
-    """Return the largest motor force of a relaxing hand [N], see ``controller.relaxing``."""
+    """Return the largest motor force while the hand relaxes [N], see ``controller.relaxing``."""
     last = x.tendon[s.COMMANDED_FORCE, n]
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         last = abs(last)
@@ -667,10 +668,10 @@ def _relaxing_force_limit(
 
 @kernel_helper
 def _motor_friction(x: StateTables, c: ConstantTables, n: int, command_force: float) -> float:
-    """Return the average Coulomb friction of the motor in the coming period [N].
+    """Return the Coulomb friction of a motor, averaged over the coming control period [N].
 
-    The implicit midpoint rule ensures that friction can stop a rotor within a period, but cannot
-    reverse its motion.
+    With the implicit midpoint rule, friction can stop a motor within a period, but cannot reverse
+    its motion.
     """
     coasting = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (
         command_force - x.tendon[s.TENSION, n]
@@ -680,7 +681,10 @@ def _motor_friction(x: StateTables, c: ConstantTables, n: int, command_force: fl
 
 @kernel_helper
 def _fade_trim(x: StateTables, c: ConstantTables) -> None:
-    """Reduce the trim of all tendons. Set all trims to 0 when the largest trim is negligible."""
+    """Reduce the trim of each tendon, which is a small force added to the motor force.
+
+    Set all trims to 0 when the largest trim is negligible.
+    """
     if not x.run_int[s.TRIMMED]:
         return
     largest = 0.0

@@ -216,7 +216,7 @@ def relative_path(path: Path, folder: Path) -> str:
 
 
 def with_meshes_from(content: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the resolved content of a hand with absolute paths of meshes, which do not depend on the place of the hand file.
+    """Return the resolved content of a hand file with absolute mesh paths, so that the file can be moved.
 
     Args:
         content: content of the hand, from ``Hand.content``.
