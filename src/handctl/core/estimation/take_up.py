@@ -50,7 +50,7 @@ def regime_evidence(
 ) -> int:
     """Return a count that grows while a slack tendon seems to be taut (points), or a taut one slack (ticks).
 
-    For a slack tendon, a missing load-cell reading does not change the points.
+    A missing load-cell reading sets the number of ticks to 0, but leaves the points unchanged.
 
     Args:
         regime: present regime of the tendon.
