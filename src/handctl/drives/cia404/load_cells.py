@@ -121,7 +121,7 @@ class Cia404LoadCells:
 
         Args:
             node: description of the amplifiers in the hand file.
-            bus: index of the bus of the amplifiers.
+            bus: index of the bus to which the amplifiers is connected.
             tendons: all tendon names of the hand, in order.
         """
         assert node.range_N is not None  # the checks of the hand file guarantee that it has a value
@@ -188,7 +188,8 @@ class Cia404LoadCells:
     def cell_range(self) -> tuple[float, float]:
         """Return the rated load of the load cells with both signs, as the limits of the range [N].
 
-        An amplifier reports an overload as NaN or -2^31 counts, which are outside this range.
+        An amplifier reports an overload as NaN or as -2^31 counts, which are both outside this
+        range.
         """
         return -self.range_n, self.range_n
 
@@ -214,7 +215,10 @@ class Cia404LoadCells:
 
     @property
     def messages(self) -> tuple[CyclicMessage, ...]:
-        """Return the signal tables of the frames. ``Signal.channel`` is the index of the tendon."""
+        """Return the signal tables of the frames.
+
+        In each signal, ``Signal.channel`` is the index of the tendon.
+        """
         messages = []
         for amplifier, groups in zip(self.amplifiers, self.group_ranges, strict=True):
             for tpdo, group in enumerate(groups):
@@ -256,7 +260,10 @@ class Cia404LoadCells:
         return True
 
     def lost_frame_count(self, syncs: int, accepted: int, stale: int) -> int:
-        """Return the number of lost frames. Answers to the last SYNC are not counted."""
+        """Return the number of lost frames.
+
+        Missing answers to the last SYNC are not counted, because they may still arrive.
+        """
         return max(0, (syncs - 1) * len(self.ids) - accepted - stale)
 
     def group_of_tendon(self, tendon_index: int) -> int:
