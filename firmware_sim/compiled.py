@@ -154,7 +154,8 @@ def _compile_kernel(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
 
     try:
         return njit(arguments, cache=True, error_model="numpy")(kernel)
-    except RuntimeError:  # no cache folder can be written, neither here nor in the user's home folder
+    # No cache folder can be written, neither here nor in the user's home folder.
+    except RuntimeError:
         return njit(arguments, error_model="numpy")(kernel)
 
 

@@ -410,7 +410,8 @@ def _steps(
         speeds = 0.0
         for speed in dq:
             speeds += speed
-        if not abs(speeds) < DIVERGED_RAD_S:  # this condition is also true if the sum of the speeds is NaN
+        # This condition is also true if the sum of the speeds is NaN.
+        if not abs(speeds) < DIVERGED_RAD_S:
             return done
         step_drivetrain(tendons, joints, arms, rotors, q, dq, torque, damping, True)
         # MuJoCo's function mj_step reads and writes the arrays q, dq, torque and damping in place.

@@ -182,7 +182,8 @@ class Plant:
         for i, (spec, (tendon, motor)) in enumerate(
             zip(self.hand.tendons, self.tendons, strict=False)
         ):
-            wound = -rng.uniform(*INITIAL_SLACK_RANGE_M)  # A negative length means that the tendon is unwound.
+            # A negative length means that the tendon is unwound.
+            wound = -rng.uniform(*INITIAL_SLACK_RANGE_M)
             motor.theta = wound / tendon.radius
             if spec.pretension:
                 # The tendons of a spool pair stay taut, because they were mounted while the spool

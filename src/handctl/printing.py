@@ -63,7 +63,8 @@ def one_line_message(text: str, max_characters: int = MAX_MESSAGE_CHARACTERS) ->
     A message begins with the mistake and ends with the expected value. So both ends of the text are
     kept.
     """
-    if len(text) > 4 * max_characters:  # escape sequences are never shorter than the characters that they replace
+    # Escape sequences are never shorter than the characters that they replace.
+    if len(text) > 4 * max_characters:
         text = text[: 2 * max_characters] + text[-2 * max_characters :]
     line = escape_text(text.replace("\n", " "))
     if len(line) <= max_characters:

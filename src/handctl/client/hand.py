@@ -210,7 +210,8 @@ class HandClient:
             self._is_hand_off
         ) = False
         self._lock = threading.RLock()  # at any time, only one call may wait for a status line
-        self._output_lock = threading.RLock()  # only one call at a time may read the output of the controller
+        # Only one call at a time may read the output of the controller.
+        self._output_lock = threading.RLock()
         self._observations: ObservationReader | None = None
         self._description: Hand | None = None
         self._watcher = StatusWatcher(bus)
@@ -368,7 +369,8 @@ class HandClient:
         """
         if space not in get_args(StreamSpace):
             raise ConfigError(repr(space), "stream.space", " or ".join(get_args(StreamSpace)))
-        if isinstance(names, str):  # a single text is refused, because each letter would count as a name
+        # A single text is refused, because each letter would count as a name.
+        if isinstance(names, str):
             raise ConfigError(repr(names), "stream.names", f"a list, as in [{names!r}]")
         hand = self.description
         everything = {"joint": hand.joints, "tension": hand.tendon_names}.get(

@@ -169,7 +169,8 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
     inertia = (space.motor_mass + space.load_mass) * space.spool**2
     stiffness = inertia * model.motion.stiffness
     damping = inertia * model.motion.damping
-    kp = np.array([motor.kp_N_m_per_rad for motor in motors], dtype=np.float64)  # NaN if the file gives none
+    # NaN if the file gives none.
+    kp = np.array([motor.kp_N_m_per_rad for motor in motors], dtype=np.float64)
     kd = np.array([motor.kd_N_m_s_per_rad for motor in motors], dtype=np.float64)
     stiffest = inertia * (MAX_PHASE_RAD / model.period) ** 2
     kp = np.minimum(np.where(np.isnan(kp), stiffness, kp), stiffest)

@@ -160,7 +160,9 @@ def can_hold_each_other(arms: Vector) -> bool:
     largest = np.abs(arms).max()
     if ((arms.min(axis=0) >= 0.0) & (arms.max(axis=0) > MAX_TORQUE_RESIDUAL * largest)).any():
         return (
-            False  # if all moment arms at a coordinate are positive, tensions always make a torque together
+            # If all moment arms at a coordinate are positive, tensions always make a torque
+            # together.
+            False
         )
     from scipy.optimize import nnls  # this import takes as long as all other checks of a hand
 

@@ -134,7 +134,8 @@ def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
     """
     balance = model.redundancy.balance[tendons]
     least = model.floor[tendons] + TIGHTEN_MARGIN_N
-    least = np.where(model.is_pair[tendons], 0.0, least)  # the pretension of a spool pair keeps its tendons taut
+    # The pretension of a spool pair keeps its tendons taut.
+    least = np.where(model.is_pair[tendons], 0.0, least)
     return np.asarray(balance * (least / balance).max() if balance.all() else least)
 
 

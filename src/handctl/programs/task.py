@@ -17,9 +17,9 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import read_toml
 
-if (
-    TYPE_CHECKING
-):  # imported only for type checks, because this module imports numba, and reading a task does not need numba
+# Imported only for type checks, because this module imports numba, and reading a task does not need
+# numba.
+if TYPE_CHECKING:
     from handctl.hand.digit import DigitModel
 
 AngleDeg = Annotated[float, Field(ge=-30, le=150)]

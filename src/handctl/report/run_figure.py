@@ -115,7 +115,8 @@ def _add_titles_and_phases(grid: Any, late: list[Any], log: RunLog, hand: Hand) 
         row[0].set_ylabel(label)
     slides = [bool(hand.displayed_mean(name).is_prismatic[0]) for name in hand.digit_names]
     for d, axes in enumerate(grid[0]):
-        if d == 0 or len(set(slides)) > 1:  # otherwise, the label of the first digit is the label of all digits
+        # Otherwise, the label of the first digit is the label of all digits.
+        if d == 0 or len(set(slides)) > 1:
             axes.set_ylabel("mean joint position [mm]" if slides[d] else ROW_LABELS[0])
     for axes in (*grid.flat, *late):
         axes.grid(alpha=0.3)

@@ -125,7 +125,8 @@ class LocalCanBus(can.BusABC):
     @staticmethod
     def _detect_available_configs() -> list[Any]:
         """List the local buses of this user whose sockets exist on this machine."""
-        with suppress(BusError):  # if the folder of the sockets cannot be trusted, no buses are listed
+        # If the folder of the sockets cannot be trusted, no buses are listed.
+        with suppress(BusError):
             return [
                 {"interface": "local", "channel": path.stem}
                 for path in sorted(run_dir().glob("*.bus"))

@@ -234,7 +234,8 @@ class ControlLoop(Generic[S]):
         try:
             with self.tick_priority():
                 self.clock.start()
-                for bus in self.buses:  # frames that were received before the run do not belong to any tick
+                # Frames that were received before the run do not belong to any tick.
+                for bus in self.buses:
                     bus.drain()
                 return self._run_guarded(state)
         finally:
@@ -333,7 +334,8 @@ class ControlLoop(Generic[S]):
         while mode != HandMode.DONE:
             self._k = k
             late = self.clock.wait(k)
-            skipped = late // self.period_ns  # ticks that were missed are skipped and not made up for
+            # Ticks that were missed are skipped and not made up for.
+            skipped = late // self.period_ns
             k += skipped
             self._k = k
             entry = self._collect(k, late - skipped * self.period_ns)

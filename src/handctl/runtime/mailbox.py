@@ -279,7 +279,8 @@ class StatusWatcher:
         self.socket.settimeout(timeout_s)
         try:
             data, _, ours = receive_datagram(self.socket, MAX_STATUS_BYTES)
-        except (TimeoutError, BlockingIOError):  # with a timeout of 0, the error is a BlockingIOError
+        # With a timeout of 0, the error is a BlockingIOError.
+        except (TimeoutError, BlockingIOError):
             return None
         if not ours:
             return None

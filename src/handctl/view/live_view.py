@@ -61,7 +61,8 @@ def main() -> int:
 
         follow_log(log, arguments, stop)
     except HandctlError as error:
-        print(f"handctl view: {error}", file=sys.stderr)  # a HandctlError always has a printable message
+        # A HandctlError always has a printable message.
+        print(f"handctl view: {error}", file=sys.stderr)
         return 1
     return 0
 

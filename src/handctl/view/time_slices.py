@@ -46,7 +46,8 @@ def time_slices(
         for group in _group_chunks(head.first_ns, rest, first_ns) or [[]]:
             first = rest.index(group[0]) if group else 0
             for chunk in group:
-                file.chunk_content(chunk)  # checks the checksum, because Rerun would show damaged data
+                # Checks the checksum, because Rerun would show damaged data.
+                file.chunk_content(chunk)
             # Every part begins with the head of the log file and the first chunk, which contain the
             # definitions of all topics.
             with part.open("wb") as out:

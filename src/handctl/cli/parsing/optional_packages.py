@@ -35,7 +35,8 @@ def _needs_simulator(verb: str, args: argparse.Namespace) -> bool:
         return True
     if verb == "config":
         return bool(args.what == "init" and (args.urdf or args.mjcf))
-    if verb == "paper":  # if the file of results exists, the results are read from it, without a simulation
+    # If the file of results exists, the results are read from it, without a simulation.
+    if verb == "paper":
         return not (args.quick or (args.results and args.results.exists()))
     return (verb == "fault" and args.action in ("campaign", "sequences")) or (
         verb == "tune" and args.kind == "search"

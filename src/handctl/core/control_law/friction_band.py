@@ -135,7 +135,8 @@ def _predict_pair_tension(
     period = c.run[h.PERIOD]
     upper = net_tension_at_spool(coming_tension, pretension, efficiency)
     lower = net_tension_at_spool(coming_tension, pretension, 1.0 / efficiency)
-    now = x.tendon[s.TENSION, n] if before == 0.0 else before  # 0 means that the tension of the last tick is unknown
+    # 0 means that the tension of the last tick is unknown.
+    now = x.tendon[s.TENSION, n] if before == 0.0 else before
     stiffness = c.tendon[h.TENDON_STIFFNESS, n]
     creep = stiffness * MIN_SLIDING_SPEED_M_S * period / (0.5 * (upper - lower) + MIN_FRICTION_N)
     sticking = (now + stiffness * wound_length + creep * coming_tension) / (1.0 + creep)

@@ -44,7 +44,8 @@ def update_slack_history(x: StateTables, c: ConstantTables) -> None:
             loose = tension < SLACK_N and commanded > max(TAUT_N, 2.0 * c.tendon[h.PRETENSION, n])
             x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if loose else 0
         is_taut = tension > TAUT_N or (x.tendon_int[s.IS_TAUT, n] == 1 and tension > SLACK_N)
-        x.tendon_int[s.IS_TAUT, n] = is_taut or pair  # at least one tendon of a spool pair is always taut
+        # At least one tendon of a spool pair is always taut.
+        x.tendon_int[s.IS_TAUT, n] = is_taut or pair
 
 
 @kernel_helper

@@ -59,7 +59,8 @@ def detect_tendon_faults(
         # The load-cell reading is tested even before the zero of the load cell is known.
         tension = monitored_tension(x, c, n, True)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            tension = abs(tension)  # both directions of the net tension of a spool pair have the same limit
+            # Both directions of the net tension of a spool pair have the same limit.
+            tension = abs(tension)
         if c.tendon[h.TENSION_TRIP, n] < tension < rail:
             evidence[T03, n] = tension
         # A measured tension above the torque limit of the drive proves that the drive does not obey

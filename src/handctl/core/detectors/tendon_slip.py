@@ -33,7 +33,8 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
     for n in range(x.tendon.shape[1]):
         tension = monitored_tension(x, c, n, tared)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]  # at least one tendon of a spool pair is always taut
+            # At least one tendon of a spool pair is always taut.
+            x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]
         elif tension < SLACK_N or _is_tautness_unknown(x, c, n):
             x.tendon[s.TAUT_S, n] = 0.0
         elif tension > TAUT_N:

@@ -225,7 +225,8 @@ class LocalBus:
         All other frames count as refused.
         """
         if len(frames) > self._free_queue_places():
-            self.early_frames = self.drain()  # the hub may have reported a change of its queue since the last read
+            # The hub may have reported a change of its queue since the last read.
+            self.early_frames = self.drain()
         free = self._free_queue_places()
         if len(frames) > free:
             self._events.add_event("enobufs", len(frames) - free)
@@ -291,7 +292,8 @@ class LocalBus:
             the number of accepted frames. A frame that was sent only in part counts as accepted.
         """
         before = len(self._unsent_bytes)
-        accepted = max(0, -((before - sent) // CANFD_FRAME_BYTES))  # division of two integers, rounded up
+        # Division of two integers, rounded up.
+        accepted = max(0, -((before - sent) // CANFD_FRAME_BYTES))
         self._unsent_bytes = bytes(waiting[sent : before + accepted * CANFD_FRAME_BYTES])
         if frames > accepted:
             self._events.add_event("enobufs", frames - accepted)

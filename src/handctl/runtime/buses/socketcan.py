@@ -165,7 +165,8 @@ class SocketCanBus:
         )
         is_data = np.ones(count, bool)
         for i, ((size, realtime, dropped), frame) in enumerate(zip(datagrams, frames, strict=True)):
-            if dropped != self._dropped and dropped:  # the value 0 means that the kernel has reported no count
+            # The value 0 means that the kernel has reported no count.
+            if dropped != self._dropped and dropped:
                 self._events.add_event("dropped", (dropped - self._dropped) & 0xFFFFFFFF)
                 self._dropped = dropped
             if frame.can_id & ERROR_FLAG:
@@ -175,7 +176,8 @@ class SocketCanBus:
             frames.records["flags"][i] = frame.flags | FDF if size == CANFD_FRAME_BYTES else 0
             t_ns = realtime + offset
             if not earliest <= t_ns <= now:
-                t_ns = now  # the time stamp is missing, or the wall clock has been set in the meantime
+                # The time stamp is missing, or the wall clock has been set in the meantime.
+                t_ns = now
             stamps.append(stamp(t_ns))
             self._latest = max(self._latest, t_ns)
         records = frames.records[is_data]
