@@ -1,4 +1,4 @@
-"""Process data of the simulated CiA 402 drive: four RPDOs and four TPDOs, mapped over SDO.
+"""Process data objects (PDOs) of the simulated CiA 402 drive: four RPDOs and four TPDOs, which a host maps over SDO.
 
 Source: fact sheet cia402.
 
@@ -35,10 +35,10 @@ MAX_SYNCHRONOUS_TYPE = 240
 
 
 class NodePdos:
-    """The received and sent PDOs of one node."""
+    """The PDOs that one node receives and sends."""
 
     def __init__(self, objects: ObjectDictionary) -> None:
-        """Use the communication and mapping objects of a dictionary."""
+        """Use the communication and mapping objects of an object dictionary."""
         self._objects = objects
         self._waiting: dict[int, bytes] = {}
 
@@ -62,20 +62,23 @@ class NodePdos:
         self._objects.write(key, value_bytes)
 
     def _check_mapping(self, mapping_index: int, entry_count: int) -> None:
-        """Check that the number of entries and the length of a mapping are allowed."""
+        """Check that a mapping has an allowed number of entries and an allowed length."""
         if entry_count > 4:
             raise SdoAbort(OUT_OF_RANGE)
         if sum(self._objects[mapping_index, i + 1] & 0xFF for i in range(entry_count)) > 64:
             raise SdoAbort(PDO_TOO_LONG)
 
     def _mapped_objects(self, mapping: int) -> Iterator[tuple[ObjectKey, int]]:
-        """Iterate over the objects in a mapping, with sizes [bytes]."""
+        """Iterate over the objects in a mapping, each with its size [bytes]."""
         for i in range(self._objects[mapping, 0]):
             entry = self._objects[mapping, i + 1]
             yield (entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8
 
     def _rpdo_index(self, can_id: int) -> int:
-        """Return the index of the RPDO that has an identifier. Return -1 if no RPDO has it."""
+        """Return the index of the RPDO with a given identifier.
+
+        If no RPDO has this identifier, return -1.
+        """
         return next((i for i in range(4) if self._objects[0x1400 + i, 1] == can_id), -1)
 
     def receives(self, can_id: int) -> bool:
@@ -83,10 +86,10 @@ class NodePdos:
         return self._rpdo_index(can_id) >= 0
 
     def unpack(self, can_id: int, data: bytes) -> list[ObjectKey] | None:
-        """Write the objects of an RPDO at once, or store the RPDO until the next SYNC frame.
+        """Write the objects of an RPDO at once, or keep the RPDO until the next SYNC frame.
 
         Returns:
-            The objects that were written at once. None if the RPDO is too short.
+            The objects that were written at once, or None if the RPDO is too short.
         """
         number = self._rpdo_index(can_id)
         if len(data) < sum(size for _, size in self._mapped_objects(0x1600 + number)):
@@ -97,7 +100,7 @@ class NodePdos:
         return self._store_rpdo(number, data)
 
     def _store_rpdo(self, pdo_number: int, data: bytes) -> list[ObjectKey]:
-        """Write the objects of an RPDO and return their keys."""
+        """Write the objects that an RPDO contains, and return their keys."""
         keys = []
         offset = 0
         for key, size in self._mapped_objects(0x1600 + pdo_number):
@@ -107,7 +110,7 @@ class NodePdos:
         return keys
 
     def synchronise(self) -> list[ObjectKey]:
-        """Write the objects of the RPDOs that were stored until this SYNC frame.
+        """Write the objects of the RPDOs that have waited for this SYNC frame.
 
         Returns:
             The objects that were written.
@@ -135,9 +138,9 @@ class NodePdos:
         return [self._objects[0x1400 + i, 1] for i in range(4)]
 
     def standard_rpdo(self) -> int:
-        """Return the identifier of the RPDO that compiled kernels can handle, or -1.
+        """Return the identifier of the RPDO that compiled kernels can handle, or -1 if there is none.
 
-        The RPDO contains the control word and the target torque, and is written at once.
+        This RPDO contains the control word and the target torque, which are written at once.
         """
         for i in range(4):
             can_id = self._objects[0x1400 + i, 1]
@@ -153,9 +156,9 @@ class NodePdos:
     def standard_tpdo(self) -> tuple[int, int]:
         """Return the identifier and the transmission type of the TPDO that compiled kernels can handle.
 
-        The TPDO contains status word, position and torque. The TPDO is sent after SYNC, and is the
-        only active TPDO. With any other arrangement of PDOs, or if an RPDO depends on SYNC, the
-        identifier is -1.
+        This TPDO contains the status word, the position and the torque. It is sent after SYNC, and
+        no other TPDO is active. If the PDOs are arranged differently, or if an RPDO waits for SYNC,
+        the identifier is -1.
         """
         active = self._active_tpdos()
         waits = any(
@@ -174,13 +177,13 @@ class NodePdos:
         return (self._objects[0x1800 + i, 1] & 0x7FF if standard else -1), transmission
 
     def on_event(self) -> list[Frame]:
-        """Return the frames of the TPDOs that are sent on a change."""
+        """Return the frames of the TPDOs that the node sends when a value has changed."""
         return [
             self._tpdo_frame(i) for i in self._active_tpdos() if self._objects[0x1800 + i, 2] >= 254
         ]
 
     def _active_tpdos(self) -> list[int]:
-        """List the indices of the TPDOs that are on."""
+        """List the indices of the TPDOs that are switched on."""
         return [i for i in range(4) if not self._objects[0x1800 + i, 1] & PDO_OFF_BIT]
 
     def _tpdo_frame(self, pdo_number: int) -> Frame:

@@ -2,7 +2,8 @@
 
 Commands and answers are lines of text. Source: docs/facts/moteus.md.
 
-A changed configuration item is only in the working memory until ``conf write`` stores it.
+If a configuration item is changed, the change is in the working memory until ``conf write`` stores
+it.
 """
 
 import math
@@ -38,8 +39,8 @@ class TextChannel:
 
     Attributes:
         items: configuration items in the working memory.
-        saved: configuration items in the permanent memory.
-        out: text of those answers that the host has not read yet.
+        saved: configuration items that are stored permanently.
+        out: answers that the host has not read yet, as one text.
     """
 
     def __init__(self, stop_drive: Callable[[], None]) -> None:
@@ -55,7 +56,10 @@ class TextChannel:
         self._line = b""
 
     def write(self, data: bytes) -> None:
-        """Execute the complete lines of a text, and keep an incomplete last line."""
+        """Execute the complete lines of a text.
+
+        If the last line is incomplete, keep it for the next call.
+        """
         *lines, self._line = (self._line + data).replace(b"\r", b"\n").split(b"\n")
         for line in lines:
             if line:
@@ -73,12 +77,12 @@ class TextChannel:
         return part
 
     def forget(self) -> None:
-        """Load the stored configuration and empty the channel, as after a restart."""
+        """Load the stored configuration, and empty the channel, as a restart does."""
         self.items = dict(self.saved)
         self.out = self._line = b""
 
     def _execute_command_line(self, words: list[str]) -> str:
-        """Execute a command line and return the answer without its line end."""
+        """Execute a command line, and return the answer without its line end."""
         match words:
             case ["conf", "get", name]:
                 return self._item_text(name) if name in self.items else "ERR error reading"

@@ -1,1 +1,4 @@
-"""Declarations of faults, reactions and thresholds, and the choice of the reaction to present faults."""
+"""Declarations of faults, of the reactions to faults, and of thresholds.
+
+The package also chooses the reaction to the faults that are present.
+"""

@@ -1,7 +1,6 @@
 """Declaration of the arguments of the commands in this folder.
 
-The code of a command is imported only when that command runs. This makes the help texts appear
-fast.
+The code of a command is imported only when that command runs. So a help text appears fast.
 """
 
 import argparse
@@ -100,7 +99,7 @@ def config(parser: VerbParser) -> None:
 
 
 def _declare_init(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``config init``.
+    """Each option answers one question about the new hand.
 
     Each option answers one of the questions about the new hand.
     """

@@ -1,4 +1,4 @@
-"""Warning about a control rate at which a hand may oscillate, although the buses can carry all frames."""
+"""Warning about a control rate at which a hand may oscillate although the buses can carry all frames."""
 
 from handctl.controller.bus_load import split_motors_over_buses
 from handctl.core.gains.gains import Gains
@@ -21,20 +21,20 @@ oscillated in simulation, and the freely closing digits were taken for torn tend
 def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     """Return a warning if the gain margin of a tendon's motion loop is too small at a control rate.
 
-    A high bus load forces a low control rate. At low rates, the tensions of fingers with light
-    links may oscillate. The run then ends with an oscillation fault (N14b) or an over-tension fault
-    (T03).
+    If the load of a bus is high, the control rate must be low. At a low control rate, the tensions
+    of fingers with light links may oscillate. The run then ends with an oscillation fault (N14b) or
+    an over-tension fault (T03).
 
     Args:
         hand: description of the hand.
-        gains: gains of a run.
-        rate_hz: control rate of a run [Hz].
+        gains: gains with which the run would be controlled.
+        rate_hz: control rate of the run [Hz].
     """
     unchecked_hz = _lowest_unchecked_rate(hand)
     if rate_hz >= unchecked_hz:
         return []
-    # The compiled core computes the control loops. No other check of a hand needs to import the
-    # compiled core.
+    # The compiled core computes the control loops, and is imported only here. The other checks of a
+    # hand do not need the compiled core.
     from handctl.tune.loops.linear import LoopKind, open_loop
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB, margins_of_loop
 
@@ -61,7 +61,7 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
 
 
 def _lowest_unchecked_rate(hand: Hand) -> float:
-    """Return the control rate at and above which the loops of a hand are not checked [Hz]."""
+    """Return the lowest control rate at which the loops of a hand need not be checked [Hz]."""
     blind = ~hand.has_cell & ~hand.is_pair
     for digit in hand.digit:
         tendons = hand.digit_tendons[digit.name]

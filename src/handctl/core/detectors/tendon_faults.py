@@ -1,4 +1,4 @@
-"""Detectors of the faults of tendons and load cells, rows T01 to T09 of the catalogue, see ``safety.faults.tendon``."""
+"""Detectors of tendon and load-cell faults, rows T01 to T09 of the fault catalogue, see ``safety.faults.tendon``."""
 
 import math
 
@@ -50,26 +50,28 @@ from handctl.safety.faults.tendon import (
 def detect_tendon_faults(
     x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence
 ) -> None:
-    """Run the detectors of tendon faults that need no torque, and write their results into the evidence table."""
+    """Run those detectors of tendon faults that need no motor torque, and write their evidence."""
     rail = c.run[h.TENSION_RAIL]
     low = c.run[h.TENSION_LOW]
     relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
     relaxed = x.run_int[s.MODE] == RELAX_MODE and relaxing_s > RELAXED_S
     for n in range(x.tendon.shape[1]):
-        # The load-cell reading is tested even before the tare of the load cell is known.
+        # The load-cell reading is tested even before the zero of the load cell is known.
         tension = monitored_tension(x, c, n, True)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            tension = abs(tension)  # both directions of a spool pair have the same limit
+            # Both directions of the net tension of a spool pair have the same limit.
+            tension = abs(tension)
         if c.tendon[h.TENSION_TRIP, n] < tension < rail:
             evidence[T03, n] = tension
-        # A measured tension above the drive's torque limit proves that the drive does not obey this
-        # limit. A tension that is only estimated proves nothing.
+        # A measured tension above the torque limit of the drive proves that the drive does not obey
+        # this limit. A tension that is only estimated does not prove a fault of the drive.
         if c.tendon[h.DRIVE_LIMIT, n] < tension < rail and c.tendon_int[h.CELL_GROUP, n] >= 0:
             evidence[T03B, n] = tension
         if relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
             evidence[T03C, n] = tension
-        # The raw reading may be at an end of its range, or the tared reading may be beyond any
-        # possible tension. The tare may hide either of these cases, so the function tests both values.
+        # The raw reading may be at an end of its range, or the reading minus its zero may be beyond
+        # any possible tension. Subtracting the zero can hide a fault in either of these two values,
+        # so the function tests both.
         if armed and (tension >= rail or tension <= low or x.tendon_int[s.SATURATED, n]):
             evidence[T06, n] = tension
 
@@ -78,7 +80,7 @@ def detect_tendon_faults(
 def detect_tendon_faults_under_torque(
     x: StateTables, c: ConstantTables, evidence: Evidence
 ) -> None:
-    """Run the detectors of tendon faults that need torque, and write their results into the evidence table."""
+    """Run those detectors of tendon faults that need motor torque, and write their evidence."""
     for n in range(x.tendon.shape[1]):
         _detect_slack(x, c, n, evidence)
         unexplained = residuals.unexplained_tension(x, c, n)
@@ -105,11 +107,11 @@ def detect_tendon_faults_under_torque(
 
 @kernel_helper
 def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the speed of a tendon on the streamed trajectory of its joints [m/s].
+    """Return the speed that a tendon has on the streamed trajectory of its joints [m/s].
 
-    For a digit without a stream, the speed is 0. The moves of tasks are slow, and the spool of a
-    torn tendon still follows them. If the speed of these moves were also subtracted, a torn tendon
-    would be found half a second later, as a slack tendon (fault T02b).
+    For a digit without a stream, the speed is 0. The moves of tasks are slow, and even the spool of
+    a torn tendon follows them. If the speed of task moves were also subtracted, a torn tendon would
+    be found half a second later, and only as a slack tendon (fault T02b).
     """
     speed = 0.0
     if not is_tendon_streamed(x, c, n):
@@ -123,7 +125,7 @@ def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: Evidence) -> None:
-    """Find a tendon without its commanded tension: slack after some time (T02), or snapped if its spool runs (T01)."""
+    """Find tendons without their commanded tension: torn if the spool runs (T01), slack after some time (T02)."""
     period = c.run[h.PERIOD]
     commanded = x.tendon[s.COMMANDED_TENSION, n]
     speed = x.tendon[s.SPEED, n]

@@ -66,7 +66,9 @@ class OdriveOptions(NamedTuple):
 
 
 def pop_options(options: MutableMapping[str, Any], key_path: str) -> OdriveOptions:
-    """Return the values of the options, and remove their keys. The keys of endpoints remain.
+    """Return the values of the options, and remove their keys.
+
+    The options that name endpoints remain.
 
     Args:
         options: options of the motor, modified in place.

@@ -1,1 +1,1 @@
-"""Reader of logs. The reader also accepts incomplete and damaged log files."""
+"""Reader of logs. The reader also accepts log files that are incomplete or damaged."""
