@@ -271,9 +271,11 @@ def test_silent_joint_encoders_are_detected(joint):
         assert result.ok == bool(found), result.problem
 
 
-def orca_like_results(seed: int, wanted: dict[str, tuple[str, ...]]) -> dict[str, ScenarioResult]:
-    """Return the results of orca_like scenarios by name, with the catalogue rows that each stage runs."""
-    hand = hand_with_protocol("orca_like", "mit")
+def results_of_hand(
+    name: str, seed: int, wanted: dict[str, tuple[str, ...]]
+) -> dict[str, ScenarioResult]:
+    """Return the results of a hand's scenarios by name, with the catalogue rows that each stage runs."""
+    hand = hand_with_protocol(name, "mit")
     rate = default_rate(hand)
     results: list[ScenarioResult] = []
     with homed_run(hand, rate, seed) as simulation:
@@ -302,7 +304,7 @@ def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
     Earlier defect: with exchanged or late drives of the thumb, the spools became faster and faster,
     and pulled with 208 to 230 N.
     """
-    results = orca_like_results(seed, {FREE_STAGE: ("swap", "cross", "late")})
+    results = results_of_hand("orca_like", seed, {FREE_STAGE: ("swap", "cross", "late")})
     assert len(results) == 6
     for result in results.values():
         assert result.ok, result.scenario + result.problem
@@ -315,8 +317,8 @@ def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
     Earlier defect: both faults were detected too late. Earlier defect: a drive that kept its torque
     was not reported.
     """
-    results = orca_like_results(
-        1, {GRASP_STAGE: ("snap", "slack", "disobey", "ripple", "hold_on", "reorder")}
+    results = results_of_hand(
+        "orca_like", 1, {GRASP_STAGE: ("snap", "slack", "disobey", "ripple", "hold_on", "reorder")}
     )
     assert len(results) == 11
     for result in results.values():
@@ -331,8 +333,21 @@ def test_a_torn_tendon_without_load_cell_is_reported_in_free_motion():
 
     Reproduce a defect: T08 was reported after 190 ms, but the campaign did not accept T08.
     """
-    results = orca_like_results(1, {FREE_STAGE: ("snap", "stuck encoder", "reorder")})
+    results = results_of_hand("orca_like", 1, {FREE_STAGE: ("snap", "stuck encoder", "reorder")})
     assert len(results) == 5
+    for result in results.values():
+        assert result.ok, result.scenario + result.problem
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_faults_of_an_extensor_with_a_small_tension_are_found_in_time(seed):
+    """The extensor of the thumb pulls with 9 N in a grasp.
+
+    Reproduce two defects. A torn extensor was reported after 11 ticks, because the tension loop
+    damps its spool. A stuck load cell counted as late, although the motor force had not changed.
+    """
+    results = results_of_hand("n_plus_1", seed, {GRASP_STAGE: ("snap", "slack", "stuck cell")})
+    assert len(results) == 6
     for result in results.values():
         assert result.ok, result.scenario + result.problem
 

@@ -6,7 +6,11 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.control_law.digit_reference import is_tendon_streamed
+from handctl.core.control_law.digit_reference import (
+    NO_TRAJECTORY,
+    TENSION,
+    is_tendon_streamed,
+)
 from handctl.core.detectors import residuals, stuck_sensors
 from handctl.core.detectors.bus_faults import Evidence
 from handctl.core.detectors.replayed_readings import age_of_repeated_readings
@@ -19,7 +23,9 @@ from handctl.safety.faults.tendon import (
     CELL_FORCE_N,
     CELL_TICKS,
     DERAILED_READINGS,
+    FREE_SPOOL_FRACTION,
     FRICTION_WARN_N,
+    MIN_SNAP_SPEED,
     RELAXED_S,
     RESIDUAL_TRIP_N,
     RESIDUAL_WARN_N,
@@ -90,7 +96,7 @@ def detect_tendon_faults_under_torque(
         if rubs > FRICTION_WARN_N:
             evidence[T09, n] = rubs
         pushed = stuck_sensors.motion_since_reading(
-            x.tendon[s.RESIDUAL + residuals.QUICK_FORCE, n], x.tendon[s.CELL_ANCHOR, n]
+            x.tendon[s.CELL_ANCHOR + 1, n], x.tendon[s.CELL_ANCHOR, n]
         )
         same = x.tendon_int[s.CELL_STUCK, n] >= CELL_TICKS
         if same and pushed > CELL_FORCE_N and x.tendon[s.STUCK_TEST_TENSION, n] > TAUT_N:
@@ -122,6 +128,38 @@ def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
+def _snap_speed(x: StateTables, c: ConstantTables, n: int, commanded: float) -> float:
+    """Return the spool speed above which a tendon without tension counts as snapped [m/s].
+
+    In a hold, the tension loop makes the force f + K (f - 0) - K_v v on the spool of a torn tendon,
+    with the commanded tension f, the tension gain K and the speed gain K_v. The spool therefore
+    approaches the speed v at which this force equals the Coulomb friction c of the motor:
+
+        v = ((1 + K) f - c) / K_v.
+
+    For a tendon with a small commanded tension, such as an extensor in a grasp, this speed is below
+    ``SNAP_SPEED``. The threshold is then a fraction of it. A motion has no such final speed,
+    because its position feedback also moves the spool.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        commanded: commanded tension, positive [N].
+    """
+    d = c.tendon_int[h.DIGIT_OF_TENDON, n]
+    holds = x.tendon_int[s.GOAL_KIND, n] == TENSION
+    if not holds or x.digit_int[s.TRAJECTORY_KIND, d] != NO_TRAJECTORY:
+        return SNAP_SPEED
+    damping = c.tendon[h.TENSION_SPEED_GAIN, n]
+    force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded - c.tendon[h.MOTOR_COULOMB, n]
+    # The comparison needs no division, because the damping may be zero.
+    if FREE_SPOOL_FRACTION * force >= SNAP_SPEED * damping:
+        return SNAP_SPEED
+    return max(FREE_SPOOL_FRACTION * force / damping, MIN_SNAP_SPEED)
+
+
+@kernel_helper
 def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: Evidence) -> None:
     """Find a tendon without its commanded tension: slack after some time (T02), or snapped if its spool runs (T01)."""
     period = c.run[h.PERIOD]
@@ -142,7 +180,7 @@ def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: Evidence)
     was_taut = 0.0 <= x.tendon_int[s.TICKS_SINCE_TAUT, n] * period < SNAP_MEMORY_S
     beyond = speed - max(planned, 0.0)
     if (
-        beyond > SNAP_SPEED
+        beyond > _snap_speed(x, c, n, commanded)
         and commanded > SNAP_N
         and tension < SNAP_FRACTION * commanded
         and was_taut

@@ -69,6 +69,8 @@ class CatalogueRow(NamedTuple):
         moteus: visibility with moteus. The text is empty if it equals ``mit``, because both
             protocols answer each command once.
         robstride: visibility with RobStride. The text is empty if it equals ``mit``.
+        counted_from: event from which the longest reaction time counts, as the end of a sentence.
+            The text is empty if the time counts from the failure itself.
     """
 
     id: str
@@ -85,6 +87,7 @@ class CatalogueRow(NamedTuple):
     tested: str = "campaign"
     moteus: str = ""
     robstride: str = ""
+    counted_from: str = ""
 
     def visibility(self, protocol: str) -> str:
         """Return the visibility of the failure with a drive protocol, which is one of ``GUARDED_PROTOCOLS``."""
