@@ -178,6 +178,29 @@ def test_a_rate_that_leaves_no_margin_is_a_warning(
     assert line.endswith("; 2 buses allow 250 Hz (bus plan --rate 250)")
 
 
+@pytest.mark.parametrize(("links", "margin_db"), [("55,40,25", 3.5), ("50,30,20", 4.3)])
+def test_gains_that_leave_no_margin_without_load_cells_are_a_warning(
+    work_folder: Path, capsys: pytest.CaptureFixture[str], links: str, margin_db: float
+) -> None:
+    """Reproduce a defect: `config check` did not check hands with springs and without load cells at 400 Hz."""
+    words = ["--fingers", "1", "--links", links, "--tendons", "each", "--cells"]
+    write_initial_hand(*words, "none")
+    assert main(["config", "check", "--hand", "mine.toml"]) == 0
+    warned = [line for line in capsys.readouterr().out.splitlines() if "gain margin" in line]
+    [line] = {line.partition("warning: ")[2] for line in warned}
+    assert line.startswith("motion.force_N: 13 N leave the motion loop of index_t1, which has no")
+    assert f"a gain margin of {margin_db} dB instead of 6 dB at 400 Hz; expected" in line
+    force = float(re.search(r"expected at most ([0-9.]+) N$", line)[1])
+    assert 0.4 * 13.0 < force < 13.0
+    Path("gains.toml").write_text(f"schema = 1\n\n[motion]\nforce_N = {force:g}\n")
+    assert main(["config", "check", "--hand", "mine.toml", "--gains", "gains.toml"]) == 0
+    assert "gain margin" not in capsys.readouterr().out
+    Path("mine.toml").unlink()
+    write_initial_hand(*words, "all")
+    assert main(["config", "check", "--hand", "mine.toml"]) == 0
+    assert "gain margin" not in capsys.readouterr().out
+
+
 def test_antagonists_without_load_cells_need_a_higher_rate(
     work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

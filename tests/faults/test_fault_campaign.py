@@ -1,6 +1,6 @@
-"""Test the fault campaign in lockstep.
+"""Test the fault matrix in lockstep.
 
-Each injected fault has an effect, all reactions are in time, and physics explains all tensions.
+Each fault has an effect, all reactions are in time, and physics explains all tensions.
 """
 
 import contextlib
@@ -48,7 +48,7 @@ SAMPLED_FAULTS = ("N08", "H13")
 
 @pytest.fixture(scope="module")
 def campaign_report():
-    """Return the report of a short campaign: some faults with MIT drives, and one second without faults."""
+    """Return the report of a campaign: some rows with MIT drives, and one second of a hand without faults."""
     return campaign.run_campaign(
         "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, quick=False, fault_free_s=1.0,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
@@ -59,8 +59,9 @@ def campaign_report():
 def test_only_existing_load_cells_fail():
     """Reproduce a defect.
 
-    The campaign tried to saturate a load cell of two tendons that share one motor. Such tendons
-    have no load cells, so the campaign ended with a traceback.
+    The campaign let a load cell of a spool pair saturate, although spool pairs have no load cells.
+
+    The campaign then ended with a traceback.
     """
     for hand in (mount_on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
@@ -87,9 +88,9 @@ def test_the_report_has_its_sections(campaign_report):
 
 
 def test_fault_free_run_alone_continues_its_seeds():
-    """Runs without faults can use the seeds that follow those of an earlier campaign.
+    """The seeds of the runs without faults can continue those of an earlier campaign.
 
-    A long campaign can thus be executed in several parts.
+    So a long campaign can be done in several parts.
     """
     seeds = []
 
@@ -149,8 +150,7 @@ def test_a_reaction_or_a_missing_grasp_without_fault_is_a_false_alarm():
 def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed: int) -> None:
     """Reproduce a defect.
 
-    Two exchanged drives were detected only 2.3 s after the fingers had touched an object, because
-    the commands changed quickly during the contact.
+    The commands changed so much at the contact that exchanged drives were not detected for 2.3 s.
     """
     hand = hand_with_protocol("t42", "mit")
     with homed_run(hand, RATE_HZ, seed) as simulation:
@@ -165,23 +165,20 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
 def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_time(
     hand: str, protocol: str
 ) -> None:
-    """One bus with eleven moteus, ODrive or RobStride drives allows a control rate of only 100 Hz.
+    """With eleven moteus, ODrive or RobStride drives, one bus allows a control rate of only 100 Hz.
 
     The motors of such a hand are therefore on two buses.
     """
     replaced = hand_with_protocol(hand, protocol)
     assert default_rate(replaced) >= MIN_CONTROL_RATE_HZ
     assert {motor.bus for motor in replaced.motor} <= set(replaced.bus_names)
-    # A hand file of this hand, as `demo --protocol` writes it, describes exactly the same hand.
+    # The hand file that `demo --protocol` writes describes the same hand.
     assert hand_from_content(tomllib.loads(replaced.to_toml()), "hand") == replaced
 
 
 @pytest.mark.timeout(120)
 def test_at_100_hz_noise_prevents_no_grasp():
-    """In this test, the load-cell noise is three times the normal noise.
-
-    Without countermeasures, one of eleven taut tendons would look slack in every fifth tick.
-    """
+    """With three times the noise in the load cells, one of eleven taut tendons would look slack in every fifth tick."""
     assert (
         campaign.run_fault_free(hand_with_protocol("jamia11", "odrive"), 100.0, 8.0, seed=80111)
         == []
@@ -189,9 +186,9 @@ def test_at_100_hz_noise_prevents_no_grasp():
 
 
 def test_a_missing_reaction_counts_as_late(tmp_path):
-    """The campaign must report an injected fault without an effect, and a fault that is not detected in time.
+    """The judge of the campaign reports a fault without an effect, and a fault that cannot be detected in time.
 
-    This test shows that a run can fail.
+    This test shows that the judge can fail a run.
     """
     hand = hand_with_protocol("jamia", "mit")
     never = MatrixRow(
@@ -221,7 +218,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
 
 
 def test_a_reaction_to_another_fault_does_not_count():
-    """A run that ends because a drive is silent does not prove that faults of load cells are detected."""
+    """If a run ends because a drive is silent, it does not show that faults of load cells are detected."""
     row = MatrixRow(
         "T05", "error node=index_motor", SafetyAction.RELAX, 3, accepted_faults=("T05",)
     )
@@ -257,10 +254,10 @@ def test_the_offset_of_a_load_cell_exceeds_the_limits_of_its_tendon():
 
 @pytest.mark.parametrize("joint", ["index_j1", "thumb_j2"])
 def test_silent_joint_encoders_are_detected(joint):
-    """Four frames of a joint encoder that are missing in a row cause a fault.
+    """Four missing frames in a row of a joint encoder are a fault.
 
-    Three missing frames cause no fault, neither N06 (joint and spool disagree) nor T08 (a tendon
-    left its pulley).
+    Three missing frames in a row cause no fault: neither N06 (encoder drift or slip) nor T08 (a
+    tendon left its pulley).
     """
     every = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
     for frames, found in ((3, ""), (4, f"N02b {joint}")):
@@ -274,12 +271,11 @@ def test_silent_joint_encoders_are_detected(joint):
         assert result.ok == bool(found), result.problem
 
 
-def orca_like_results(seed: int, wanted: dict[str, tuple[str, ...]]) -> dict[str, ScenarioResult]:
-    """Return the results of fault scenarios with the hand orca_like, by name.
-
-    ``wanted`` gives the faults of each stage.
-    """
-    hand = hand_with_protocol("orca_like", "mit")
+def results_of_hand(
+    name: str, seed: int, wanted: dict[str, tuple[str, ...]]
+) -> dict[str, ScenarioResult]:
+    """Return the results of a hand's scenarios by name, with the catalogue rows that each stage runs."""
+    hand = hand_with_protocol(name, "mit")
     rate = default_rate(hand)
     results: list[ScenarioResult] = []
     with homed_run(hand, rate, seed) as simulation:
@@ -303,12 +299,12 @@ def orca_like_results(seed: int, wanted: dict[str, tuple[str, ...]]) -> dict[str
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
-    """Tensions stay below 40 N.
+    """Keep tensions below 40 N.
 
-    Earlier defect: with two exchanged thumb drives or a late one, the spools turned faster and
-    faster, and pulled with 208 to 230 N.
+    Earlier defect: with exchanged or late drives of the thumb, the spools became faster and faster,
+    and pulled with 208 to 230 N.
     """
-    results = orca_like_results(seed, {FREE_STAGE: ("swap", "cross", "late")})
+    results = results_of_hand("orca_like", seed, {FREE_STAGE: ("swap", "cross", "late")})
     assert len(results) == 6
     for result in results.values():
         assert result.ok, result.scenario + result.problem
@@ -316,13 +312,13 @@ def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
 
 
 def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
-    """A tendon that tears during a pull is detected within 75 ms, and a drive without torque within 22 ticks.
+    """A torn tendon that pulls is detected within 75 ms, and a drive without torque within 22 ticks.
 
-    Earlier defects: both faults were detected too late, and a drive that kept its torque was not
-    reported.
+    Earlier defect: both faults were detected too late. Earlier defect: a drive that kept its torque
+    was not reported.
     """
-    results = orca_like_results(
-        1, {GRASP_STAGE: ("snap", "slack", "disobey", "ripple", "hold_on", "reorder")}
+    results = results_of_hand(
+        "orca_like", 1, {GRASP_STAGE: ("snap", "slack", "disobey", "ripple", "hold_on", "reorder")}
     )
     assert len(results) == 11
     for result in results.values():
@@ -333,20 +329,33 @@ def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
 
 
 def test_a_torn_tendon_without_load_cell_is_reported_in_free_motion():
-    """The campaign also accepts the fault T08 (a tendon left its pulley) for a torn tendon.
+    """For a torn tendon, T08 (a tendon left its pulley) is accepted as well.
 
-    Earlier defect: T08 was reported after 190 ms, but the campaign did not accept it.
+    Reproduce a defect: T08 was reported after 190 ms, but the campaign did not accept T08.
     """
-    results = orca_like_results(1, {FREE_STAGE: ("snap", "stuck encoder", "reorder")})
+    results = results_of_hand("orca_like", 1, {FREE_STAGE: ("snap", "stuck encoder", "reorder")})
     assert len(results) == 5
     for result in results.values():
         assert result.ok, result.scenario + result.problem
 
 
-def test_only_missing_sensors_extend_a_time_limit():
-    """Hands without load cells have longer time limits for the detection of some faults.
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_faults_of_an_extensor_with_a_small_tension_are_found_in_time(seed):
+    """The extensor of the thumb pulls with 9 N in a grasp.
 
-    With load cells, the fault catalogue states the time limits.
+    Reproduce two defects. A torn extensor was reported after 11 ticks, because the tension loop
+    damps its spool. A stuck load cell counted as late, although the motor force had not changed.
+    """
+    results = results_of_hand("n_plus_1", seed, {GRASP_STAGE: ("snap", "slack", "stuck cell")})
+    assert len(results) == 6
+    for result in results.values():
+        assert result.ok, result.scenario + result.problem
+
+
+def test_only_missing_sensors_extend_a_time_limit():
+    """Compare hands with and without load cells.
+
+    With load cells, the time limits are those of the rows of the fault catalogue.
     """
     for name, some in (
         ("jamia", False),
@@ -373,12 +382,11 @@ def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
 
 
 def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
-    """A drive in this test pulls with full force against a grasped object.
+    """If a drive runs away against a grasped object, its limit and its momentum explain the tension.
 
-    The torque limit of the drive and the momentum of the rotor bound the tension. The drive pulls
-    with at most the force F. Seen at the tendon, the rotor has the mass m and the initial speed v.
-    The tendon has the stiffness k and the initial tension T. Without friction, the tension then
-    rises to F + sqrt((F - T)^2 + k m v^2). This bound follows from the conservation of energy. The
+    The drive pulls its rotor against the tendon with at most the force F. Seen at the tendon, the
+    rotor has the mass m and the initial speed v. The tendon has the stiffness k and the initial
+    tension T. Without friction, the tension then rises to F + sqrt((F - T)^2 + k m v^2). The
     reaction of the host can only lower this tension.
     """
     hand = hand_with_protocol("jamia", "mit")
@@ -404,8 +412,8 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
 def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated():
     """The drive in this test is an ODrive without torque feedback.
 
-    The load cell of its tendon cannot measure the tension at which the controller disables all
-    drives at once, because it saturates before.
+    The load cell of its tendon saturates below the tension at which all drives would be disabled at
+    once.
     """
     hand = hand_with_protocol("jamia_bench", "odrive")
     row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")

@@ -105,7 +105,7 @@ def stuck_names(
         resting_tick(tension=value, **JOINTS_READ), motor_stuck=before, cell_stuck=before, joint_stuck=before,
         motor_value=0.0, cell_value=value, joint_value=0.0, followed=changed_state.get("goal", zero),
         motor_anchor=[zero, 20.0 - np.array(changed_state.get("tension", zero))],
-        cell_anchor=20.0 - np.array(changed_state.get("pushed", zero)),
+        cell_anchor=[20.0 - np.array(changed_state.get("pushed", zero)), [20.0, 20.0]],
         joint_anchor=np.array(changed_state.get("turned", zero)) - 20.0 / SOFT_STIFFNESS * np.array([50.0, 100.0]),
     )  # fmt: skip
     stands = found.get("N04", {})
@@ -147,6 +147,23 @@ def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
         found = monitor.tick(resting_tick(force=20.0 if k == 0 else 60.0, tension=20.0))
         assert ("T05" in found) == (monitor.field_values("cell_stuck")[0] >= CELL_TICKS), k
     assert monitor.field_values("cell_stuck")[0] > CELL_TICKS
+
+
+def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> None:
+    """The motor force changes by 4 N in both directions, and at the end hardly differs from its start.
+
+    Reproduce a defect: only the difference from the motor force at the start counted. On
+    ``n_plus_1``, a stuck load cell of an extensor was reported only after 5 s.
+    """
+    monitor = make_monitor(SOFT_STIFFNESS)
+    monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
+    reported = []
+    for force in (20.0, 24.0, 16.0, 20.0):
+        for _ in range(CELL_TICKS):
+            found = monitor.tick(resting_tick(force=force, tension=20.0))
+        reported.append("T05" in found)
+    assert reported == [False, False, True, True]
+    assert found["T05"]["a"] == pytest.approx(8.0, rel=0.05)
 
 
 @pytest.mark.parametrize(

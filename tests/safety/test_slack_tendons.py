@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handctl.core.control_law.digit_goal import GoalKind
+from handctl.core.control_law.digit_reference import MINIMUM_JERK
 from handctl.core.detectors.residuals import TENSION
 from handctl.core.tick_types import HandMode
 from handctl.safety.faults.node import STILL_PULLING_N
@@ -115,6 +117,36 @@ def test_a_snapped_tendon_is_detected(ago, cell, goal, speed, found):
     tendons.run_tick([20.0, taut], [24.0, goal], measured_tension=[20.0, cell], speed=[0.05, speed])
     assert tendons.field_values("taut_ago")[1] == (ago if goal == goal else -1)
     assert tendons.reported.get("T01", {}) == ({"t1": speed} if found else {})
+
+
+@pytest.mark.parametrize(("goal", "speed_gain", "friction", "moves", "limit"), [
+    # The tension loop has the gain 0.1. A free spool reaches ((1 + 0.1) goal - friction) / speed_gain.
+    (11.0, 460.0, 3.0, False, 0.6 * 9.1 / 460.0),   # 0.0119 m/s, the extensor of n_plus_1
+    (24.0, 460.0, 3.0, False, 0.03),                # 0.6 times the speed of the free spool is 0.0305 m/s
+    (8.1, 460.0, 3.0, False, 0.01),                 # 0.6 times the speed of the free spool is 0.0077 m/s
+    (8.1, 460.0, 9.0, False, 0.01),                 # the friction is larger than the force
+    (11.0, 0.0, 3.0, False, 0.03),                  # a tension loop without damping
+    (11.0, 460.0, 3.0, True, 0.03),                 # the final speed of a motion is unknown
+])  # fmt: skip
+def test_the_speed_of_a_snapped_tendon_depends_on_its_tension_loop(
+    goal, speed_gain, friction, moves, limit
+):
+    """The extensor of a grasp has a small commanded tension.
+
+    Reproduce a defect: the tension loop of such a tendon damped its spool to less than 0.03 m/s, so
+    T01 was not reported for it.
+    """
+
+    def is_snapped(speed):
+        tendon = FilteredTendons(1, taut_ago=0, goal_kind=int(GoalKind.TENSION))
+        if moves:
+            tendon.set_rows({"way_kind": MINIMUM_JERK})
+        tendon.set_constants(tension_gain=0.1, tension_speed_gain=speed_gain, coulomb=friction)
+        tendon.run_tick([2.2], [goal], measured_tension=0.0, speed=speed)
+        return "T01" in tendon.reported
+
+    assert not is_snapped(limit - 1e-6)
+    assert is_snapped(limit + 1e-6)
 
 
 def test_no_tendon_snaps_before_tension_is_commanded():

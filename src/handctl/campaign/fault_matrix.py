@@ -16,6 +16,7 @@ from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.drives.sensors.sensor_node import TENSION_RAIL_N
 from handctl.hand.description import Hand
 from handctl.safety.action import SafetyAction
+from handctl.safety.faults.tendon import CELL_FORCE_ERROR_N, CELL_FORCE_N
 
 ARMING_STAGE = "arming"
 FREE_STAGE = "free motion"
@@ -79,6 +80,9 @@ class MatrixRow(NamedTuple):
         sensor_frames: number of further frames of the sensor node that the detection needs.
             ``ticks`` contains one tick for each. If the hand has no load cells, each is a joint
             frame, and comes after ``joint_decimation`` ticks.
+        force_change_N: variation of the motor force that the detection needs [N]. The time limit
+            counts from the instant at which the motor force has varied by this much since the
+            fault. If the motor force never varies by this much, no reaction is required.
     """
 
     id: str
@@ -93,6 +97,7 @@ class MatrixRow(NamedTuple):
     extra_ticks: dict[str, int] = {}  # noqa: RUF012 - read only
     no_cell_ms: float = 0.0
     sensor_frames: int = 0
+    force_change_N: float = 0.0
 
     def bound_ticks(self, protocol: str, period_ms: float) -> int:
         """Return the time limit of the row for drives of a given protocol [ticks]."""
@@ -287,7 +292,8 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("T04", "drift cell={tendon} size=60", RELAX, 2, 500.0, ("T04", "T03", "N14", "T02"),
         (GRASP_STAGE,)),
     MatrixRow("T04", "drift cell={tendon} size=-60", RELAX, 2, 500.0, ("T04", "T02", "T01"), (GRASP_STAGE,)),
-    MatrixRow("T05", "stuck cell={tendon}", RELAX, 42, 300.0, ("T05", "T04"), (GRASP_STAGE,)),
+    MatrixRow("T05", "stuck cell={tendon}", RELAX, 42, accepted_faults=("T05", "T04"), stages=(GRASP_STAGE,),
+        force_change_N=CELL_FORCE_N + CELL_FORCE_ERROR_N),
     MatrixRow("T05", "old cell={tendon} size=16", RELAX, 20, accepted_faults=("T05b",)),
     MatrixRow("T05", "old cell={tendon} size=50", RELAX, 20, accepted_faults=("T05b",)),
     MatrixRow("T06", "saturate cell={tendon} size=1", RELAX, 4, accepted_faults=("T06",), stages=ALL_STAGES),
@@ -425,9 +431,14 @@ def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
     )
 
 
+def words_of_fault(fault: str) -> dict[str, str]:
+    """Return the KEY=VALUE words of a fault text, by key."""
+    return dict(word.split("=", 1) for word in fault.split() if "=" in word)
+
+
 def _lacks_load_cell(hand: Hand, fault: str) -> bool:
     """Return True if a fault concerns a tendon without load cell, or the motor of such a tendon."""
-    words = dict(word.split("=", 1) for word in fault.split() if "=" in word)
+    words = words_of_fault(fault)
     names = (words.get("tendon"), words.get("node"))
     return any(
         not has_cell and (tendon.name in names or tendon.motor in names)

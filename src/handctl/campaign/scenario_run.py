@@ -11,7 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from handctl.campaign.fault_matrix import GRASP_STAGE, HOST_PREFIX, FaultScenario, MatrixRow
+from handctl.campaign.fault_matrix import (
+    GRASP_STAGE,
+    HOST_PREFIX,
+    FaultScenario,
+    MatrixRow,
+    words_of_fault,
+)
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, IoEvent, TickOut
 from handctl.errors import REMOVE_POWER
@@ -21,6 +27,10 @@ from handctl.session.simulate import SimulatedRun
 
 OBSERVATION_TIME_S = 1.3
 """Time for which a run is observed after the largest allowed reaction time, to see the torque disappear [s]."""
+FORCE_CHANGE_TIME_S = 8.0
+"""Further time for which a run is observed if the detection needs a change of the motor force [s]."""
+FORCE_TIME_CONSTANT_S = 0.02
+"""Time constant of the low-pass filter for the motor force whose change a detection needs [s]."""
 RUNAWAY_FAULT = "runaway"
 """Name of the fault of a drive that ignores all commands and pulls with the largest torque."""
 SHUT_DOWN_MODES = (HandMode.DISARM, HandMode.DONE)
@@ -41,7 +51,8 @@ class ScenarioResult:
         stage: stage of the run at which the fault was injected.
         effects: number of times that the injected fault took effect. If it is 0, the scenario tests
             nothing.
-        ticks: number of ticks from the physical event to the CAN frames that contain the reaction.
+        ticks: number of ticks from the physical event to the CAN frames that contain the reaction, or from the
+            change of the motor force that the detection needs.
             The number is -1 if there was no reaction.
         bound: largest allowed number of ticks until the reaction.
         detected_by: id of the fault that the controller reported, and the name of the affected
@@ -101,6 +112,7 @@ def run_scenario(
     start_ns = simulation.k * simulation.period_ns
     start_tension = simulation.simulated_hand.truth()["tension"]
     speed = _tendon_speeds(simulation)
+    reaction_start = ReactionStart(simulation, scenario)
     host = (
         HostFault(scenario.fault.removeprefix(HOST_PREFIX))
         if scenario.fault.startswith(HOST_PREFIX)
@@ -113,9 +125,8 @@ def run_scenario(
         if scenario.second_fault.startswith(HOST_PREFIX)
         else None
     )
-    for i in range(
-        bound + PAIR_DELAY_TICKS + round(OBSERVATION_TIME_S * 1e9 / simulation.period_ns)
-    ):
+    observation_s = OBSERVATION_TIME_S + (FORCE_CHANGE_TIME_S if row.force_change_N else 0.0)
+    for i in range(bound + PAIR_DELAY_TICKS + round(observation_s * 1e9 / simulation.period_ns)):
         inputs: dict[str, Any] = {"requests": (CUT_REQUEST,)} if i == 1 and row.id == "N16" else {}
         inputs |= host.tick_arguments(i, simulation) if host else {}
         if i == PAIR_DELAY_TICKS and second_host:
@@ -127,8 +138,14 @@ def run_scenario(
         # which the host continues.
         start_ns = t_ns if host and i == 0 else start_ns
         out = simulation.run_tick(**inputs)
+        effect_ns = _first_effect_ns(simulation, host, start_ns)
         _observe_tick(
-            result, simulation, scenario, out, _first_effect_ns(simulation, host, start_ns), t_ns
+            result,
+            simulation,
+            scenario,
+            out,
+            reaction_start.update(simulation, effect_ns, t_ns),
+            t_ns,
         )
         if out.mode == HandMode.DONE:
             break
@@ -140,7 +157,7 @@ def run_scenario(
         speed,
         max(result.safe_ticks, bound) * simulation.period_ns * 1e-9,
     )
-    return _judge_result(result, row)
+    return _judge_result(result, row, reaction_start.has_begun)
 
 
 def _tendon_speeds(simulation: SimulatedRun) -> list[float]:
@@ -225,21 +242,72 @@ def _first_effect_ns(simulation: SimulatedRun, host: "HostFault | None", start_n
     return int(simulation.simulated_hand.fault_states()[0]["first_ns"])
 
 
+class ReactionStart:
+    """Instant from which the reaction time of a scenario counts.
+
+    Normally this is the first effect of the fault. A stuck load cell is not visible until the motor
+    force has varied, see ``MatrixRow.force_change_N``. Its reaction time then counts from the
+    instant at which the low-passed motor force has varied enough.
+    """
+
+    def __init__(self, simulation: SimulatedRun, scenario: FaultScenario) -> None:
+        """Store the motor force before the fault."""
+        self._force_change_N = scenario.row.force_change_N
+        self._varied_ns = -1
+        self._tendon = 0
+        if self._force_change_N:
+            names = [tendon.name for tendon in simulation.controller.model.hand.tendon]
+            self._tendon = names.index(words_of_fault(scenario.fault)["cell"])
+        self._fraction = 1.0 - math.exp(-simulation.period_ns * 1e-9 / FORCE_TIME_CONSTANT_S)
+        self._force = self._motor_force(simulation)
+        self._smallest = self._largest = self._force
+
+    @property
+    def has_begun(self) -> bool:
+        """Return False if the motor force has not varied enough for a detection."""
+        return not self._force_change_N or self._varied_ns >= 0
+
+    def update(self, simulation: SimulatedRun, effect_ns: int, t_ns: int) -> int:
+        """Return the instant from which the reaction time counts [ns].
+
+        The instant is -1 before the first effect. Until the motor force has varied enough, it is
+        the present tick.
+
+        Args:
+            simulation: simulation after the present tick.
+            effect_ns: time of the first effect of the fault [ns], -1 before it.
+            t_ns: time of the present tick [ns].
+        """
+        if effect_ns < 0 or not self._force_change_N:
+            return effect_ns
+        self._force += self._fraction * (self._motor_force(simulation) - self._force)
+        self._smallest = min(self._smallest, self._force)
+        self._largest = max(self._largest, self._force)
+        if self._varied_ns < 0 and self._largest - self._smallest >= self._force_change_N:
+            self._varied_ns = t_ns
+        return self._varied_ns if self._varied_ns >= 0 else t_ns
+
+    def _motor_force(self, simulation: SimulatedRun) -> float:
+        """Return the force of the scenario's motor at its tendon [N]."""
+        torque = simulation.simulated_hand.truth()["torque"][self._tendon]
+        return float(torque / simulation.controller.model.space.spool[self._tendon])
+
+
 def _observe_tick(
     result: ScenarioResult,
     simulation: SimulatedRun,
     scenario: FaultScenario,
     out: TickOut,
-    first_effect_ns: int,
+    reaction_start_ns: int,
     t_ns: int,
 ) -> None:
     """Add to the result of a scenario the information in the output of a tick."""
     row = scenario.row
     truth = simulation.simulated_hand.truth()
     result.tension = max(result.tension, *truth["tension"])
-    if first_effect_ns < 0:
+    if reaction_start_ns < 0:
         return
-    since = math.ceil((t_ns - first_effect_ns) / simulation.period_ns)
+    since = math.ceil((t_ns - reaction_start_ns) / simulation.period_ns)
     for event in out.events:
         is_report = event.name == "fault" or REMOVE_POWER in event.text
         is_expected = (
@@ -270,18 +338,27 @@ def _observe_tick(
         result.safe_ticks = max(0, since)
 
 
-def _judge_result(result: ScenarioResult, row: MatrixRow) -> ScenarioResult:
-    """Add the verdict and the list of problems to a result, and return the result."""
+def _judge_result(result: ScenarioResult, row: MatrixRow, is_visible: bool) -> ScenarioResult:
+    """Add the verdict and the list of problems to a result, and return the result.
+
+    Args:
+        result: result of the run.
+        row: row of the fault matrix.
+        is_visible: False if no reaction is required, because the motor force has not varied.
+    """
     problems = []
     if not result.effects:
         problems.append("the disturbance had no effect")
+    elif not is_visible and result.ticks < 0:
+        pass
     elif result.ticks < 0:
         problems.append("no reaction")
     elif result.ticks > result.bound:
         problems.append(f"late: {result.ticks} ticks, at most {result.bound}")
     elif not result.detected_by and any(row.accepted_faults):
         problems.append(f"none of {', '.join(filter(None, row.accepted_faults))} was reported")
-    if row.action >= SafetyAction.RELAX and result.effects and result.safe_ticks < 0:
+    must_relax = row.action >= SafetyAction.RELAX and (is_visible or result.ticks >= 0)
+    if must_relax and result.effects and result.safe_ticks < 0:
         problems.append("torque remains")
     if result.tension > result.tension_bound:
         problems.append(

@@ -356,8 +356,8 @@ MOTOR_STUCK = _whole("motor_stuck", "tendon", "",
     "number of readings since the motor encoder's reading last changed")  # fmt: skip
 STUCK_TEST_TENSION = _real("cell_value", "tendon", "N",
     "last load-cell reading, for the stuck test", initial=NAN)  # fmt: skip
-CELL_ANCHOR = _real("cell_anchor", "tendon", "N",
-    "motor force when the load-cell reading last changed", initial=NAN)  # fmt: skip
+CELL_ANCHOR = _real("cell_anchor", "tendon", "N", rows=2, initial=NAN,
+    meaning="smallest and largest motor force since the load-cell reading last changed")  # fmt: skip
 CELL_STUCK = _whole("cell_stuck", "tendon", "",
     "number of readings since the load-cell reading last changed")  # fmt: skip
 STUCK_TEST_ANGLE = _real("joint_value", "joint", "rad",

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.checks.rate_margin import rate_warnings
+from handctl.cli.checks.rate_margin import force_warnings, rate_warnings
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.plan import find_calibration, layered_gains
 from handctl.cli.console.verbosity import is_verbose
@@ -204,6 +204,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
     warnings = _hand_warnings(hand)
     if args.what == "check":
         warnings += rate_warnings(hand, layers.gains, rate)
+        warnings += force_warnings(hand, layers.gains, rate)
     if args.json:
         print_json(
             {

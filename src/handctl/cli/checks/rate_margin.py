@@ -1,4 +1,6 @@
-"""Warning about a control rate at which a hand may oscillate although the buses can carry all frames."""
+"""Warnings about a control rate or gains at which a hand may oscillate although the buses can carry all frames."""
+
+import math
 
 from handctl.controller.bus_load import split_motors_over_buses
 from handctl.core.gains.gains import Gains
@@ -16,6 +18,10 @@ LOWEST_UNCHECKED_WITHOUT_CELLS_HZ = 500.0
 Such tendons hold each other, and the filter without load cells has a larger phase lag. At 250 Hz, their tensions
 oscillated in simulation, and the freely closing digits were taken for torn tendons (fault T01).
 """
+FORCE_STEP = 0.95
+"""Factor between two values of ``motion.force_N`` that are tried until the gain margin is large enough."""
+MIN_TRIED_FORCE_FRACTION = 0.05
+"""Smallest fraction of ``motion.force_N`` that is tried."""
 
 
 def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
@@ -35,16 +41,10 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
         return []
     # The compiled core computes the control loops, and is imported only here. The other checks of a
     # hand do not need the compiled core.
-    from handctl.tune.loops.linear import LoopKind, open_loop
-    from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB, margins_of_loop
+    from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
 
-    model = HandModel.from_hand(hand, gains, rate_hz)
-    found = {
-        name: margins_of_loop(open_loop(model, i, LoopKind.MOTION))
-        for i, name in enumerate(hand.tendon_names)
-    }
-    name, worst = min(found.items(), key=lambda item: item[1].gain_db)
-    if worst.gain_db >= MIN_GAIN_MARGIN_DB:
+    name, margin_db = _smallest_gain_margin(hand, gains, rate_hz)
+    if margin_db >= MIN_GAIN_MARGIN_DB:
         return []
     buses = split_motors_over_buses(hand, unchecked_hz)
     remedy = (
@@ -55,9 +55,80 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     faults = "N14b or T03" if unchecked_hz == LOWEST_UNCHECKED_RATE_HZ else "T01"
     return [
         f"{name}: at {rate_hz:g} Hz, which the buses allow, its motion loop has a gain margin of "
-        f"{worst.gain_db:.1f} dB instead of {MIN_GAIN_MARGIN_DB:g} dB, and a run may oscillate and "
+        f"{margin_db:.1f} dB instead of {MIN_GAIN_MARGIN_DB:g} dB, and a run may oscillate and "
         f"end with {faults}; {remedy}"
     ]
+
+
+def force_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
+    """Return a warning if the gains leave a tendon with a spring and without a load cell too small a gain margin.
+
+    The filter of such a tendon has a larger phase lag than with a load cell. The default gains may
+    therefore leave the motion loop a gain margin of only 3 dB, even at 500 Hz.
+
+    Args:
+        hand: description of the hand.
+        gains: gains of a run.
+        rate_hz: control rate of a run [Hz].
+    """
+    # At a lower rate, ``rate_warnings`` checks the loops of all tendons.
+    if rate_hz < _lowest_unchecked_rate(hand) or not _has_springs_without_cells(hand):
+        return []
+    from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
+
+    name, margin_db = _smallest_gain_margin(hand, gains, rate_hz)
+    if margin_db >= MIN_GAIN_MARGIN_DB:
+        return []
+    force = gains.forces_of(name)[0]
+    own = force != gains.motion.force_N
+    key = f"tendon.{name}.motion_force_N" if own else "motion.force_N"
+    right = None if own else _largest_force_with_margin(hand, gains, rate_hz)
+    expected = "gains from tune design" if right is None else f"at most {right:g} N"
+    return [
+        f"{key}: {force:g} N leave the motion loop of {name}, which has no load cell, a gain margin of "
+        f"{margin_db:.1f} dB instead of {MIN_GAIN_MARGIN_DB:g} dB at {rate_hz:g} Hz; expected {expected}"
+    ]
+
+
+def _largest_force_with_margin(hand: Hand, gains: Gains, rate_hz: float) -> float | None:
+    """Return the largest tried ``motion.force_N`` that keeps the gain margin [N], None if there is none.
+
+    The value is rounded down to two digits.
+    """
+    from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
+
+    force = gains.motion.force_N
+    while force > MIN_TRIED_FORCE_FRACTION * gains.motion.force_N:
+        unit = 10.0 ** (math.floor(math.log10(force)) - 1)
+        rounded = float(f"{math.floor(force / unit) * unit:.2g}")
+        motion = gains.motion.model_copy(update={"force_N": rounded})
+        tried = gains.model_copy(update={"motion": motion})
+        if _smallest_gain_margin(hand, tried, rate_hz)[1] >= MIN_GAIN_MARGIN_DB:
+            return rounded
+        force *= FORCE_STEP
+    return None
+
+
+def _smallest_gain_margin(hand: Hand, gains: Gains, rate_hz: float) -> tuple[str, float]:
+    """Return the tendon whose motion loop has the smallest gain margin, and this margin [dB]."""
+    from handctl.tune.loops.linear import LoopKind, open_loop
+    from handctl.tune.loops.margins import margins_of_loop
+
+    model = HandModel.from_hand(hand, gains, rate_hz)
+    found = {
+        name: margins_of_loop(open_loop(model, i, LoopKind.MOTION)).gain_db
+        for i, name in enumerate(hand.tendon_names)
+    }
+    return min(found.items(), key=lambda item: item[1])
+
+
+def _has_springs_without_cells(hand: Hand) -> bool:
+    """Return True if a digit with springs has a tendon without load cell, other than a spool pair."""
+    blind = ~hand.has_cell & ~hand.is_pair
+    return any(
+        any(digit.spring_stiffness_N_m_per_rad) and blind[hand.digit_tendons[digit.name]].any()
+        for digit in hand.digit
+    )
 
 
 def _lowest_unchecked_rate(hand: Hand) -> float:

@@ -5,8 +5,10 @@ quantity changes.
 
 A constant reading is no fault while the other measurement, the reference, is also constant. The
 encoder of a motor has two references: the goal of the tendon's excursion, and the tension of the
-tendon. The reference of a load cell is the motor force. The reference of a joint encoder is the
-joint angle that is computed from the positions of the spools.
+tendon. The reference of a load cell is the range of the motor force, because the tension loop may first raise the force and then lower it.
+The reference of a joint encoder is the
+joint angle that is computed from the positions of the
+spools.
 """
 
 import math
@@ -61,8 +63,14 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
         cell = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
         last = x.tendon[s.STUCK_TEST_TENSION, n]
         moved = not math.isnan(cell) and cell != last
+        force = x.tendon[s.RESIDUAL + QUICK_FORCE, n]
         if moved or math.isnan(x.tendon[s.CELL_ANCHOR, n]):
-            x.tendon[s.CELL_ANCHOR, n] = x.tendon[s.RESIDUAL + QUICK_FORCE, n]
+            x.tendon[s.CELL_ANCHOR, n] = x.tendon[s.CELL_ANCHOR + 1, n] = force
+        # A comparison with NaN is False, so an unknown motor force changes nothing.
+        if force < x.tendon[s.CELL_ANCHOR, n]:
+            x.tendon[s.CELL_ANCHOR, n] = force
+        if force > x.tendon[s.CELL_ANCHOR + 1, n]:
+            x.tendon[s.CELL_ANCHOR + 1, n] = force
         if not math.isnan(cell):
             x.tendon_int[s.CELL_STUCK, n] = 0 if moved else x.tendon_int[s.CELL_STUCK, n] + 1
             x.tendon[s.STUCK_TEST_TENSION, n] = cell

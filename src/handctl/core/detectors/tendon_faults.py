@@ -1,4 +1,4 @@
-"""Detectors of tendon and load-cell faults, rows T01 to T09 of the fault catalogue, see ``safety.faults.tendon``."""
+"""Detectors of the faults of tendons and load cells, rows T01 to T09 of the catalogue, see ``safety.faults.tendon``."""
 
 import math
 
@@ -6,7 +6,11 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.control_law.digit_reference import is_tendon_streamed
+from handctl.core.control_law.digit_reference import (
+    NO_TRAJECTORY,
+    TENSION,
+    is_tendon_streamed,
+)
 from handctl.core.detectors import residuals, stuck_sensors
 from handctl.core.detectors.bus_faults import Evidence
 from handctl.core.detectors.replayed_readings import age_of_repeated_readings
@@ -19,7 +23,9 @@ from handctl.safety.faults.tendon import (
     CELL_FORCE_N,
     CELL_TICKS,
     DERAILED_READINGS,
+    FREE_SPOOL_FRACTION,
     FRICTION_WARN_N,
+    MIN_SNAP_SPEED,
     RELAXED_S,
     RESIDUAL_TRIP_N,
     RESIDUAL_WARN_N,
@@ -50,28 +56,26 @@ from handctl.safety.faults.tendon import (
 def detect_tendon_faults(
     x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence
 ) -> None:
-    """Run those detectors of tendon faults that need no motor torque, and write their evidence."""
+    """Run the detectors of tendon faults that need no torque, and write their results into the evidence table."""
     rail = c.run[h.TENSION_RAIL]
     low = c.run[h.TENSION_LOW]
     relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
     relaxed = x.run_int[s.MODE] == RELAX_MODE and relaxing_s > RELAXED_S
     for n in range(x.tendon.shape[1]):
-        # The load-cell reading is tested even before the zero of the load cell is known.
+        # The load-cell reading is tested even before the tare of the load cell is known.
         tension = monitored_tension(x, c, n, True)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            # Both directions of the net tension of a spool pair have the same limit.
-            tension = abs(tension)
+            tension = abs(tension)  # both directions of a spool pair have the same limit
         if c.tendon[h.TENSION_TRIP, n] < tension < rail:
             evidence[T03, n] = tension
-        # A measured tension above the torque limit of the drive proves that the drive does not obey
-        # this limit. A tension that is only estimated does not prove a fault of the drive.
+        # A measured tension above the drive's torque limit proves that the drive does not obey this
+        # limit. A tension that is only estimated proves nothing.
         if c.tendon[h.DRIVE_LIMIT, n] < tension < rail and c.tendon_int[h.CELL_GROUP, n] >= 0:
             evidence[T03B, n] = tension
         if relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
             evidence[T03C, n] = tension
-        # The raw reading may be at an end of its range, or the reading minus its zero may be beyond
-        # any possible tension. Subtracting the zero can hide a fault in either of these two values,
-        # so the function tests both.
+        # The raw reading may be at an end of its range, or the tared reading may be beyond any
+        # possible tension. The tare may hide either of these cases, so the function tests both values.
         if armed and (tension >= rail or tension <= low or x.tendon_int[s.SATURATED, n]):
             evidence[T06, n] = tension
 
@@ -80,7 +84,7 @@ def detect_tendon_faults(
 def detect_tendon_faults_under_torque(
     x: StateTables, c: ConstantTables, evidence: Evidence
 ) -> None:
-    """Run those detectors of tendon faults that need motor torque, and write their evidence."""
+    """Run the detectors of tendon faults that need torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         _detect_slack(x, c, n, evidence)
         unexplained = residuals.unexplained_tension(x, c, n)
@@ -92,7 +96,7 @@ def detect_tendon_faults_under_torque(
         if rubs > FRICTION_WARN_N:
             evidence[T09, n] = rubs
         pushed = stuck_sensors.motion_since_reading(
-            x.tendon[s.RESIDUAL + residuals.QUICK_FORCE, n], x.tendon[s.CELL_ANCHOR, n]
+            x.tendon[s.CELL_ANCHOR + 1, n], x.tendon[s.CELL_ANCHOR, n]
         )
         same = x.tendon_int[s.CELL_STUCK, n] >= CELL_TICKS
         if same and pushed > CELL_FORCE_N and x.tendon[s.STUCK_TEST_TENSION, n] > TAUT_N:
@@ -107,11 +111,11 @@ def detect_tendon_faults_under_torque(
 
 @kernel_helper
 def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the speed that a tendon has on the streamed trajectory of its joints [m/s].
+    """Return the speed of a tendon on the streamed trajectory of its joints [m/s].
 
-    For a digit without a stream, the speed is 0. The moves of tasks are slow, and even the spool of
-    a torn tendon follows them. If the speed of task moves were also subtracted, a torn tendon would
-    be found half a second later, and only as a slack tendon (fault T02b).
+    For a digit without a stream, the speed is 0. The moves of tasks are slow, and the spool of a
+    torn tendon still follows them. If the speed of these moves were also subtracted, a torn tendon
+    would be found half a second later, as a slack tendon (fault T02b).
     """
     speed = 0.0
     if not is_tendon_streamed(x, c, n):
@@ -124,8 +128,45 @@ def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
+def _snap_speed(x: StateTables, c: ConstantTables, n: int, commanded: float) -> float:
+    """Return the spool speed above which a tendon without tension counts as snapped [m/s].
+
+    In a hold, the tension loop makes the force f + K (f - 0) - K_v v on the spool of a torn tendon,
+    with the commanded tension f, the tension gain K and the speed gain K_v. The spool therefore
+    approaches the speed v at which this force equals the Coulomb friction c of the motor:
+
+        v = ((1 + K) f - c) / K_v.
+
+    For a tendon with a small commanded tension, such as an extensor in a grasp, this speed is below
+    ``SNAP_SPEED``. The threshold is then a fraction of it. A motion has no such final speed,
+    because its position feedback also moves the spool. Neither has a stream of tensions, whose
+    targets may change in every tick.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        commanded: commanded tension, positive [N].
+    """
+    d = c.tendon_int[h.DIGIT_OF_TENDON, n]
+    holds = x.tendon_int[s.GOAL_KIND, n] == TENSION
+    if (
+        not holds
+        or x.digit_int[s.TRAJECTORY_KIND, d] != NO_TRAJECTORY
+        or is_tendon_streamed(x, c, n)
+    ):
+        return SNAP_SPEED
+    damping = c.tendon[h.TENSION_SPEED_GAIN, n]
+    force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded - c.tendon[h.MOTOR_COULOMB, n]
+    # The comparison needs no division, because the damping may be zero.
+    if FREE_SPOOL_FRACTION * force >= SNAP_SPEED * damping:
+        return SNAP_SPEED
+    return max(FREE_SPOOL_FRACTION * force / damping, MIN_SNAP_SPEED)
+
+
+@kernel_helper
 def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: Evidence) -> None:
-    """Find tendons without their commanded tension: torn if the spool runs (T01), slack after some time (T02)."""
+    """Find a tendon without its commanded tension: slack after some time (T02), or snapped if its spool runs (T01)."""
     period = c.run[h.PERIOD]
     commanded = x.tendon[s.COMMANDED_TENSION, n]
     speed = x.tendon[s.SPEED, n]
@@ -144,7 +185,7 @@ def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: Evidence)
     was_taut = 0.0 <= x.tendon_int[s.TICKS_SINCE_TAUT, n] * period < SNAP_MEMORY_S
     beyond = speed - max(planned, 0.0)
     if (
-        beyond > SNAP_SPEED
+        beyond > _snap_speed(x, c, n, commanded)
         and commanded > SNAP_N
         and tension < SNAP_FRACTION * commanded
         and was_taut

@@ -74,6 +74,8 @@ class CatalogueRow(NamedTuple):
             answer each command once.
         robstride: the way in which the failure shows with RobStride drives, in the form of ``mit``.
             The text is empty if it is the same as ``mit``.
+        counted_from: event from which the longest reaction time counts, as the end of a sentence.
+            The text is empty if the time counts from the failure itself.
     """
 
     id: str
@@ -90,6 +92,7 @@ class CatalogueRow(NamedTuple):
     tested: str = "campaign"
     moteus: str = ""
     robstride: str = ""
+    counted_from: str = ""
 
     def visibility(self, protocol: str) -> str:
         """Return how a drive protocol shows the failure.

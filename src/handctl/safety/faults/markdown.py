@@ -53,6 +53,7 @@ def _catalogue_row(row: CatalogueRow) -> str:
     )
     latest = f"{row.latest_ms(RATE_HZ):g} ms, {_ticks_text(row)} ticks"
     latest += f", ODrive {row.odrive_ms:g} ms more" if row.odrive_ms else ""
+    latest += f", after {row.counted_from}" if row.counted_from else ""
     latest = (
         latest
         if row.ticks or row.ms
