@@ -5,10 +5,9 @@ quantity changes.
 
 A constant reading is no fault while the other measurement, the reference, is also constant. The
 encoder of a motor has two references: the goal of the tendon's excursion, and the tension of the
-tendon. The reference of a load cell is the range of the motor force, because the tension loop may first raise the force and then lower it.
-The reference of a joint encoder is the
-joint angle that is computed from the positions of the
-spools.
+tendon. The reference of a load cell is the range of the motor force, because the tension loop may
+first raise the force and then lower it. The reference of a joint encoder is the joint angle that is
+computed from the positions of the spools.
 """
 
 import math

@@ -153,7 +153,7 @@ def _snap_speed(x: StateTables, c: ConstantTables, n: int, commanded: float) -> 
     if (
         not holds
         or x.digit_int[s.TRAJECTORY_KIND, d] != NO_TRAJECTORY
-        or is_tendon_streamed(x, c, n)
+        or x.run_int[s.STREAMING] == s.RUNNING_STREAM
     ):
         return SNAP_SPEED
     damping = c.tendon[h.TENSION_SPEED_GAIN, n]

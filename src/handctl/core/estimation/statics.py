@@ -14,6 +14,12 @@ from handctl.hand import rigid_body
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
+MAX_EXPONENT = 700.0
+"""Largest exponent of the capstan equation, just below the overflow of a float number.
+
+If the numbers of a bad hand exceed it, Python raises an error, but compiled code does not.
+"""
+
 
 @kernel_helper
 def link_poses_of_hand(c: ConstantTables, q: Vector) -> Matrix:
@@ -73,7 +79,10 @@ def pulley_torque(
 
     Source: capstan equation.
     """
-    passed = math.exp(-c.tendon[h.CAPSTAN_COEFFICIENT, n] * friction_state * wrap_angle)
+    exponent = -c.tendon[h.CAPSTAN_COEFFICIENT, n] * friction_state * wrap_angle
+    if exponent > MAX_EXPONENT:
+        exponent = MAX_EXPONENT
+    passed = math.exp(exponent)
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         return arm * net_tension_at_joint(tension, c.tendon[h.PRETENSION, n], passed)
     return arm * tension * passed
