@@ -1,6 +1,6 @@
-"""The main loop of a simulator that runs in real time.
+"""The server of the simulator in real time.
 
-A single thread reads frames, advances the plant to the time of the clock, and answers at once.
+One thread reads frames, advances the plant to the time of the clock, and answers at once.
 """
 
 import select
@@ -53,11 +53,11 @@ class ServerClock(Protocol):
         ...
 
     def ticks_sent(self) -> int:
-        """Return the number of ticks for which a controller that uses this clock has sent all of its frames."""
+        """Return the number of ticks for which a controller that uses this clock has sent all frames."""
         ...
 
     def note_answered(self, ticks: int) -> None:
-        """Report the number of ticks whose frames have all been answered by the nodes."""
+        """Report the number of ticks whose frames have all been answered."""
         ...
 
     def note_reached(self, t_ns: int) -> None:
@@ -66,11 +66,11 @@ class ServerClock(Protocol):
 
 
 class ServedNodes(Protocol):
-    """The simulated nodes that a server advances: the nodes of a hand, or drives on a test bench.
+    """The nodes that a server serves: the nodes of a hand, or drives on a bench.
 
     Attributes:
         t_ns: present time of the nodes [ns].
-        slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
+        slip_ns: delay behind the wall clock that the simulation will never make up [ns].
         foreign: number of received frames that no node has handled.
     """
 
@@ -88,31 +88,30 @@ class ServedNodes(Protocol):
         ...
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Pass a frame to the nodes of the frame's bus, and return the answers."""
+        """Pass a frame to the nodes of its bus and return the answers."""
         ...
 
     def advance(self, t_ns: int) -> None:
-        """Advance the nodes towards the time ``t_ns``, by whole time steps."""
+        """Advance the nodes towards ``t_ns`` in whole steps."""
         ...
 
     def reach(self, t_ns: int) -> None:
-        """Advance the nodes exactly to the time ``t_ns``."""
+        """Advance the nodes to exactly ``t_ns``."""
         ...
 
     def take_unsolicited(self) -> list[Frame]:
-        """Return the frames that the nodes have sent without a request since the last call."""
+        """Return the unsolicited frames since the last call."""
         ...
 
 
 class BusServer:
-    """The loop that advances simulated nodes by a clock, and exchanges frames through the ports of the buses.
+    """The loop that advances a world with a clock, and exchanges frames through the ports of the buses.
 
     Attributes:
-        pace: pace of the simulation, as the server measures it.
-        overruns: number of turns of the loop in which the plant was behind the clock.
-        slips: number of delays behind the clock for which the plant will never make up.
-        running: True while the method ``run`` serves the buses. A signal handler sets this
-            attribute to False, which ends ``run``.
+        pace: measured pace of the simulation.
+        overruns: number of turns of the loop in which the plant was late.
+        slips: number of slips of the clock of the plant.
+        running: True while ``run`` serves. A signal handler sets it to False to end ``run``.
     """
 
     def __init__(
@@ -126,14 +125,11 @@ class BusServer:
         """Set up the server.
 
         Args:
-            world: simulated nodes to serve. The time of the nodes must be the present time of the
-                clock.
+            world: nodes to serve. The time of the nodes must be the present time of the clock.
             ports: one port for each bus, in the order of the hand's buses.
-            clock: clock that the nodes follow.
-            faults: socket that receives faults and other requests, or None if there is no such
-                socket.
-            priority: real-time priority of the process, or None for a process with ordinary
-                priority.
+            clock: clock that the world follows.
+            faults: socket for faults and other requests. None without such a socket.
+            priority: real-time priority of the process. None for an ordinary process.
         """
         self._faults = faults
         self._priority = priority
@@ -146,12 +142,12 @@ class BusServer:
         self._served = False
 
     def run(self) -> None:
-        """Serve the buses until the attribute ``running`` is False."""
+        """Serve until ``running`` is False."""
         while self.running:
             self.turn()
 
     def turn(self) -> None:
-        """Wait until frames arrive or the next millisecond begins.
+        """Wait for frames or for the next millisecond.
 
         After the wait, advance the plant, and answer the frames.
         """
@@ -172,16 +168,16 @@ class BusServer:
     def _note_progress(self) -> None:
         """Report the number of answered ticks and the time of the plant to a controller that uses the same clock."""
         self._clock.note_reached(self._world.t_ns + self._world.slip_ns)
-        # The number of ticks must be read before the sockets are checked. Frames that arrive
-        # between these two steps then belong to a later tick.
+        # The number of ticks is read before the sockets are checked. Frames that arrive between
+        # these two steps belong to a later tick.
         ticks = self._clock.ticks_sent()
         if ticks and not self._ready_links(0.0):
             self._clock.note_answered(ticks)
 
     def _note_host(self) -> None:
-        """Take the real-time priority, because a host has sent frames.
+        """Take the real-time priority.
 
-        When the first frame of a host arrives, restart the measurement of the pace.
+        At the first frame of a host, restart the measurement of the pace.
         """
         if not self._served:
             self._served = True
@@ -190,7 +186,7 @@ class BusServer:
             self._priority.note_host_frames()
 
     def _receive_frames(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
-        """Receive the frames that have arrived at all ports."""
+        """Receive the frames of all ports."""
         return [frame for port in self._ports for frame in port.receive(ready_sockets)]
 
     def _wait_for_sockets(self) -> list[socket.socket]:
@@ -199,8 +195,7 @@ class BusServer:
         Returns:
             The sockets that are ready for reading.
         """
-        # The time of the nodes is behind the wall clock by the total time that clock slips have
-        # lost.
+        # The time of the world is behind the wall clock by the time that was lost in slips.
         due_ns = self._world.t_ns + self._world.slip_ns + MAX_TURN_NS
         due_ns = min(due_ns, *(port.due_ns for port in self._ports))
         return self._ready_links(
@@ -219,8 +214,8 @@ class BusServer:
         """Advance the plant to the time of the clock.
 
         Args:
-            sampled: True to reach the time of the clock exactly. This is necessary if answers to
-                frames contain readings of the plant.
+            sampled: True to reach the time exactly. This is necessary if the answers to frames
+                sample the plant.
         """
         world = self._world
         target_ns = self._clock.now_ns() - world.slip_ns
@@ -233,9 +228,9 @@ class BusServer:
         follow(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
 
     def _give_up_lost_time(self, behind_ns: int) -> None:
-        """Give up the time during which this process did not run, so that the plant never makes up for it.
+        """Give up the time that was lost while this process did not run.
 
-        During this time, the plant and the watchdogs of the drives stood still.
+        The plant and the watchdogs stood still during this time.
         """
         self._world.slip_ns += behind_ns
         self.slips += 1
@@ -246,7 +241,7 @@ class BusServer:
         time.sleep(SLIP_PAUSE_S)
 
     def _send_answers(self, frames: list[Frame]) -> None:
-        """Send the answers to frames, and all frames that nodes send without a request."""
+        """Send the answers to frames, and all unsolicited frames."""
         answers: list[list[Frame]] = [[] for _ in self._ports]
         for frame in frames:
             answers[frame.bus] += self._world.receive(frame)
@@ -257,7 +252,7 @@ class BusServer:
                 port.send(batch)
 
     def summary(self) -> dict[str, object]:
-        """Return the counts of a run, for the truth file and for the last line that the program prints."""
+        """Return the counts of a run, for the truth file and for the last line that is printed."""
         return {
             "overruns": self.overruns,
             "slips": self.slips,

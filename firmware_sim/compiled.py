@@ -1,16 +1,15 @@
 """Kernels: plain functions that numba can compile.
 
-The kernels are used by programs that advance a plant without waiting for the time of a clock.
+The kernels are used by programs that advance a plant without waiting for a clock.
 
 ``compiled`` registers the argument types of a kernel. ``machine_code`` compiles the kernels of a
-module. Only the function ``machine_code`` imports numba. The import of numba takes almost a second.
-This is too long for a simulator that runs as a process of its own.
+module. Only ``machine_code`` imports numba. The import takes almost a second. This is too long for
+a simulator in a separate process.
 
-A compiled kernel and the same kernel in Python return the same bits, because compilation keeps the
-order and the rounding of all operations (no fast math). For each source file, numba stores the
-compiled code in a cache. If only another file changes, numba does not renew the cache of this file.
-Therefore kernels that call each other must be in the same file, or their names must contain a
-digest of the other files.
+A compiled kernel and its Python form return the same bits: operations keep their order and their
+rounding (no fast math). Numba stores the compiled code in a cache for each source file. The cache
+of a file is not renewed when only another file changes. Kernels that call each other therefore
+belong in the same file, or their names carry a digest of the other files.
 """
 
 import ctypes
@@ -41,8 +40,7 @@ def compiled(*arguments: ArgumentType) -> Callable[[F], F]:
 
     Args:
         arguments: type of each argument: real, count, flag, address, vector (of reals) or counts. A
-            ``ctypes.Structure`` or a structured dtype stands for an array whose rows have this
-            type.
+            ``ctypes.Structure`` or a structured dtype stands for an array of its rows.
     """
 
     def note(function: F) -> F:
@@ -53,28 +51,28 @@ def compiled(*arguments: ArgumentType) -> Callable[[F], F]:
 
 
 def kernel_helper(function: F) -> F:
-    """Register a function as a kernel that is called only by other kernels."""
+    """Register a function as a kernel that only other kernels call."""
     _KERNEL_ARGUMENTS.setdefault(function.__module__, {})[function.__name__] = None
     return function
 
 
 def call_c_function(function: int, first: int, second: int) -> None:
-    """Call a C function with the signature ``void f(void *, void *)``.
+    """Call a C function ``void f(void *, void *)``.
 
     The function and both arguments are given as addresses.
 
     Raises:
-        NotImplementedError: always, if Python calls this function. Compiled kernels call the form
-            from ``_call_intrinsic`` instead of this function.
+        NotImplementedError: always, if Python calls this function. Compiled kernels call the
+            compiled form from ``_call_intrinsic`` instead.
     """
     raise NotImplementedError("only compiled kernels can call an address")
 
 
 def rows_at(address: int, count: int, kind: Any) -> Any:
-    """Return the ``count`` numbers or rows that begin at an address in memory, as an array.
+    """Return ``count`` numbers or rows at an address in memory as an array.
 
-    It costs no time to make an array inside a kernel. But each array that is passed to a kernel
-    costs 0.2 us per call.
+    An array made inside a kernel costs no time. Each array passed to a kernel costs
+    0.2 us per call.
 
     Args:
         address: address of the first row.
@@ -82,8 +80,8 @@ def rows_at(address: int, count: int, kind: Any) -> Any:
         kind: dtype of a number or row.
 
     Raises:
-        NotImplementedError: always, if Python calls this function. Compiled kernels call the form
-            from ``_rows_at`` instead of this function.
+        NotImplementedError: always when called from Python. Compiled kernels call the compiled form
+            from ``_rows_at`` instead.
     """
     raise NotImplementedError("only compiled kernels can read rows at an address")
 
@@ -95,7 +93,7 @@ def machine_code(module: ModuleType) -> Any:
     Division by zero gives inf or NaN, as in numpy.
 
     Returns:
-        A namespace that contains each compiled kernel under the name of the kernel.
+        A namespace that contains each compiled kernel under its name.
     """
     from numba import njit
 
@@ -107,9 +105,9 @@ def machine_code(module: ModuleType) -> Any:
     for name, arguments in _KERNEL_ARGUMENTS[module.__name__].items():
         kernel = FunctionType(
             vars(module)[name].__code__, names, name
-        )  # inside this code, kernels call compiled kernels instead of Python functions
-        # The qualified name of a function is a part of numba's cache key. With the digest in the
-        # name, a change in an imported kernel changes the key.
+        )  # calls compiled kernels, not Python functions
+        # The qualified name is a part of numba's cache key. With the digest in it, a change in an
+        # imported kernel changes the key.
         kernel.__qualname__ = f"{name}{digest}"
         if arguments is None:
             names[name] = njit(error_model="numpy")(kernel)
@@ -119,7 +117,7 @@ def machine_code(module: ModuleType) -> Any:
 
 
 def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
-    """Return the kernels that a module imports from other modules, each with the module that defines it."""
+    """Return the kernels that a module imports from other modules, each with its module of origin."""
     imported = {}
     for name, value in vars(module).items():
         owner = value.__module__ if isinstance(value, FunctionType) else module.__name__
@@ -129,9 +127,9 @@ def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
 
 
 def _source_digest(modules: set[ModuleType]) -> str:
-    """Return a digest of the source code of some modules, and of all modules whose kernels these modules import.
+    """Return a digest of the sources of some modules and of all modules with kernels that they import.
 
-    If no module is given, the digest is an empty text.
+    Without any module, the digest is empty.
     """
     reached = set(modules)
     new = set(modules)
@@ -146,23 +144,19 @@ def _source_digest(modules: set[ModuleType]) -> str:
 
 
 def _compile_kernel(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
-    """Compile a kernel with numba.
-
-    If a cache folder can be written, store the code for the next process.
-    """
+    """Compile a kernel. Store the code for the next process, if a cache folder can be written."""
     from numba import njit
 
     try:
         return njit(arguments, cache=True, error_model="numpy")(kernel)
-    # No cache folder can be written, neither here nor in the user's home folder.
-    except RuntimeError:
+    except RuntimeError:  # No cache folder is writable, neither here nor in the user's home folder.
         return njit(arguments, error_model="numpy")(kernel)
 
 
 def use_compiled_kernels(module: ModuleType) -> None:
-    """In this process, replace the kernels of a module by their compiled forms.
+    """Replace the kernels of a module by their compiled forms, for all callers in this process.
 
-    Functions that are marked with ``kernel_helper`` stay Python functions, because Python code also
+    Functions marked with ``kernel_helper`` stay Python functions, because Python code also
     calls them with objects.
     """
     compiled_kernels = machine_code(module)
@@ -172,7 +166,7 @@ def use_compiled_kernels(module: ModuleType) -> None:
 
 
 def _numba_type(name: ArgumentType) -> Any:
-    """Return the numba type that belongs to the type of a kernel argument."""
+    """Return numba's type for the type of a kernel argument."""
     from numba import from_dtype, types
 
     if not isinstance(name, str):
@@ -185,10 +179,10 @@ def _numba_type(name: ArgumentType) -> Any:
 
 
 def _call_intrinsic() -> Any:
-    """Build the form of ``call_c_function`` that compiled kernels call.
+    """Build the compiled form of ``call_c_function``.
 
-    The address of the function is an argument of the compiled code. If the address were a constant
-    in the code, the code could not be stored for the next process.
+    The address of the function is an argument of the compiled code. Code that contains a constant
+    address could not be stored for the next process.
     """
     from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]  # some releases come without types
     from numba import types
@@ -210,7 +204,7 @@ def _call_intrinsic() -> Any:
 
 
 def _rows_at() -> Any:
-    """Build the form of ``rows_at`` that compiled kernels call."""
+    """Build the compiled form of ``rows_at``."""
     from numba import carray, njit, types  # type: ignore[attr-defined, unused-ignore]
     from numba.extending import intrinsic
 
@@ -227,9 +221,9 @@ def _rows_at() -> Any:
 
 
 def array_addresses(arrays: Iterable[Any]) -> list[int]:
-    """Return the address and the length of each array, as ``rows_at`` needs them.
+    """Return the address and the length of each array, for ``rows_at``.
 
-    The caller must keep the arrays alive.
+    The caller must keep the arrays in memory.
     """
     return [number for array in arrays for number in (array.ctypes.data, len(array))]
 

@@ -1,4 +1,4 @@
-"""The simulator in lockstep. Its clock advances only when the caller executes a tick."""
+"""The simulator in lockstep: its clock advances only when the caller executes a tick."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -19,12 +19,12 @@ from firmware_sim.wire.wire_options import parse_wire_options
 class LockstepHand:
     """A simulated hand that runs in lockstep with a caller.
 
-    If two runs have equal seeds and equal frames, their answers and truth files are equal in every
-    byte.
+    If the seeds and the frames of two runs are equal, their answers and truth files are equal byte
+    for byte.
 
     Attributes:
         world: plant and nodes of the hand, for tests that need the true state.
-        wired: simulated wires of the buses, or None if frames take no time.
+        wired: simulated wires of the buses. None without simulated wires.
     """
 
     def __init__(  # noqa: PLR0913 - a keyword for each thing that a test varies
@@ -44,18 +44,16 @@ class LockstepHand:
 
         Args:
             hand_path: path of a hand file, or name of a packaged hand.
-            scene: scene as the name of a packaged scene, as a file, or in a short form such as
-                ``cylinder:35``. It is None for a hand without an object.
-            seed: seed of all random numbers: noise, initial slack of the tendons and encoder
-                offsets.
-            truth_path: path of the truth file. If it is None, no truth file is written.
-            perturb: factors by which parameters of the plant are multiplied, see
-                ``plant_perturbation.PERTURBATION_KEYS``.
+            scene: scene as a packaged name, as a file, or in a short form such as ``cylinder:35``.
+                None for a hand without an object.
+            seed: seed of all random numbers: noise, initial slack and encoder offsets.
+            truth_path: path of the truth file. If None, no truth file is written.
+            perturb: factors that multiply plant parameters, see ``plant_perturbation.PERTURBATION_KEYS``.
             period_ns: length of a tick [ns].
             homed: True to start with taut tendons and with the encoders at ``zero_rad`` of the hand
                 file.
-            wire: words KEY=VALUE that describe a simulated wire, see ``wire.wire_options``. If it
-                is None, all answers arrive within the tick in which they are sent.
+            wire: KEY=VALUE words of a simulated wire, see ``wire.wire_options``. If None, all
+                answers arrive within their tick.
             serials: serial numbers of the drives, see ``serial_numbers.with_serial_numbers``.
 
         Raises:
@@ -75,18 +73,18 @@ class LockstepHand:
             self.world.record(self._truth)
 
     def exchange(self, t_ns: int, frames: Any) -> Any:
-        """Answer the frames that the host sends in one tick, and then advance the simulation to the next tick.
+        """Answer the frames of the host in one tick, then advance the simulation to the next tick.
 
         Args:
-            t_ns: start of the tick [ns], which must not be earlier than the previous tick.
+            t_ns: start of the tick [ns], which must not be before the previous tick.
             frames: frames of the host as a contiguous array of ``frame_records.FRAME_DTYPE``. The
-                function ignores the times in these frames.
+                times in these frames are ignored.
 
         Returns:
             The answers as an array of ``frame_records.FRAME_DTYPE``. The times of the answers are
-            those of frames that are sent one after the other on each bus within the tick. With
-            simulated wires, the result contains the frames that have arrived by the end of the
-            tick, and error frames of the host's CAN controllers.
+            those of frames that follow one another on their bus within the tick. With simulated
+            wires, the array contains the frames that have arrived by the end of the tick, and error
+            frames of the host's CAN controllers.
         """
         end_ns = t_ns + self._period_ns
         if self.wired:
@@ -103,24 +101,24 @@ class LockstepHand:
         )
 
     def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
-        """Answer the frames that the host sends in one tick, and return the answers as objects.
+        """Answer the frames of the host in one tick, and return the answers as objects.
 
-        The method ``exchange`` explains the times of the answers.
+        See ``exchange``.
 
         Args:
-            t_ns: start of the tick [ns], which must not be earlier than the previous tick.
+            t_ns: start of the tick [ns], not before the previous tick.
             frames: frames of the host as tuples of can_id, data, flags, bus and t_ns.
         """
         return to_frames(self.exchange(t_ns, to_records(frames)))
 
     def inject(self, text: str) -> None:
-        """Start a fault now, or at the later time that its text contains.
+        """Start a fault, now or at a later time.
 
         Args:
             text: fault as text, see ``faults.fault_text``.
 
         Raises:
-            SimulatorError: the hand of this simulation cannot have the fault.
+            SimulatorError: this hand cannot have the fault in the text.
         """
         self.world.faults.inject(text)
 
@@ -137,7 +135,7 @@ class LockstepHand:
         }
 
     def close(self) -> None:
-        """If there is a truth file, complete and close it."""
+        """Complete and close the truth file, if one exists."""
         if self._truth is not None:
             counts = {
                 "foreign_frames": self.world.foreign,
@@ -147,6 +145,6 @@ class LockstepHand:
             self._truth = None
 
     def _loads(self) -> list[float]:
-        """Return, for each wire, the fraction of the simulated time in which frames occupied the wire."""
+        """Return, for each wire, the fraction of the elapsed time in which frames occupied the wire."""
         assert self.wired
         return [round(wire.load(0, max(1, self.world.t_ns)), 4) for wire in self.wired.wires]

@@ -1,7 +1,4 @@
-"""Reading of the links in a robot description (URDF or MJCF) with MuJoCo.
-
-The result consists of plain values.
-"""
+"""Reading of the tree of links in a robot description (URDF or MJCF) with MuJoCo, as plain values."""
 
 import warnings
 from collections.abc import Sequence
@@ -38,10 +35,11 @@ BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for 
 
 
 def read_model_file(path: str, file_format: str) -> dict[str, Any]:
-    """Read the links of a hand, which form a tree, from a URDF or MJCF file.
+    """Read the tree of links of a hand from a URDF or MJCF file.
 
-    In all poses of the result, all joints are at angle zero, as in the file. Bodies that are fixed
-    to each other become one link. The frame of a link has its origin at the joint of the link.
+    In all poses that are returned, all joints are at angle zero, as in the file. Bodies that are
+    fixed to each other become a single link. The frame of a link has its origin at the joint of the
+    link.
 
     Args:
         path: path of the URDF or MJCF file.
@@ -52,21 +50,20 @@ def read_model_file(path: str, file_format: str) -> dict[str, Any]:
 
         - ``name``: name of the model.
         - ``gravity``: (3,) acceleration of gravity in the root frame [m/s2]. None if the file
-          format cannot describe gravity.
-        - ``palm``: (3,) origin of each named frame that is fixed to the root, by the name of the
-          frame [m].
-        - ``palm_meshes``: meshes that are fixed to the root, in the same form as the ``meshes`` of
+          format has no gravity.
+        - ``palm``: (3,) origin of each named frame fixed to the root, by name [m].
+        - ``palm_meshes``: meshes fixed to the root, in the same form as the ``meshes`` of
           a link.
-        - ``links``: one table for each link, as ``_link_values`` returns it. The parent of a link
-          comes before the link. The ``meshes`` of a link are tables with ``file``, ``scale`` (3,),
-          ``position`` (3,) [m] and ``rotation`` (3, 3), in the frame of the link.
-        - ``tendons``: for each tendon, the name, the moment arms [m] by the name of the joint, the
-          motor or None, and the largest tension [N] or None.
-        - ``notes``: one line for each part of the file that this function does not read.
+        - ``links``: one table for each link, see ``_link_values``. Parents come first. The
+          ``meshes`` of a link are tables with ``file``, ``scale`` (3,), ``position`` (3,) [m] and
+          ``rotation`` (3, 3) in the frame of the link.
+        - ``tendons``: for each tendon, its name, moment arms by joint [m], motor or None, and
+          maximum tension [N] or None.
+        - ``notes``: one line for each part of the file that was not read.
 
     Raises:
-        SimulatorError: the file is not readable, or does not describe a tree of hinges and links
-            with inertia.
+        SimulatorError: the file is not readable, or does not describe a tree of links with inertia
+            and hinges.
     """
     root = _parsed_root(path, file_format)
     if file_format == "urdf":
@@ -99,7 +96,7 @@ def read_model_file(path: str, file_format: str) -> dict[str, Any]:
 
 
 def _parsed_root(path: str, file_format: str) -> ET.Element:
-    """Parse the XML of a model file, check the type of its first element, and return this element."""
+    """Parse the XML of a model file, check its first element and return the element."""
     try:
         root = ET.parse(path).getroot()
     except OSError as error:
@@ -127,9 +124,9 @@ def _format_name(file_format: str) -> str:
 
 
 def _check_joint_types(root: ET.Element, path: str) -> None:
-    """Refuse a URDF with joints that a hand cannot have.
+    """Refuse joints of a URDF that a hand cannot have.
 
-    MuJoCo would read some of these joints as joints of another type, without an error.
+    MuJoCo would read some of these joints as joints of another type.
     """
     for joint in root.iter("joint"):
         kind = joint.get("type")
@@ -145,16 +142,16 @@ def _check_joint_types(root: ET.Element, path: str) -> None:
 def _compiled_model(
     path: str, file_format: str, root: ET.Element, notes: list[str]
 ) -> tuple[Any, Any]:
-    """Compile a model file with MuJoCo, without merging bodies that are fixed to each other.
+    """Compile the model file without merging fixed bodies.
 
-    If a mesh cannot be read, the model contains no shapes with meshes.
+    If a mesh cannot be read, the shapes that use meshes are left out.
     """
     try:
         spec = _parsed_spec(path)
         spec.compiler.fusestatic = False
         spec.compiler.discardvisual = False
         if file_format == "urdf":
-            # In a URDF, separate elements give the inertia of a link. It does not follow from the
+            # In a URDF, the inertia is given by separate elements and does not follow from the
             # shapes.
             spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
             _name_mesh_files(spec, root, Path(path).absolute().parent)
@@ -171,9 +168,9 @@ def _compiled_model(
 
 
 def _name_mesh_files(spec: Any, root: ET.Element, folder: Path) -> None:
-    """Replace the names of meshes in a URDF by the paths of the mesh files.
+    """Replace the mesh names of a URDF by the paths of the mesh files.
 
-    MuJoCo finds no files in ROS packages, and it ignores the folder in the name of a mesh.
+    MuJoCo itself finds no files in ROS packages, and ignores the folder in the name of a mesh.
     """
     places = {PurePath(name).name: place for name, place in urdf_files(root, folder).items()}
     for mesh in spec.meshes:
@@ -184,8 +181,8 @@ def _name_mesh_files(spec: Any, root: ET.Element, folder: Path) -> None:
 def _compile_spec(spec: Any) -> Any:
     """Compile a model, and suppress the warnings of MuJoCo.
 
-    These warnings concern the dynamics, which this module does not use. They would be printed
-    beside an error message, which should be a single line.
+    The warnings concern dynamics, which are not used here. The warnings would appear beside an
+    error message that should be one line.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -195,7 +192,7 @@ def _compile_spec(spec: Any) -> Any:
 def _parsed_spec(path: str) -> Any:
     """Parse a model file.
 
-    If the file has no suffix of ``MODEL_SUFFIXES``, MuJoCo gets the content of the file as text.
+    A file without a suffix of ``MODEL_SUFFIXES`` is given to MuJoCo as text.
     """
     if Path(path).suffix in MODEL_SUFFIXES:
         return mujoco.MjSpec.from_file(path)
@@ -205,9 +202,9 @@ def _parsed_spec(path: str) -> Any:
 
 
 def _remove_meshes(spec: Any) -> bool:
-    """Remove all shapes with meshes, and all images, from a model.
+    """Remove all shapes with a mesh and all images from a model.
 
-    If there are none, return False.
+    Return False without such shapes and images.
     """
     shapes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
     parts = [*shapes, *spec.meshes, *spec.textures]
@@ -227,7 +224,7 @@ def _first_line(mujoco_error: Exception) -> str:
 
 
 def _check_structure(model: Any, path: str) -> None:
-    """Check that the bodies of a model form a tree, and that each moving body has exactly one joint."""
+    """Check that the model is a tree in which each moving body has exactly one joint."""
     if model.njnt == 0:
         raise SimulatorError(f"{path}: no joints; expected a hand with hinges or prismatic joints")
     for joint in range(model.njnt):
@@ -254,31 +251,30 @@ def _joint_name(model: Any, joint: int) -> str:
 
 
 def _fixed_bodies(model: Any, root: int) -> list[int]:
-    """Return a body and all bodies that are fixed to it."""
+    """Return a body and all bodies fixed to it."""
     return [body for body in range(model.nbody) if model.body_weldid[body] == root]
 
 
 def _link_values(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict[str, Any]:
-    """Return the values of one link of the model.
+    """Return one link of the model.
 
     Returns:
         Plain values in a table:
 
-        - ``name``: name of the body, and ``joint``: name of the body's joint.
-        - ``parent``: index of the parent in the list of links, or -1 if the parent is the root.
-        - ``position`` (3,) [m] and ``rotation`` (3, 3) of the link, in the frame of the parent.
-        - ``prismatic``: True if the joint slides along its axis. The values of such a joint have
-          the unit m in place of rad, N in place of N m, and kg in place of kg m2.
+        - ``name``: name of the body, and ``joint``: name of its joint.
+        - ``parent``: index of the parent in the list of links, -1 for the root.
+        - ``position`` (3,) [m] and ``rotation`` (3, 3) of the link in the frame of its parent.
+        - ``prismatic``: True if the joint slides along its axis. The values of a prismatic joint
+          are in m, N and kg in place of rad, N m and kg m2.
         - ``axis``: (3,) axis of the joint in the frame of the link.
-        - It is None for a joint without limits. None for a joint without limits.
-        - ``damping``, ``armature`` and ``stiffness`` of the joint, and ``rest``: the angle at which
-          the joint's spring makes no torque [rad].
+        - ``range``: (2,) limits of the joint [rad]. None for a joint without limits.
+        - ``damping``, ``armature`` and ``stiffness`` of the joint, and ``rest``: angle at which the
+          spring of the joint makes no torque [rad].
         - ``mass`` [kg], ``com``: (3,) centre of mass [m], ``inertia``: (3, 3) about the centre of
           mass [kg m2].
-        - ``frames``: (3,) origin of each named frame that is fixed to the link, by the name of the
-          frame [m].
+        - ``frames``: (3,) origin of each named frame fixed to the link, by name [m].
         - ``points``: (n, 3) corners of the boxes around the shapes of the link [m].
-        - ``radius``: half of the width of the link's shapes [m]. It is None for a link without
+        - ``radius``: half of the width of the shapes of the link [m]. None for a link without
           shapes.
     """
     joint = int(model.body_jntadr[body])
@@ -322,10 +318,7 @@ def _link_values(model: Any, data: Any, roots: list[int], body: int, path: str) 
 def _mesh_values(
     meshes: Sequence[BodyMesh], model: Any, data: Any, root: int, origin: Any, link_rotation: Any
 ) -> list[dict[str, Any]]:
-    """Return the meshes of a link as plain values.
-
-    The poses of the meshes are given in the frame of the link.
-    """
+    """Return the meshes of a link as plain values, placed in the link's frame."""
     found = []
     members = _fixed_bodies(model, root)
     for mesh in meshes:
@@ -344,7 +337,7 @@ def _mesh_values(
 def _link_inertia(
     model: Any, data: Any, members: list[int], origin: Any, link_rotation: Any
 ) -> tuple[float, list[float], list[list[float]]]:
-    """Return the mass, the centre of mass and the inertia about it, for bodies that are fixed to each other."""
+    """Return mass, centre of mass and central inertia of bodies fixed to each other, in the frame of a link."""
     masses = model.body_mass[members]
     mass = float(masses.sum())
     if mass <= 0.0:
@@ -354,7 +347,7 @@ def _link_inertia(
     for body in members:
         axes = data.ximat[body].reshape(3, 3)
         away = data.xipos[body] - centre
-        # Steiner's theorem converts the inertia of each body to the common centre of mass.
+        # Steiner's theorem moves the inertia of each body to the common centre of mass.
         total += axes @ np.diag(model.body_inertia[body]) @ axes.T
         total += model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
     return (
@@ -367,11 +360,10 @@ def _link_inertia(
 def _frame_origins(
     model: Any, data: Any, root: int, origin: Any, link_rotation: Any
 ) -> dict[str, list[float]]:
-    """Return the origins (3,) of the named bodies and sites of a link, by name, in the frame of the link [m]."""
+    """Return the origins (3,) of the named bodies and sites fixed to a link, by name, in its frame [m]."""
     members = _fixed_bodies(model, root)
     places = {model.body(body).name: data.xpos[body] for body in members if body != root}
-    # MuJoCo computes the positions of sites only in its first step. So this function computes these
-    # positions.
+    # MuJoCo places sites only in its first step, so this function computes their places.
     for site in range(model.nsite):
         body = int(model.site_bodyid[site])
         if body in members:
@@ -388,7 +380,7 @@ def _frame_origins(
 def _shape_corners(
     model: Any, data: Any, members: list[int], origin: Any, link_rotation: Any
 ) -> tuple[list[list[float]], float | None]:
-    """Return the corners (n, 3) of the boxes around the shapes of a link, and half of their width or None [m]."""
+    """Return the corners (n, 3) of the boxes around the shapes of a link, and its half width or None [m]."""
     corners: list[Any] = []
     radii: dict[int, float] = {}
     for geom in range(model.ngeom):
@@ -416,7 +408,7 @@ def _shape_corners(
 
 
 def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
-    """Return the tendons that have constant moment arms, each with these moment arms and its motor."""
+    """Return the tendons with constant moment arms, each with its moment arms and the motor that pulls it."""
     found = []
     for tendon in range(model.ntendon):
         name = model.tendon(tendon).name or f"tendon_{tendon + 1}"
@@ -442,7 +434,7 @@ def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
 
 
 def _pull_direction(model: Any, motors: list[int]) -> dict[str, Any]:
-    """Return the name of a tendon's only actuator, and the largest tension [N] if it controls tension."""
+    """Return the only actuator of a tendon by name, and the maximum tension [N] if it controls tension."""
     if len(motors) != 1:
         return {"motor": None, "tension_max": None}
     motor = motors[0]

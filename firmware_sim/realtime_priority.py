@@ -1,6 +1,6 @@
 """Real-time priority for the simulator.
 
-The simulator must keep up with the wall clock, as the firmware of a real drive does.
+The simulator must keep up with the clock, as real firmware does.
 """
 
 import math
@@ -41,22 +41,20 @@ def take_priority() -> bool:
 
 
 def restore_priority() -> None:
-    """Give this process the ordinary priority again."""
+    """Return this process to the ordinary scheduler."""
     if sys.platform.startswith("linux"):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 class RealTimePriority:
-    """Real-time priority for a simulator.
+    """Real-time priority for a simulator that serves a controller, but leaves the controller enough computing time.
 
-    It leaves enough computing time to the controller that the simulator serves.
-
-    A simulator that is behind the clock is always busy. While a controller imports its modules, it
-    has no real-time priority yet. On a common core, a simulator with real-time priority would then
-    leave the controller almost no time. Therefore the simulator takes the priority only when the
+    A simulator that is behind the clock is always busy. A controller on the same core has no
+    real-time priority as long as it imports modules. A simulator with real-time priority would then
+    leave the controller almost no time. The simulator therefore takes the priority only when the
     first frame of a host arrives. If the plant repeatedly falls behind the clock, the simulator
-    gives the priority back for a time of ``ORDINARY_PRIORITY_S``. If the whole machine stops just
-    once, the simulator keeps the priority.
+    gives the priority back for ``ORDINARY_PRIORITY_S``. After a single stop of the machine, the
+    simulator keeps the priority.
 
     Attributes:
         active: True while the process has the priority.
@@ -71,9 +69,9 @@ class RealTimePriority:
         """Start without real-time priority.
 
         Args:
-            take_priority_function: function that requests the priority, and returns True if the
-                system has granted it.
-            restore: function that gives the process the ordinary priority again.
+            take_priority_function: function that takes the priority, and returns True if the system
+                has granted it.
+            restore: function that restores the ordinary priority.
             now_s: function that returns the present time [s].
         """
         self._take = take_priority_function
@@ -84,15 +82,15 @@ class RealTimePriority:
         self._slips_s: deque[float] = deque(maxlen=MAX_SLIPS)
 
     def note_host_frames(self) -> None:
-        """Take the real-time priority, because the host has sent frames."""
+        """Take the real-time priority, because frames of a host have arrived."""
         if not self.active and self._now_s() >= self._not_before_s:
             self.active = self._take()
             self._not_before_s = (
                 self._now_s() + ORDINARY_PRIORITY_S
-            )  # if the priority has been refused, it is not requested in every turn
+            )  # after a refusal, the priority is not requested in every turn again
 
     def note_slip(self) -> None:
-        """Count a slip of the clock. After ``MAX_SLIPS`` slips, give the priority back."""
+        """Count a slip of the clock, and give the priority back after ``MAX_SLIPS`` slips."""
         if not self.active:
             return
         now_s = self._now_s()

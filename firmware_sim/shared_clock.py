@@ -1,13 +1,13 @@
-"""A clock that the simulator and the controller on one machine share.
+"""A clock that simulator and controller share on one machine.
 
 The clock pauses while the machine is too slow.
 
-The operating system may stop the simulator for many milliseconds. The answers of the simulator then
-arrive late, although the simulated hand has no fault. A controller that uses the shared clock waits
-for these answers. In every tick, the controller sets a time that is called the gate. The simulator
-never advances beyond the time of the gate.
+The operating system may stop the simulator for many milliseconds. The answers of the simulator are
+then late although the simulated hand works correctly. A controller that uses the shared clock waits
+for these answers. In every tick, the controller sets a time called the gate. The simulator never
+advances beyond the gate.
 
-The clock is a file that contains six 64-bit integers. Both processes map the file into memory:
+The clock is a file with six 64-bit integers. Both processes map the file into memory:
 
     version | gate [ns] | sum of the pauses [ns] | ticks sent | ticks answered | reached [ns]
 
@@ -40,12 +40,12 @@ for a late controller is shorter than this wait.
 
 
 class SharedClock:
-    """The clock of a simulator, including the pauses and the gate that a controller sets.
+    """The clock of a simulator, which includes the pauses and the gate of its controller.
 
-    The class ``bus_server.ServerClock`` describes the methods.
+    See ``bus_server.ServerClock``.
 
-    Before ``publish`` is called, no controller shares this clock, and its time is CLOCK_MONOTONIC
-    times the time scale.
+    Before ``publish``, no controller shares the clock, and the time of the clock is CLOCK_MONOTONIC
+    times the scale.
 
     Attributes:
         scale: ratio of plant time to wall time.
@@ -55,7 +55,7 @@ class SharedClock:
         """Start without a controller.
 
         Args:
-            scale: ratio of plant time to wall time.
+            scale: plant time per wall time.
         """
         self.scale = scale
         self._path: Path | None = None
@@ -64,11 +64,10 @@ class SharedClock:
         )
 
     def publish(self, path: Path) -> None:
-        """Create the file through which a controller can share the clock.
+        """Create the file of the clock, for sharing with a controller.
 
         Args:
-            path: path of the file. If an earlier simulator was killed and has left such a file, the
-                file is replaced.
+            path: path of the file. If a killed simulator has left such a file, it is replaced.
 
         Raises:
             SimulatorError: the file cannot be created.
@@ -88,10 +87,7 @@ class SharedClock:
         self._path = path
 
     def now_ns(self) -> int:
-        """Return the present time [ns].
-
-        If the gate is earlier than the present time, return the time of the gate.
-        """
+        """Return the present time [ns]. If the gate is earlier, return the gate."""
         now, gate = time.monotonic_ns() - self._numbers[PAUSED_INDEX], self._numbers[GATE_INDEX]
         if gate < now <= gate + MAX_GATE_WAIT_NS:
             now = gate
@@ -112,7 +108,8 @@ class SharedClock:
     def close(self) -> None:
         """Remove the file of the clock.
 
-        A controller that still maps this file waits, as it would for a simulator that was stopped.
+        A controller that still maps the file then waits, in the same way as for a stopped
+        simulator.
         """
         if self._path:
             self._path.unlink(missing_ok=True)

@@ -1,9 +1,8 @@
-"""The simulated world of a hand: the plant and the nodes.
+"""The world of a hand: the plant and the nodes.
 
-The caller passes times and frames to the world. The world itself uses no sockets and no clocks.
+The caller passes times and frames to the world. The world itself has no sockets and no clocks.
 
-Injected faults act on the frames of a node, in a node, in a sensor, or in the plant. The package
-``faults`` implements them.
+Injected faults act on frames of nodes, in a node, in a sensor or in the plant. See ``faults``.
 """
 
 import random
@@ -44,28 +43,25 @@ needs.
 class SimulatedWorld:
     """The plant and the simulated nodes of one hand.
 
-    If a world is not homed, it starts like a real hand at power-up. Each tendon is slack by 1 to 3
-    mm, because the motors had no torque. At the spool angle at which a tendon is just taut at q =
-    0, the encoder of its motor reads an angle within 0.5 rad of ``zero_rad``. The angle is not
-    exact because a spool is clamped by hand. The slack and the encoder angle are random numbers
-    that depend on a seed. A homed world starts with taut tendons, and its encoders read
-    ``zero_rad``.
+    A world that is not homed starts like a hand at power-up. Each tendon is slack by 1 to 3 mm,
+    because the motors were off. At the spool angle where a tendon is just taut at q = 0, the
+    encoder of its motor reads an angle within 0.5 rad of ``zero_rad``, as after a spool was clamped
+    by hand. The slack and the encoder angle are random numbers that depend on a seed. A homed world
+    starts with taut tendons and with the encoders at ``zero_rad``.
 
     Attributes:
         hand: description of the hand.
         plant: mechanics of the hand.
         nodes: list of the nodes on each bus of the hand.
         t_ns: present time of plant and nodes [ns].
-        slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
-        foreign: number of received frames that no simulated node has handled.
-        sensor_node: node with load cells and joint encoders, or an object for all load-cell
-            amplifiers.
-        sensor_nodes: all nodes on the bus that read load cells.
-        faults: faults that have been injected.
-        encoder_offset: encoder angle at the spool angle theta = 0 [rad], by the name of the motor.
-        row_of: kind and array row of each node that compiled kernels handle, by the ``id()`` of the
-            node.
-        exchange: exchange of frames by a compiled kernel, or None without compiled kernels.
+        slip_ns: time that was lost by slips while this process did not run [ns].
+        foreign: number of received frames that no node has handled.
+        sensor_node: node with load cells and joint encoders, or the collection of all amplifiers.
+        sensor_nodes: the nodes on the bus that read load cells.
+        faults: faults that were injected.
+        encoder_offset: encoder angle at theta = 0 [rad], by the name of the motor.
+        row_of: kind and row of each node that compiled kernels handle, by the ``id()`` of the node.
+        exchange: exchange of frames by a compiled kernel. None without compiled kernels.
     """
 
     def __init__(
@@ -77,13 +73,13 @@ class SimulatedWorld:
         origin_ns: int = 0,
         compiled: bool = True,
     ) -> None:
-        """Build the plant and the simulated nodes of a hand.
+        """Build the plant and the nodes of a hand.
 
         Args:
             hand: description of the hand.
-            scene: description of the object, its support and the events after the grasp.
+            scene: description of object, support and later events.
             seed: seed of all random numbers.
-            homed: True to start as a hand that is already homed.
+            homed: True to start as a homed hand.
             origin_ns: time of the world at the start [ns].
             compiled: True to use compiled kernels, see ``Plant``.
         """
@@ -122,7 +118,7 @@ class SimulatedWorld:
         self.slip_ns = 0
 
     def open_camera(self, width_px: int, height_px: int) -> "Camera":
-        """Return a camera that draws the hand and the object. The caller must close the camera.
+        """Return a camera that draws hand and object. The caller closes the camera.
 
         Args:
             width_px: width of the pictures [pixels].
@@ -131,13 +127,13 @@ class SimulatedWorld:
         Raises:
             SimulatorError: the machine has no graphics library.
         """
-        # The import is here, because most runs draw no pictures and need no graphics library.
+        # Most runs draw no pictures, and need no graphics library.
         from firmware_sim.plant.camera import Camera
 
         return Camera(self.hand, self.plant.scene, width_px, height_px)
 
     def _bus_index(self, name: str) -> int:
-        """Return the index of the bus with the given name."""
+        """Return the index of a bus of the hand, given its name."""
         if name not in self.hand.buses:
             raise SimulatorError(
                 f"{self.hand.name}: no bus {name}; expected one of {', '.join(self.hand.buses)}"
@@ -145,12 +141,11 @@ class SimulatedWorld:
         return self.hand.buses.index(name)
 
     def _build_drives(self, compiled: bool, rows: dict[type, Any]) -> dict[str, DriveNode]:
-        """Build the simulated drive of each motor.
+        """Build the drive node of each motor.
 
         Args:
-            compiled: True to store the state of each drive in an array row, for compiled kernels.
-            rows: rows with the states of nodes, by the type of the row. The method adds the rows of
-                the drives.
+            compiled: True to store the numbers of the nodes in rows, for compiled kernels.
+            rows: arrays of rows by row type. The function extends the arrays.
 
         Returns:
             The drive node of each motor, by the name of the motor.
@@ -183,10 +178,7 @@ class SimulatedWorld:
     def _build_sensor_node(
         self, spec: SensorSpec, compiled: bool, rows: dict[type, Any]
     ) -> SensorNode | LoadCellAmplifiers:
-        """Build the sensor node, or the load-cell amplifiers.
-
-        For compiled kernels, the state of the sensor node is in an array row.
-        """
+        """Build the sensor node (with a row if kernels are compiled), or the amplifiers."""
         plant = self.plant
         joints = self.hand.joints
         names = [tendon.name for tendon in self.hand.tendons]
@@ -211,38 +203,38 @@ class SimulatedWorld:
         return node
 
     def motor_spec(self, name: str) -> MotorSpec:
-        """Return the description of the motor with the given name."""
+        """Return the description of a motor by the name of the motor."""
         return next(motor for motor in self.hand.motors if motor.name == name)
 
     def node_of(self, name: str) -> SimulatedNode:
-        """Return the simulated drive of the motor with the given name."""
+        """Return the drive node of a motor by the name of the motor."""
         return self._motor_nodes[name]
 
     def host_frame(self, name: str) -> Frame:
-        """Build a frame without effect that only the host of a motor would send."""
+        """Build a frame that has no effect and that only the host of a motor sends."""
         spec = self.motor_spec(name)
         can_id, data = PROTOCOL_SPECS[spec.protocol].host_frame(spec.node_id)
         return Frame(can_id, data, 0, self._bus_index(spec.bus), self.t_ns)
 
     def record(self, truth: TruthWriter) -> None:
-        """From now on, record the true state in a truth file, once per millisecond of plant time."""
+        """Record every millisecond of plant time in a truth file."""
         self._truth = truth
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Pass a frame to the nodes of the frame's bus, and return the answers.
+        """Pass a frame to the nodes of its bus, and collect the answers.
 
         Args:
             frame: frame of the host.
 
         Returns:
-            The answers, which have the present time.
+            The answers. The time of the answers is the present time.
         """
         answers: list[Frame] = []
         handled = False
         t_ns = self.t_ns
         bus = frame[3]
         faults = self.faults
-        # a fault may also act on frames that are meant for other nodes
+        # a fault may also react to frames that are for other nodes
         wire_faulty = faults.wire_faults_of
         receivers = (
             self._nodes_of_bus[bus]
@@ -266,16 +258,13 @@ class SimulatedWorld:
         return answers
 
     def has_receiver(self, frame: Frame) -> bool:
-        """Return True if some node may answer the frame.
-
-        If so, the answer may contain readings of the plant.
-        """
+        """Return True if a node may answer the frame. The answer would sample the plant."""
         return bool(self._by_id[frame[3]].get(frame[0]) or self._receivers(frame[3], frame[0]))
 
     def _receivers(
         self, bus: int, can_id: int
     ) -> list[tuple[SimulatedNode, frozenset[int] | None]]:
-        """Return the nodes that may answer a frame with the given identifier, each with its present identifiers."""
+        """Return the nodes that may answer an identifier, each with the present identifiers."""
         receivers = [
             (node, ids) for node, ids in self._nodes_of_bus[bus] if ids is None or can_id in ids
         ]
@@ -283,21 +272,20 @@ class SimulatedWorld:
         return receivers
 
     def refresh_identifiers(self) -> None:
-        """Read the identifiers of all nodes again, because identifiers may have changed."""
+        """Read the identifiers of all nodes again, because some identifiers may have changed."""
         self._nodes_of_bus = [[(node, node.ids) for node in bus] for bus in self.nodes]
         self._by_id = [{} for _ in self.nodes]
         if self.exchange:
             self.exchange.refresh_identifiers()
 
     def advance(self, t_ns: int, row_wake_ns: int | None = None) -> None:
-        """Advance the plant and the nodes towards the time ``t_ns``, by whole time steps.
+        """Advance plant and nodes towards ``t_ns`` in whole steps.
 
-        The next call makes up for the rest of the time.
+        The next call makes up for the remaining time.
 
         Args:
             t_ns: time to which the world advances [ns].
-            row_wake_ns: earliest wake time of the drives whose state is in array rows [ns], or None
-                if it is not known.
+            row_wake_ns: earliest wake time of the drives whose state is in array rows [ns], None if it is not known.
         """
         plant = self.plant
         truth = self._truth
@@ -325,10 +313,10 @@ class SimulatedWorld:
         self.t_ns = now_ns
 
     def reach(self, t_ns: int) -> None:
-        """Advance the plant and the nodes exactly to the time ``t_ns``, so that readings belong to this time.
+        """Advance plant and nodes to exactly ``t_ns``, so that samples belong to their exact time.
 
-        All other steps begin and end at the usual times. The step that contains ``t_ns`` is
-        divided, and the next call completes this step.
+        All other steps keep their places in time. The step that contains ``t_ns`` is divided, and
+        the next call completes this step.
         """
         self.advance(t_ns)
         rest_ns = t_ns - self.t_ns
@@ -339,7 +327,7 @@ class SimulatedWorld:
             self.t_ns = t_ns
 
     def _write_truth(self, now_ns: int) -> None:
-        """If a row of the truth file is due, write the row."""
+        """Write a row of the truth file if a row is due."""
         truth = self._truth
         plant = self.plant
         if truth is not None and plant.t_ns >= truth.due_ns:
@@ -349,8 +337,8 @@ class SimulatedWorld:
         """Return the earliest wake time of all nodes [ns].
 
         Args:
-            row_wake_ns: earliest wake time of the drives whose state is in array rows [ns], or None
-                if it is not known.
+            row_wake_ns: earliest wake time of the drives whose state is in array rows [ns], None if
+                not known.
         """
         if not self.exchange:
             return min([node.wake_ns for _, node in self._nodes_by_bus], default=NEVER_NS)
@@ -362,11 +350,11 @@ class SimulatedWorld:
         )
 
     def _wake(self, now_ns: int) -> int | None:
-        """Wake the nodes whose wake time has come, and store the frames that they send.
+        """Wake the nodes that are due, and store the frames that they send.
 
         Returns:
-            The earliest wake time of the drives whose state is in array rows [ns], or None if it is
-            not known.
+            The earliest wake time of the drives whose state is in array rows [ns]. None if it
+            is not known.
         """
         if self.exchange and not self._without_row and self.exchange.send_due(now_ns):
             return self.exchange.wake_ns
@@ -383,11 +371,11 @@ class SimulatedWorld:
         return None
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames whose senders are outside of the hand, so that the bus carries them."""
+        """Queue frames on the bus whose senders are outside of the hand."""
         self._unsolicited += frames
 
     def take_unsolicited(self) -> list[Frame]:
-        """Return the frames that nodes have sent without a request since the last call, sorted by time."""
+        """Return the unsolicited frames since the last call, sorted by time."""
         unsolicited = self._unsolicited
         self._unsolicited = []
         if self.exchange and len(from_drives := self.exchange.take_sent()):
@@ -395,9 +383,9 @@ class SimulatedWorld:
         return unsolicited
 
     def take_unsolicited_records(self) -> Any:
-        """Return the frames that nodes have sent without a request, as an array of ``frame_records.FRAME_DTYPE``.
+        """Return the unsolicited frames as an array of ``frame_records.FRAME_DTYPE``.
 
-        The array stays valid until a node sends the next frame.
+        The array stays valid until the next frame is sent.
         """
         assert self.exchange
         return (
@@ -410,7 +398,7 @@ class SimulatedWorld:
         return sum(node.malformed for _, node in self._nodes_by_bus)
 
     def header(self, clock: str) -> dict[str, object]:
-        """Return the header for a truth file of this world.
+        """Return the header of a truth file of this world.
 
         Args:
             clock: name of the clock to which the times in the file belong.
@@ -427,9 +415,7 @@ class SimulatedWorld:
 
 
 def _steps_until(now_ns: int, due_ns: int, end_ns: int) -> int:
-    """Count the time steps until an event is due or until the end is reached.
-
-    The result is at least 1.
+    """Count the steps until an event is due or the end is reached. The result is at least 1.
 
     Args:
         now_ns: present time [ns].
@@ -451,15 +437,14 @@ def make_world(
 
     Args:
         hand: description of the hand.
-        scene: description of the object, its support and the events after the grasp.
+        scene: description of object, support and later events.
         seed: seed of all random numbers.
-        homed: True to start as a hand that is already homed.
+        homed: True to start as a homed hand.
         origin_ns: time of the world at its start [ns].
         compiled: True to use compiled kernels, see ``Plant``.
 
     Raises:
-        SimulatorError: a plant cannot be built from the numbers or names in the description of the
-            hand.
+        SimulatorError: numbers or names in the description of the hand do not make a plant.
     """
     try:
         return SimulatedWorld(hand, scene, seed, homed, origin_ns, compiled)

@@ -1,4 +1,4 @@
-"""The pace of the simulation: reports of delays behind the clock, and the pace that this machine can keep."""
+"""The pace of the simulation: reports of a delay behind the clock, and a pace that this machine can keep."""
 
 import math
 import os
@@ -25,12 +25,12 @@ ADVISED_FRACTION = 0.8
 
 @dataclass(frozen=True, slots=True)
 class ClockReadings:
-    """Readings of three clocks, taken at the same time.
+    """Readings of all clocks, taken at the same time.
 
     Attributes:
         wall_s: time of the wall clock [s].
-        cpu_s: processor time that this process has used [s].
-        plant_s: simulated time that the plant has reached [s].
+        cpu_s: computing time of this process [s].
+        plant_s: simulated time of the plant [s].
     """
 
     wall_s: float
@@ -39,13 +39,13 @@ class ClockReadings:
 
 
 class PaceCounter:
-    """Counter of clock slips, which also measures the pace of the simulation.
+    """Counter of the slips of the clock.
 
-    It reports when the simulation is too slow.
+    The counter measures and reports the pace of the simulation.
 
     Attributes:
-        advice: highest pace that this machine can keep, as the ratio of plant time to wall time.
-            The value is None until the machine has proved too slow for the requested pace.
+        advice: pace that this machine can keep, as the ratio of plant time to wall time. The value
+            is None until the machine proves too slow.
     """
 
     def __init__(
@@ -60,10 +60,10 @@ class PaceCounter:
 
         Args:
             plant_ns: present time of the plant [ns].
-            wall_s: function that returns the processor time of this process [s].
+            wall_s: function that returns the time of the wall clock [s].
             cpu_s: function that returns the computing time of this process [s].
             report_line: function that prints a line.
-            time_scale: requested pace, as the ratio of plant time to wall time.
+            time_scale: requested pace, as plant time per wall time.
         """
         self._time_scale = time_scale
         self._wall_s = wall_s
@@ -76,7 +76,7 @@ class PaceCounter:
         self.advice: float | None = None
 
     def restart(self, plant_ns: int) -> None:
-        """Restart the measurement of the pace, because a host has appeared.
+        """Restart the measurement, because a host has appeared.
 
         Args:
             plant_ns: present time of the plant [ns].
@@ -84,9 +84,7 @@ class PaceCounter:
         self._mark = self._start = self._clock_readings(plant_ns)
 
     def slipped(self, behind_ns: int, plant_ns: int) -> None:
-        """Count a slip of the clock, after which the lost time is never made up.
-
-        If the last report is at least a second old, report the slip.
+        """Count a slip of the clock. Report it, unless the last report is less than a second old.
 
         Args:
             behind_ns: plant time that was lost by the slip [ns].
@@ -110,7 +108,7 @@ class PaceCounter:
         self._slips = self._lost_ns = 0
 
     def report(self, plant_ns: int) -> dict[str, float | None]:
-        """Return the requested pace, the advised pace, and the ratio of plant time to processor time so far."""
+        """Return the requested pace, the advised pace, and the plant time per computing time since the start."""
         capacity = _pace_ratio(self._start, self._clock_readings(plant_ns))
         return {
             "time_scale": self._time_scale,
@@ -119,12 +117,12 @@ class PaceCounter:
         }
 
     def _slow_machine_text(self, seconds: float) -> str:
-        """Return the line that tells the user that the machine is too slow."""
+        """Return the line that reports a machine that is too slow."""
         lost = f"clock slipped {self._slips} times in {seconds:.1f} s, {self._lost_ns / 1e6:.0f} ms given up"
         return f"firmware_sim: {lost}: this machine is fast enough for --time-scale {self.advice:g}"
 
     def _update_advice(self, now: ClockReadings) -> None:
-        """Update the advised pace from the pace since the last report."""
+        """Update the advised pace, using the pace since the last report."""
         measured = (now.plant_s - self._mark.plant_s) / (now.wall_s - self._mark.wall_s)
         advice = ADVISED_FRACTION * min(
             measured,
@@ -142,20 +140,20 @@ def rounded_down(pace: float) -> float:
     """Round a pace down to one significant digit, but not below the minimum of ``--time-scale``."""
     if pace <= 0.001:
         return 0.001
-    # Without the tolerance of 1e-9, rounding errors would turn 0.3 into 0.2.
+    # Without the tolerance of 1e-9, the rounded quotient would make 0.2 of 0.3.
     step = 10.0 ** math.floor(math.log10(pace))
     return float(f"{math.floor(pace / step + 1e-9) * step:.6g}")
 
 
 def _pace_ratio(start: ClockReadings, end: ClockReadings) -> float:
-    """Return the ratio of plant time to processor time between two readings.
+    """Return the ratio of plant time to computing time.
 
-    If no processor time has passed, the ratio is infinite.
+    The value is infinite if no computing time has passed.
     """
     cpu_s = end.cpu_s - start.cpu_s
     return (end.plant_s - start.plant_s) / cpu_s if cpu_s > 0.0 else math.inf
 
 
 def _usable_cores() -> set[int]:
-    """Return the processor cores on which this process may run."""
+    """Return the processor cores that this process may use."""
     return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else {0, 1}

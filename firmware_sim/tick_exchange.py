@@ -1,7 +1,6 @@
-"""The frames that a host sends in one tick, and the answers to them, as records in arrays.
+"""The frames of one tick and their answers as records.
 
-A compiled kernel answers the frames that are repeated in every tick. The nodes answer all other
-frames in Python.
+A compiled kernel answers the cyclic frames. The nodes answer all other frames.
 """
 
 from operator import is_not
@@ -32,11 +31,11 @@ INITIAL_CAPACITY = 64
 
 
 class TickExchange:
-    """The computation of all answers of a tick, for a world in which the states of nodes are in array rows.
+    """The computation of the answers of a tick, for a world whose node states are in array rows.
 
     Attributes:
-        sends_unsolicited: True if the compiled kernel sends the frames that drives send without a
-            request. False if the world sends these frames.
+        sends_unsolicited: True if the compiled kernel sends the unsolicited frames of drives. False
+            if the world sends them.
     """
 
     def __init__(self, world: Any, rows: dict[type, Any]) -> None:
@@ -44,7 +43,7 @@ class TickExchange:
 
         Args:
             world: world to which the nodes belong.
-            rows: arrays with the states of nodes in their rows, by the type of the row.
+            rows: arrays of rows with the states of nodes, by row type.
         """
         self._world, self._kernels = world, machine_code(cyclic_kernels)
         self._capacity = INITIAL_CAPACITY
@@ -77,7 +76,7 @@ class TickExchange:
         self._receivers: Any = None
 
     def refresh_identifiers(self) -> None:
-        """Make the next frame rebuild the table of identifiers."""
+        """Build the table of identifiers again when the next frame arrives."""
         self._table = None
 
     def answer(self, frames: Any, t_ns: int, last_ns: int) -> tuple[Any, bool]:
@@ -85,11 +84,11 @@ class TickExchange:
 
         Args:
             frames: frames of the host, an array of ``FRAME_DTYPE``.
-            t_ns: time at which the tick starts [ns].
+            t_ns: start of the tick [ns].
             last_ns: largest delay of an answer after the start of the tick [ns].
 
         Returns:
-            The answers, with times as if they were sent one after the other, and True if these
+            The answers, with times as if they were sent one after the other, and True if their
             times are in rising order.
         """
         world = self._world
@@ -118,7 +117,7 @@ class TickExchange:
             self._drop_stale_table()
 
     def _run_kernel(self, frames: Any, answers: Any, t_ns: int, last_ns: int) -> None:
-        """Run the compiled kernel until a frame comes that a node must answer in Python."""
+        """Run the compiled kernel up to the first frame that a node must answer in Python."""
         if self._table is None:
             self._build_table()
         if self._noise:
@@ -126,7 +125,7 @@ class TickExchange:
         self._kernels.answer(frames, answers, self._addresses, t_ns, last_ns, self._max_answers)
 
     def _enlarged(self, answers: Any) -> Any:
-        """Return a copy of the array of answers that has twice the capacity."""
+        """Return the array of answers, copied into an array with twice the capacity."""
         self._capacity = 2 * len(answers)
         return np.concatenate((answers, np.empty(len(answers), FRAME_DTYPE)))
 
@@ -141,10 +140,10 @@ class TickExchange:
         return answers
 
     def _build_table(self) -> None:
-        """Build the table that gives the nodes which receive each identifier.
+        """Build the table that gives the receivers of each identifier.
 
-        If the state of a node is not in an array row, Python handles all frames with identifiers of
-        this node.
+        If the state of a node is not in an array row, Python handles the identifiers that this node
+        may answer.
         """
         world = self._world
         receivers = list[tuple[int, int, int]]()
@@ -159,13 +158,13 @@ class TickExchange:
             }
             for can_id in {can_id for ids in cyclic_ids.values() for can_id in ids}:
                 accepting = [node for node in nodes if _does_node_accept(node, can_id)]
-                # A node whose state is not in an array row also accepts this identifier. So Python
-                # must handle frames with this identifier.
+                # A node whose state is not in an array row also accepts this identifier, so Python
+                # must handle these frames.
                 if not all(can_id in cyclic_ids[id(node)] for node in accepting):
                     continue
                 next_receiver = -1
-                # Each entry of the list contains the index of the next receiver. So the list is
-                # built from its end.
+                # Each entry contains the index of the next receiver, so the list is built from its
+                # end.
                 for node in reversed(accepting):
                     receivers.append((*world.row_of[id(node)], next_receiver))
                     next_receiver = len(receivers) - 1
@@ -193,9 +192,9 @@ class TickExchange:
         self._addresses = np.array(array_addresses(arrays), np.int64)
 
     def _accepted_identifiers(self) -> list[Any]:
-        """Return the identifiers that each node accepts now.
+        """Return the identifiers that each node accepts.
 
-        If the identifiers of a node have changed, the node returns a different object.
+        After a change of its identifiers, a node returns another object.
         """
         return [
             getattr(node, "accepted_ids", node.ids) for nodes in self._world.nodes for node in nodes
@@ -210,29 +209,29 @@ class TickExchange:
 
     @property
     def wake_ns(self) -> int:
-        """Return the earliest wake time of drives in array rows [ns], as of the last ``answer`` or ``send_due``."""
+        """Return the earliest wake time of drives in array rows [ns], after the last ``answer`` or ``send_due``."""
         return int(self._progress[WAKE_NS])
 
     def next_wake(self) -> int:
-        """Return the earliest wake time of the drives in array rows as it is now [ns]."""
+        """Return the present value of the earliest wake time of drives in array rows [ns]."""
         if self._table is None:
             self._build_table()
         return int(self._kernels.next_wake(self._drive_rows, *self._drive_structs))
 
     def send_due(self, now_ns: int) -> bool:
-        """Send the frames that are due and that drives send without a request.
+        """Send the unsolicited frames of drives that are due.
 
         Args:
             now_ns: present time [ns].
 
         Returns:
-            False if Python must wake a node. In this case, no frame is sent.
+            False if a node must be woken in Python. In this case, no frame is sent.
         """
         if not self.sends_unsolicited or self._world.faults.in_frames:
             return False
         if self._table is None:
             self._build_table()
-        # At one time, a drive sends at most two frames: a heartbeat and its encoder estimates.
+        # A drive sends at most two frames at a time: a heartbeat and its encoder estimates.
         while self._progress[SENT] + 2 * len(self._drive_rows) > len(self._sent):
             self._sent = np.concatenate((self._sent, np.empty(len(self._sent), FRAME_DTYPE)))
         rotors = self._world.plant.sampled[3]
@@ -243,22 +242,22 @@ class TickExchange:
         )
 
     def take_sent(self) -> Any:
-        """Return the frames that drives have sent without a request since the last call.
+        """Return the unsolicited frames since the last call.
 
-        The array is valid until a drive sends the next frame.
+        The array is valid until the next frame is sent.
         """
         count = int(self._progress[SENT])
         self._progress[SENT] = 0
         return self._sent[:count]
 
     def merged(self, frames: Any, other_frames: Any) -> Any:
-        """Return the frames of two arrays as one array, sorted by time."""
+        """Return the frames of two arrays in one array, sorted by time."""
         out = np.empty(len(frames) + len(other_frames), FRAME_DTYPE)
         self._kernels.merge(frames, other_frames, out)
         return out
 
 
 def _does_node_accept(node: Any, can_id: int) -> bool:
-    """Check whether a node may answer frames with an identifier."""
+    """Check whether a node may answer an identifier."""
     accepted_ids = getattr(node, "accepted_ids", node.ids)
     return accepted_ids is None or can_id in accepted_ids

@@ -1,10 +1,10 @@
-"""The truth file, in which the true state of the plant is recorded in every millisecond.
+"""The truth file: a record of the true state of the plant in every millisecond.
 
-Tests compare the estimates of a controller with this record.
+Tests compare a controller with this record.
 
-The file starts with a line of JSON, the header. The header is padded with spaces, so that it can be
-completed when the file is closed. The rows of the record follow. Each row consists of an int64 t_ns
-and of a float64 for each column, little-endian.
+The file starts with a line of JSON. This line is padded with spaces, and completed when the file is
+closed. Rows follow. Each row consists of an int64 t_ns and of a float64 for each column,
+little-endian.
 """
 
 import json
@@ -39,8 +39,9 @@ class TruthFile(NamedTuple):
 
     Attributes:
         header: content of the header line.
-        t_ns: (rows,) time of each row [ns].
-        values: (rows, columns) true values. ``header["units"]`` contains the unit of each column.
+        t_ns: times of the rows, shape (rows,) [ns].
+        values: true values, shape (rows, columns). ``header["units"]`` contains the unit of each
+            column.
     """
 
     header: dict[str, Any]
@@ -48,12 +49,12 @@ class TruthFile(NamedTuple):
     values: npt.NDArray[np.float64]
 
     def column(self, name: str) -> npt.NDArray[np.float64]:
-        """Return the values (rows,) of the column with the given name."""
+        """Return the values of a column by its name, shape (rows,)."""
         return self.values[:, self.header["columns"].index(name)]
 
 
 def truth_columns(plant: Plant) -> list[tuple[str, str]]:
-    """List the name and the unit of every column that the truth file of a plant has."""
+    """List the name and the unit of every column of a plant's truth file."""
     hand = plant.hand
     named = [(f"tension/{tendon.name}", "N") for tendon in hand.tendons]
     named += [(f"q/{joint}", "rad") for joint in hand.joints]
@@ -79,11 +80,11 @@ def truth_columns(plant: Plant) -> list[tuple[str, str]]:
 class TruthWriter:
     """Writer of a truth file.
 
-    The values of a row belong to the time of the row, but not those of the contact forces. The
-    contact forces belong to the previous time step of the plant, which was 0.5 ms earlier.
+    The values of a row belong to the time of the row, except the contact forces. The contact forces
+    belong to the previous step of the plant, 0.5 ms earlier.
 
     Attributes:
-        due_ns: plant time at which the next row must be written [ns].
+        due_ns: plant time when the next row must be written [ns].
         full: True after the last row that fits. Later rows are discarded.
     """
 
@@ -94,7 +95,7 @@ class TruthWriter:
 
         Args:
             path: path of the file.
-            plant: plant whose true state is recorded.
+            plant: plant to record.
             header: additional content of the header line.
             max_bytes: largest size of the file [bytes].
         """
@@ -115,11 +116,11 @@ class TruthWriter:
         self._file.write(self._header_line(_HEAD_SIZE))
 
     def _header_line(self, size: int) -> bytes:
-        """Return the header line, padded with spaces to a given size [bytes]."""
+        """Return the header line, padded to a size [bytes]."""
         return json.dumps(self._header).encode().ljust(size - 1) + b"\n"
 
     def write(self, t_ns: int, plant: Plant) -> None:
-        """Write the present true state of the plant as a row."""
+        """Record the present true state of the plant as a row."""
         self.due_ns += PERIOD_NS
         if self.full:
             return
@@ -144,7 +145,7 @@ class TruthWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Write the rows that have been collected to the file, unless the file or the disk is full."""
+        """Write the collected rows to the file, unless the file or the disk is full."""
         data = b"".join(self._buffered)
         self._buffered.clear()
         disk = os.fstatvfs(self._file.fileno())
@@ -160,7 +161,7 @@ class TruthWriter:
             self.full = True
 
     def close(self, summary: dict[str, object]) -> None:
-        """Write the collected rows, complete the header with a summary of the run, and close the file.
+        """Write the collected rows, add a summary of the run to the header, and close the file.
 
         The header also says whether the last rows are missing, because the file or the disk was full.
         """
@@ -174,7 +175,7 @@ class TruthWriter:
 
 
 def read_truth(path: str | Path) -> TruthFile:
-    """Read a truth file. If the last row is incomplete, it is ignored.
+    """Read a truth file. The reader ignores an incomplete last row.
 
     Raises:
         ValueError: the file does not begin with a header.

@@ -1,4 +1,4 @@
-"""The CAN frame of the simulated nodes, and the record of 72 bytes that carries a frame on a local bus.
+"""The CAN frame of the simulated nodes, and the record of 72 bytes for frames on a local bus.
 
 Record (``struct canfd_frame``, little-endian):
 
@@ -37,11 +37,10 @@ class Frame(NamedTuple):
 
     Attributes:
         can_id: 11- or 29-bit identifier with the flag bits of SocketCAN.
-        data: payload of the frame, at most 8 bytes for classical CAN and 64 bytes for CAN FD.
-        flags: CAN FD flags, a combination of BRS, ESI and FDF. The value is 0 for a classical
-            frame.
-        bus: index of the frame's bus in the list of the hand's buses.
-        t_ns: time at which the frame was received [ns].
+        data: payload of the frame, at most 8 bytes (classical) or 64 bytes (FD).
+        flags: CAN FD flags, a combination of BRS, ESI and FDF. 0 for a classical frame.
+        bus: index of the frame's bus in the hand's list of buses.
+        t_ns: time when the frame was received [ns].
     """
 
     can_id: int
@@ -52,10 +51,7 @@ class Frame(NamedTuple):
 
 
 def pack_record(frame: Frame) -> bytes:
-    """Pack a frame into a record of 72 bytes.
-
-    In this record, the count of dropped records is zero.
-    """
+    """Pack a frame into a record of 72 bytes. The record's count of dropped records is zero."""
     return _FRAME_STRUCT.pack(frame.can_id, len(frame.data), frame.flags, 0, 0, frame.data)
 
 
@@ -63,13 +59,13 @@ def unpack_record(record: bytes, bus: int = 0, t_ns: int = 0) -> Frame | None:
     """Unpack the frame of a record of 72 bytes.
 
     Args:
-        record: record of 72 bytes that a local bus carries.
-        bus: index of the bus that the returned frame gets.
-        t_ns: time of reception that the returned frame gets [ns].
+        record: record of a local bus, 72 bytes.
+        bus: index of the bus to set in the returned frame.
+        t_ns: time of reception to set in the returned frame [ns].
 
     Returns:
-        The frame. If the format of the frame does not allow the payload length in the record, the
-        result is None.
+        The frame, or None if the payload length in the record is not allowed for the frame's
+        format.
     """
     can_id, length, flags, _, _, data = _FRAME_STRUCT.unpack(record)
     if length > (64 if flags & FDF else 8):

@@ -1,11 +1,9 @@
-"""The hub of a local bus.
+"""The hub of a local bus: every client receives the records of all other clients, and no client can block the hub.
 
-Every client receives the records of all other clients, and no client can block the hub.
-
-Each record has 72 bytes (``frame.RECORD_SIZE``) and contains one frame. One read from a socket may
-return several records, and may end in the middle of a record. If the socket buffer of a client is
-full, the hub drops the records for this client. In each record for a client, bytes 6 and 7 contain
-the number of records that were dropped for this client so far, modulo 65536.
+A record has 72 bytes (``frame.RECORD_SIZE``). One read from a socket may return several records,
+and may end in the middle of a record. If the socket buffer of a client has no room, the hub drops
+the records for this client. In each record for a client, bytes 6 and 7 hold the number of records
+dropped for the client until now, modulo 65536.
 """
 
 import contextlib
@@ -37,19 +35,19 @@ The limit keeps a client that floods the bus from blocking the others.
 
 
 class HubConnection:
-    """One connection between a hub and a client.
+    """One connection of a hub and a client.
 
-    Both directions of the connection carry whole records. No method blocks.
+    Both directions of the connection carry whole records, and no method blocks.
 
     Attributes:
         socket: non-blocking stream socket of the connection.
-        dropped: number of records that were dropped because the kernel's send buffer was full.
+        dropped: number of records dropped because the kernel's send buffer was full.
         closed: True once the other end has closed the connection.
-        unsent: bytes of a partly sent record that must still be sent.
+        unsent: bytes of a partly sent record that are not yet sent.
     """
 
     def __init__(self, link: socket.socket) -> None:
-        """Make the socket non-blocking, and enlarge the buffers of the socket.
+        """Make the socket non-blocking and enlarge its buffers.
 
         Args:
             link: connected stream socket.
@@ -66,8 +64,7 @@ class HubConnection:
     def receive(self) -> bytes:
         """Receive whole records.
 
-        If only the first bytes of a record have arrived, they are kept until the other bytes
-        arrive.
+        The first bytes of an incomplete record are kept until the other bytes arrive.
         """
         try:
             piece = self.socket.recv(_MAX_READ_BYTES)
@@ -82,30 +79,27 @@ class HubConnection:
         return data[:end]
 
     def deliver(self, records: bytes) -> None:
-        """Send whole records.
-
-        If the kernel does not accept a record, the record is dropped and counted.
-        """
+        """Send whole records. Records that the kernel does not accept are dropped and counted."""
         count = len(records) // RECORD_SIZE
         if not self.flush():
             self.dropped += count
             return
         stamped = bytearray(records)
-        # This statement writes bytes 6 and 7 of all records at once. The step of the slice is the
-        # size of one record.
+        # Write bytes 6 and 7 of all records at once. The step of the slice is the size of a record.
         stamped[6::RECORD_SIZE] = bytes((self.dropped & 0xFF,)) * count
         stamped[7::RECORD_SIZE] = bytes((self.dropped >> 8 & 0xFF,)) * count
         sent = self._send(stamped)
-        # The number of records is rounded up, because a partly sent record must be completed later.
+        # The count of started records is rounded up, because a partly sent record must be completed
+        # later.
         started = -(-sent // RECORD_SIZE)
         self.unsent = bytes(stamped[sent : started * RECORD_SIZE])
         self.dropped += count - started
 
     def flush(self) -> bool:
-        """Send the rest of a partly sent record.
+        """Send the remaining bytes of a partly sent record.
 
         Returns:
-            True if nothing of the record remains, so that the next record may be sent.
+            True if no bytes remain, so that the next record may be sent.
         """
         if self.unsent:
             self.unsent = self.unsent[self._send(self.unsent) :]
@@ -135,7 +129,7 @@ class BusHub:
             name: name of the bus.
 
         Raises:
-            SimulatorError: another hub serves a bus of this name, or the socket cannot be created.
+            SimulatorError: another hub serves this name, or the socket cannot be made.
         """
         self.name = name
         self._path = bus_path(name)
@@ -146,7 +140,7 @@ class BusHub:
 
     @property
     def dropped(self) -> int:
-        """Return the number of records that were dropped for all present and past clients together."""
+        """Return the number of records dropped for all present and past clients together."""
         return self._closed_dropped + sum(link.dropped for link in self._links)
 
     @property
@@ -160,21 +154,21 @@ class BusHub:
         return self._links
 
     def read_sockets(self) -> list[socket.socket]:
-        """Return the sockets that the main loop must poll for reading."""
+        """Return the sockets to poll for reading."""
         return [self._listener, *(link.socket for link in self._links)]
 
     def write_sockets(self) -> list[socket.socket]:
-        """Return the sockets that the main loop must poll for writing: those of clients with a partly sent record."""
+        """Return the sockets to poll for writing: sockets of clients with a partly sent record."""
         return [link.socket for link in self._links if link.unsent]
 
     def serve(self, ready_sockets: Collection[socket.socket]) -> bytes:
-        """Accept new clients, read the records of all clients, and forward each record to the other clients.
+        """Accept clients, read their records, and forward them to the other clients.
 
         Args:
             ready_sockets: sockets that are ready for reading.
 
         Returns:
-            The records that all clients have sent, for the owner of the hub.
+            The records that all clients sent, for the owner of the hub.
         """
         received = self.poll(ready_sockets)
         for link, records in received:
@@ -183,13 +177,13 @@ class BusHub:
         return b"".join(records for _, records in received)
 
     def poll(self, ready_sockets: Collection[socket.socket]) -> list[tuple[HubConnection, bytes]]:
-        """Accept new clients, and read the records of all clients without forwarding them.
+        """Accept clients and read their records, but forward no records.
 
         Args:
             ready_sockets: sockets that are ready for reading.
 
         Returns:
-            One pair (connection, records) for each client that has sent records.
+            Pairs of connection and records, one for each client that sent records.
         """
         if self._listener in ready_sockets:
             self._accept_clients()
@@ -220,7 +214,7 @@ class BusHub:
                 link.deliver(records)
 
     def drop_closed(self) -> None:
-        """Remove those clients that have disconnected from the hub."""
+        """Remove the clients that have disconnected from the hub."""
         if not any(link.closed for link in self._links):
             return
         for link in self._links:
@@ -232,34 +226,34 @@ class BusHub:
     def close(self) -> None:
         """Close all connections.
 
-        Remove the file of the socket, unless another process has replaced this file.
+        Remove the file of the socket, unless another process has replaced the file.
         """
         for link in self._links:
             link.socket.close()
         self._links.clear()
         self._listener.close()
         with contextlib.suppress(FileNotFoundError):
-            # If the file has another inode, another hub now serves a bus of this name.
+            # If the file has another inode, another hub now serves the name of this bus.
             if self._path.stat().st_ino == self._inode:
                 self._path.unlink()
 
 
 def _is_foreign(link: socket.socket) -> bool:
-    """Check whether the process at the other end of a connection belongs neither to this process's user nor to root.
+    """Check whether the other end of a connection runs as a third user, neither this process's user nor root.
 
-    Only Linux can tell to which user the other process belongs.
+    Only Linux tells the user of the other process.
     """
     if not sys.platform.startswith("linux"):
         return False
     raw = link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER_CREDENTIALS.size)
-    # Field 1 of the credentials is the user id. Root may join the bus for diagnosis.
+    # Field 1 of the credentials is the user. Root may join the bus for diagnosis.
     return _PEER_CREDENTIALS.unpack(raw)[1] not in (0, os.geteuid())
 
 
 def _listening_socket(path: Path, name: str) -> socket.socket:
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        # The folder is locked, because two hubs must not check, unlink and bind the same path at
+        # The directory is locked, because two hubs must not check, unlink and bind the same path at
         # the same time.
         with _locked_folder(path.parent):
             if _is_served(path):
@@ -281,9 +275,9 @@ def _listening_socket(path: Path, name: str) -> socket.socket:
 
 @contextlib.contextmanager
 def _locked_folder(folder: Path) -> Iterator[None]:
-    """Lock a folder.
+    """Lock a directory.
 
-    Only the hub that holds the lock may remove and replace an unused socket in this folder.
+    Only the hub with the lock may remove and replace an unused socket there.
     """
     descriptor = os.open(folder, os.O_RDONLY)
     try:

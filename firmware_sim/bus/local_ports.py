@@ -11,10 +11,7 @@ from firmware_sim.wire.simulated_wire import NEVER_NS
 
 
 class HubPort:
-    """A port that owns the hub of its bus, so that this process serves the bus.
-
-    The class ``bus_ports.BusPort`` describes the methods.
-    """
+    """A port that owns the hub of its bus. See ``bus_ports.BusPort``."""
 
     due_ns = NEVER_NS
 
@@ -23,10 +20,10 @@ class HubPort:
 
         Args:
             name: name of the bus.
-            bus: index of the bus in the list of the hand's buses.
+            bus: index of the bus in the hand.
 
         Raises:
-            SimulatorError: another process already serves the bus.
+            SimulatorError: the bus is already served.
         """
         self._hub = BusHub(name)
         self._bus = bus
@@ -34,7 +31,7 @@ class HubPort:
 
     @property
     def lost(self) -> int:
-        """Return the number of frames dropped because a client was slow, plus the number of invalid records."""
+        """Return the number of frames dropped for slow clients, plus the number of records without a valid frame."""
         return self._hub.dropped + self._unreadable
 
     def read_sockets(self) -> list[socket.socket]:
@@ -61,22 +58,19 @@ class HubPort:
 
 
 class JoinedPort:
-    """A port that is a client of a hub in another process.
-
-    The class ``bus_ports.BusPort`` describes the methods.
-    """
+    """A port that is a client of a hub. See ``bus_ports.BusPort``."""
 
     due_ns = NEVER_NS
 
     def __init__(self, name: str, bus: int) -> None:
-        """Connect to the hub of the bus.
+        """Connect to the hub.
 
         Args:
             name: name of the bus.
-            bus: index of the bus in the list of the hand's buses.
+            bus: index of the bus in the hand.
 
         Raises:
-            SimulatorError: no process serves the bus.
+            SimulatorError: no hub serves the bus.
         """
         self._link = HubConnection(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
         self._name = name
@@ -91,7 +85,7 @@ class JoinedPort:
 
     @property
     def lost(self) -> int:
-        """Return the number of frames that the hub did not accept, plus the number of invalid records."""
+        """Return the number of frames that the hub did not accept, plus the number of records without a valid frame."""
         return self._link.dropped + self._unreadable
 
     def read_sockets(self) -> list[socket.socket]:
@@ -130,10 +124,10 @@ def split_records(records: bytes, bus: int) -> tuple[list[Frame], int]:
 
     Args:
         records: whole records, one after the other.
-        bus: index of the bus that the returned frames get.
+        bus: index of the bus to set in the returned frames.
 
     Returns:
-        The frames, and the number of records that contain no valid frame.
+        The frames, and the number of records that held no valid frame.
     """
     starts = range(0, len(records), RECORD_SIZE)
     read = [unpack_record(records[start : start + RECORD_SIZE], bus) for start in starts]

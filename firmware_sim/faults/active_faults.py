@@ -1,7 +1,4 @@
-"""Injected faults of a simulated hand: those that wait for their start, those that act now, and those that are over.
-
-For each fault, the number of its effects is counted.
-"""
+"""The faults of a simulated hand that wait, act or are over. Each has a count of its effects."""
 
 import random
 from typing import Any
@@ -35,16 +32,16 @@ GENERATING_KINDS = ("flood", "unknown", "foreign")
 
 
 class ActiveFaults:
-    """All faults of a simulated world, which start and end by the clock of this world.
+    """The faults of a simulated world, timed by its clock.
 
     The effects of faults are deterministic, in lockstep and in real time.
 
     Attributes:
-        on: True after the first fault has been injected.
-        wire_faults_of: faults that act on the frames of a node, by the ``id()`` of the node object.
+        on: True once a fault has been injected.
+        wire_faults_of: faults that act on the frames of a node, by the ``id()`` of the node.
         injected: all faults injected so far, in the order of injection.
-        in_frames: True if a fault that acts in a node, in a sensor or on the bus may now change
-            frames.
+        in_frames: True if a fault acts on frames, in a node or in a sensor, and may therefore
+            change frames.
     """
 
     def __init__(self, world: Any) -> None:
@@ -64,16 +61,16 @@ class ActiveFaults:
 
     @property
     def t_ns(self) -> int:
-        """Return the present time as the truth file counts it [ns]: the world's time plus all clock slips."""
+        """Return the present time as in the truth file [ns]: the world's time plus the time lost by slips."""
         return int(self._world.t_ns + self._world.slip_ns)
 
     @property
     def slip_ns(self) -> int:
-        """Return the total delay behind the wall clock that the simulation will never make up [ns]."""
+        """Return the time lost by slips while this process did not run [ns]."""
         return int(self._world.slip_ns)
 
     def inject(self, text: str) -> Fault:
-        """Start a fault now, or at the later time that its text contains.
+        """Start a fault now, or at the later time in the text.
 
         Args:
             text: fault as text, see ``parse_fault``.
@@ -82,7 +79,7 @@ class ActiveFaults:
             The fault.
 
         Raises:
-            SimulatorError: the hand of this simulation cannot have the fault.
+            SimulatorError: this hand cannot have the fault in the text.
         """
         fault = parse_fault(text, self._world.hand, self._world.t_ns)
         active = ActiveFault(fault, random.Random(f"fault {fault.seed} {fault.text}"))
@@ -93,7 +90,7 @@ class ActiveFaults:
         return fault
 
     def kinds(self) -> list[dict[str, object]]:
-        """List each kind of fault with its possible targets in this hand, its default size and its effect."""
+        """List each kind of fault with the possible targets in this hand, the default size and the effect."""
         hand = self._world.hand
         return [
             {
@@ -109,7 +106,7 @@ class ActiveFaults:
         ]
 
     def states(self) -> list[dict[str, object]]:
-        """List each fault injected so far, with its state and the number of its effects."""
+        """List each fault injected so far, with state and number of effects."""
         acting = [active for active, _ in self._acting]
         return [
             {
@@ -127,13 +124,13 @@ class ActiveFaults:
         ]
 
     def advance(self, t_ns: int) -> list[Frame]:
-        """Start the faults whose start is due, and end the faults whose end is due.
+        """Start the faults whose start is due, and end those whose end is due.
 
         Args:
             t_ns: present time [ns].
 
         Returns:
-            Frames that the faults send now, either as new frames or after a delay.
+            Frames that the faults send or have delayed.
         """
         for active in [active for active in self._waiting if active.fault.start_ns <= t_ns]:
             self._waiting.remove(active)
@@ -153,15 +150,14 @@ class ActiveFaults:
         if not self._turn_ns or (
             t_ns >= self._turn_ns and (t_ns - self._turn_ns) % GENERATION_PERIOD_NS == 0
         ):
-            # Frames that a fault generates are sent at the ends of whole steps of the plant. A
-            # fault can start within a step of the plant. So the part of the step that is already
-            # completed is subtracted.
+            # Generated frames are sent at the ends of whole steps of the plant. A fault can start
+            # within a step, so the completed part of this step is subtracted.
             self._turn_ns = t_ns - self._world.plant.part_ns + GENERATION_PERIOD_NS
             frames += self._generated_frames(t_ns)
         return frames
 
     def due_ns(self) -> int:
-        """Return the time of the next event [ns]: a fault starts or ends, or a delayed or generated frame is sent."""
+        """Return the time of the next event [ns]: start or end of a fault, a delayed frame, or a generated frame."""
         due = [active.fault.start_ns for active in self._waiting]
         for active, _ in self._acting:
             due += [
@@ -173,10 +169,7 @@ class ActiveFaults:
         return min(due, default=FOREVER_NS)
 
     def _index_faults_by_node(self) -> None:
-        """Update the table that gives the faults of each node.
-
-        After a reset, a node may have another identifier.
-        """
+        """Update the index of faults by node. A node may have another identifier after a reset."""
         self._world.refresh_identifiers()
         self.wire_faults_of = {}
         self._all_wire = []
@@ -192,7 +185,7 @@ class ActiveFaults:
                 self._all_wire.append((bus, active))
 
     def _nodes_of(self, fault: Fault) -> list[tuple[Any, int]]:
-        """List the nodes on which a fault acts, each with the index of its bus."""
+        """List the target nodes of a fault, each with the index of the node's bus."""
         world = self._world
         if fault.component == BUS_TARGET:
             bus = world.hand.buses.index(fault.instance)
@@ -208,16 +201,16 @@ class ActiveFaults:
         ]
 
     def exchange(self, node: Any, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Return the answers of a node to a request, after the faults have acted on the request and on the answers.
+        """Return the answers of a node to a frame, after faults have acted on the request and on the answers.
 
         Args:
-            node: node that receives the request.
-            frame: frame with the request to the node.
+            node: the node.
+            frame: request to the node.
             t_ns: present time [ns].
 
         Returns:
-            The answers that reach the host, or None if the node does not receive or does not handle
-            the request.
+            The answers that reach the host. None if the node does not receive or does not handle
+            the frame.
         """
         actives = self.wire_faults_of.get(id(node))
         if not actives:
@@ -232,12 +225,12 @@ class ActiveFaults:
         return wire_faults.transmitted_frames(actives, stamped, t_ns)
 
     def unsolicited(self, node: Any, frames: list[Frame], t_ns: int) -> list[Frame]:
-        """Apply the faults of the bus to frames that a node sends without a request."""
+        """Apply faults of the wire to unsolicited frames of a node."""
         actives = self.wire_faults_of.get(id(node))
         return wire_faults.transmitted_frames(actives, frames, t_ns) if actives else frames
 
     def _generated_frames(self, t_ns: int) -> list[Frame]:
-        """Generate the frames that faults send: floods, unknown identifiers, and commands of a second host."""
+        """Generate the frames of the acting faults: floods, unknown identifiers and commands of a second host."""
         frames = []
         for active, _ in self._acting:
             fault = active.fault

@@ -1,4 +1,4 @@
-"""Faults as data and as a line of text, for example ``drop node=3 p=0.05 at=3s for=2s``."""
+"""Faults as data and as a line of text, such as ``drop node=3 p=0.05 at=3s for=2s``."""
 
 import math
 from dataclasses import dataclass
@@ -31,10 +31,9 @@ class FaultKind(NamedTuple):
     """A kind of fault.
 
     Attributes:
-        components: types of the components, such as node or tendon, that a fault of this kind can
-            affect.
+        components: types of component, the possible targets of this kind.
         size: default size of a fault of this kind.
-        text: effect of a fault of this kind, in words.
+        text: effect of a fault of this kind.
     """
 
     components: tuple[str, ...]
@@ -114,20 +113,20 @@ The sensor node has no power stage and receives only SYNC from the host.
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """The data of one fault, as parsed from its text.
+    """The data of a fault, as parsed from the text.
 
     Attributes:
         kind: key of ``FAULT_KINDS``.
-        component: type of the component that the fault affects, such as node or tendon.
-        instance: name of the component that the fault affects.
-        start_ns: time at which the fault starts [ns].
+        component: type of the target component.
+        instance: name of the target component.
+        start_ns: start of the fault [ns].
         duration_ns: duration of the fault [ns].
-        size: size of the fault. The kind of the fault determines the meaning and the unit.
-        p: probability with which the fault affects each frame.
+        size: size of the fault, with the meaning and unit defined by the kind.
+        p: probability with which the fault hits a frame.
         seed: seed of the random numbers of the fault.
-        hz: frequency of the torque ripple that a fault of kind ``ripple`` causes [Hz].
+        hz: frequency of the torque in a fault of kind ``ripple`` [Hz].
         text: text from which the fault was parsed.
-        other: second motor if the fault acts on two motors, otherwise an empty text.
+        other: second motor of a fault that acts on two motors, otherwise empty.
     """
 
     kind: str
@@ -150,10 +149,10 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
         text: ``KIND COMPONENT=INSTANCE [with=NAME] [size=X] [p=X] [hz=X] [at=TIME] [for=TIME]
             [seed=N]``.
         hand: hand in which the fault will act.
-        now_ns: time from which the time after the word ``at`` is counted [ns].
+        now_ns: time from which the time after ``at`` counts [ns].
 
     Raises:
-        SimulatorError: the text cannot be parsed, or the hand cannot have the fault.
+        SimulatorError: the text cannot be parsed, or this hand cannot have the fault.
     """
     kind, *pairs = text.split() or [""]
     if kind not in FAULT_KINDS:
@@ -198,7 +197,7 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
 
 
 def _target_component(text: str, kind: str, options: dict[str, str]) -> str:
-    """Return the type of the component that a fault affects."""
+    """Return the type of the fault's target component."""
     components = [
         key
         for key in options
@@ -224,10 +223,7 @@ def _target_component(text: str, kind: str, options: dict[str, str]) -> str:
 def _second_motor(
     text: str, kind: str, first_motor: str, options: dict[str, str], hand: Hand
 ) -> str:
-    """Return the second motor of a fault that acts on two motors.
-
-    For other faults, return an empty string.
-    """
+    """Return the second motor of a fault that acts on two motors, otherwise an empty string."""
     if kind not in TWO_MOTOR_KINDS:
         return ""
     if "with" not in options:
@@ -250,8 +246,8 @@ def instances_of_component(component: str, hand: Hand, kind: str = "") -> list[s
     Args:
         component: type of component, one of the constants from ``NODE_TARGET`` to ``DIGIT_TARGET``.
         hand: hand whose components are listed.
-        kind: kind of fault that the listed components must be able to have. If this text is empty,
-            all components are listed.
+        kind: kind of fault that the listed components can have. If empty, all components are
+            listed.
     """
     motors = [motor.name for motor in hand.motors]
     return {
@@ -268,10 +264,7 @@ def instances_of_component(component: str, hand: Hand, kind: str = "") -> list[s
 
 
 def _target_instance(text: str, names: list[str], component: str, name: str, hand: Hand) -> str:
-    """Return the name of the component that a fault text names.
-
-    The text may also name a motor by its node number.
-    """
+    """Return the name of a component. A motor may also be given by its node number."""
     if component in (NODE_TARGET, ENCODER_TARGET):
         numbers = {str(motor.node_id): motor.name for motor in hand.motors}
         name = numbers.get(name, name)
@@ -283,7 +276,7 @@ def _target_instance(text: str, names: list[str], component: str, name: str, han
 
 
 def _number_from_text(text: str, key: str, value_text: str, low: float, high: float) -> float:
-    """Parse a number of a fault text that must lie in a given range."""
+    """Parse a number that must lie in a range."""
     try:
         value = float(int(value_text, 0)) if value_text.startswith("0x") else float(value_text)
     except ValueError:
@@ -296,7 +289,7 @@ def _number_from_text(text: str, key: str, value_text: str, low: float, high: fl
 
 
 def _time_from_text(text: str, key: str, value_text: str) -> int:
-    """Parse a time that has a unit, and return it in nanoseconds [ns]."""
+    """Parse a time with a unit, and return the time [ns]."""
     unit = next((unit for unit in _TIME_UNITS_NS if value_text.endswith(unit)), "")
     if not unit:
         raise SimulatorError(

@@ -1,6 +1,6 @@
-"""Faults of sensors, motors, tendons and digits in the simulated plant.
+"""Faults of sensors, motors, tendons and digits.
 
-Each function changes the simulation, and returns a function that undoes the change.
+The functions here start a change of the simulation, and return the function that ends the change.
 """
 
 import math
@@ -44,11 +44,11 @@ def start_plant_fault(world: Any, active: ActiveFault) -> UndoFunction:
     """Start the effect of a fault.
 
     Args:
-        world: simulated world in which the fault acts.
-        active: fault whose effect starts.
+        world: world in which the fault acts.
+        active: the fault.
 
     Returns:
-        Function that ends the effect of this fault.
+        Function that ends the effect of the fault.
     """
     kind = active.fault.kind
     if kind in ("stuck", "offset", "drift", "noise", "saturate", "scale", "old"):
@@ -57,7 +57,7 @@ def start_plant_fault(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
-    """Change the readings of one sensor from now on."""
+    """Change the reading of one sensor."""
     fault = active.fault
     change = _reading_change(active, lambda: int(world.t_ns))
     if fault.component == ENCODER_TARGET:
@@ -77,10 +77,10 @@ def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _reading_change(active: ActiveFault, now_ns: Callable[[], int]) -> Callable[[float], float]:
-    """Build the function by which a fault changes the readings of a sensor.
+    """Build the function that changes a reading.
 
     Args:
-        active: fault, with the count of its effects.
+        active: the fault and the count of its effects.
         now_ns: function that returns the present time [ns].
 
     Returns:
@@ -118,13 +118,12 @@ def _reading_change(active: ActiveFault, now_ns: Callable[[], int]) -> Callable[
 def _delayed_reading(
     active: ActiveFault, past_readings: list[float], value: float, now_ns: int
 ) -> float:
-    """Return the reading that a sensor had ``size`` samples ago, where ``size`` is the size of the fault.
+    """Return the reading of ``size`` samples ago.
 
-    While fewer samples exist, return the present reading.
+    Until so many samples exist, return the present reading.
     """
     past_readings.append(value)
-    # The list contains the first reading twice, because ``_reading_change`` has already stored this
-    # reading.
+    # The list holds the first reading twice, because ``_reading_change`` has also stored it.
     if len(past_readings) <= int(active.fault.size) + 1:
         return value
     active.note_effect(now_ns)
@@ -157,7 +156,7 @@ def _start_snap(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_slack(world: Any, active: ActiveFault) -> UndoFunction:
-    """Lengthen a tendon by the size of the fault, which is in mm."""
+    """Lengthen a tendon by the size of the fault [mm]."""
     tendon = _tendon_of(world, active.fault)
     active.note_effect(world.t_ns)
     tendon.extra_length = active.fault.size * 1e-3
@@ -165,10 +164,7 @@ def _start_slack(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_friction(world: Any, active: ActiveFault) -> UndoFunction:
-    """Add Coulomb friction to a motor.
-
-    The size of the fault is the friction force, converted to the tendon [N].
-    """
+    """Add Coulomb friction to a motor: the size of the fault is the friction force at the tendon [N]."""
     tendon = next(spec for spec in world.hand.every_tendon if spec.name == active.fault.instance)
     motor = world.plant.motors[tendon.motor]
     before = motor.coulomb
@@ -178,13 +174,13 @@ def _start_friction(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _tendon_of(world: Any, fault: Fault) -> Any:
-    """Return the simulated tendon on which a fault acts."""
+    """Return the tendon on which a fault acts."""
     names = [spec.name for spec in world.hand.every_tendon]
     return world.plant.tendons[names.index(fault.instance)][0]
 
 
 def _start_block(world: Any, active: ActiveFault) -> UndoFunction:
-    """Block all joints of a digit, so that they cannot move."""
+    """Block all joints of a digit."""
     digit = next(digit for digit in world.hand.digits if digit.name == active.fault.instance)
     active.note_effect(world.t_ns)
     release: UndoFunction = world.plant.engine.brake(
@@ -194,10 +190,7 @@ def _start_block(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_trip(world: Any, active: ActiveFault) -> UndoFunction:
-    """Make a drive report an error.
-
-    The error code belongs to the kind of the fault, or is the size of the fault.
-    """
+    """Trip a drive with the error code of the fault's kind, or with the size of the fault as error code."""
     node = world.node_of(active.fault.instance)
     codes = ERROR_CODES[active.fault.kind]
     size = int(active.fault.size)
@@ -218,7 +211,7 @@ def _start_trip(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_reset(world: Any, active: ActiveFault) -> UndoFunction:
-    """Reset a drive, either by a power cycle or by the reset command of the drive's protocol."""
+    """Reset a drive, either by a power cycle or by the reset command of its protocol."""
     node = world.node_of(active.fault.instance)
     active.note_effect(world.t_ns)
     match node:
@@ -238,7 +231,7 @@ def _start_reset(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_forget(world: Any, active: ActiveFault) -> UndoFunction:
-    """Make a drive lose all settings that were not saved, while its power stage stays on.
+    """Lose all unsaved settings of a drive while its power stage stays on.
 
     The fault simulates a voltage dip that resets only the processor of the drive.
     """
@@ -252,7 +245,7 @@ def _start_forget(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_ripple(world: Any, active: ActiveFault) -> UndoFunction:
-    """Add a sinusoidal torque to the torque of a motor."""
+    """Add a sinusoidal torque ripple to a motor."""
     motor = world.plant.motors[active.fault.instance]
     fault = active.fault
 
@@ -265,7 +258,7 @@ def _start_ripple(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_hot(world: Any, active: ActiveFault) -> UndoFunction:
-    """Keep the winding of a motor at a fixed temperature."""
+    """Hold the winding of a motor at a fixed temperature."""
     thermal = world.node_of(active.fault.instance).thermal
     active.note_effect(world.t_ns)
     thermal.forced = active.fault.size
@@ -274,11 +267,10 @@ def _start_hot(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 class _CrossedMotor:
-    """A motor whose drive has the sensors of one rotor and the power stage of another rotor.
+    """The motor of a drive with the sensors of one rotor and the power stage of another rotor.
 
     Attributes:
-        servo: setpoints of the rotor that the power stage drives. All other attributes are those of
-            the rotor that the sensors measure.
+        servo: setpoints of the driven rotor. All other attributes are those of the sensed rotor.
     """
 
     def __init__(self, sensed: Any, driven: Any) -> None:
@@ -292,7 +284,7 @@ class _CrossedMotor:
 
 
 def _start_exchange(world: Any, active: ActiveFault) -> UndoFunction:
-    """Exchange the sensors of two drives (``swap``), or the power stages of two drives (``cross``)."""
+    """Exchange the sensors (``swap``) or the power stages (``cross``) of two drives."""
     names = active.fault.instance, active.fault.other
     nodes = [world.node_of(name) for name in names]
     motors = [world.plant.motors[name] for name in names]
@@ -335,10 +327,7 @@ def _start_late(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_servo(world: Any, active: ActiveFault) -> UndoFunction:
-    """Replace the torque that the power stage of a drive applies.
-
-    The sensor node of the hand has no power stage.
-    """
+    """Replace the torque that a drive's power stage applies. The sensor node has no power stage."""
     if active.fault.instance == SENSOR_NODE_NAME:
         return lambda: None
     motor = world.plant.motors[active.fault.instance]

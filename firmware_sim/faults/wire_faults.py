@@ -1,4 +1,4 @@
-"""Faults on the bus between nodes and host: frames are lost, late, duplicated, changed or replayed."""
+"""Faults on the way between nodes and host: frames are lost, late, duplicated, changed or replayed."""
 
 import random
 from collections.abc import Sequence
@@ -13,15 +13,15 @@ NEVER_NS = 1 << 62
 
 @dataclass
 class ActiveFault:
-    """An injected fault, which waits for its start, acts, or is over.
+    """An injected fault, which waits, acts or is over.
 
     Attributes:
-        fault: data of the fault, as parsed from its text.
-        rng: generator of random numbers for this fault.
-        effects: number of times that the fault has had an effect so far.
-        first_ns: time of the fault's first effect [ns], or -1 if the fault has had no effect yet.
-        delayed: frames that the fault holds back, each with the time at which it is released [ns].
-        calls: number of answers that have passed through the fault so far.
+        fault: the data of the fault.
+        rng: generator of the fault's random numbers.
+        effects: number of effects of the fault until now.
+        first_ns: time of the fault's first effect [ns], -1 before the first effect.
+        delayed: frames that the fault has stored, with their release times [ns].
+        calls: number of answers handled by the fault until now.
     """
 
     fault: Fault
@@ -32,18 +32,18 @@ class ActiveFault:
     calls: int = 0
 
     def note_effect(self, t_ns: int) -> None:
-        """Count one effect of the fault."""
+        """Count an effect of the fault."""
         self.effects += 1
         if self.first_ns < 0:
             self.first_ns = t_ns
 
     def hits(self) -> bool:
-        """Decide at random whether the fault affects the present frame."""
+        """Decide at random whether the fault hits this frame."""
         return self.fault.p >= 1.0 or self.rng.random() < self.fault.p
 
 
 def loses_request(actives: Sequence[ActiveFault], t_ns: int) -> bool:
-    """Return True if the faults lose a frame that the host sends to the node."""
+    """Return True if a frame from the host to the node is lost."""
     for active in actives:
         if active.fault.kind in ("deaf", "off") and active.hits():
             active.note_effect(t_ns)
@@ -54,10 +54,10 @@ def loses_request(actives: Sequence[ActiveFault], t_ns: int) -> bool:
 def transmitted_frames(
     actives: Sequence[ActiveFault], frames: list[Frame], t_ns: int
 ) -> list[Frame]:
-    """Apply the faults of a node to the frames that the node sends.
+    """Apply the faults of a node to frames sent by the node.
 
     Returns:
-        The frames that the bus carries now, in place of the frames that the node has sent.
+        The frames that the bus carries now.
     """
     for active in actives:
         change = CHANGE_BY_FAULT_KIND.get(active.fault.kind)
@@ -67,7 +67,7 @@ def transmitted_frames(
 
 
 def due_frames(actives: Sequence[ActiveFault], t_ns: int) -> list[Frame]:
-    """Return the frames that faults have held back and whose release time has passed."""
+    """Return the delayed frames whose release time has passed."""
     frames = []
     for active in actives:
         if active.delayed:
@@ -79,7 +79,7 @@ def due_frames(actives: Sequence[ActiveFault], t_ns: int) -> list[Frame]:
 
 
 def _drop_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Drop the frames that the fault affects."""
+    """Drop the frames hit by the fault."""
     passed = [frame for frame in frames if not active.hits()]
     if len(passed) < len(frames):
         active.note_effect(t_ns)
@@ -87,7 +87,7 @@ def _drop_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Fr
 
 
 def _delay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Hold back the frames that the fault affects, until their delay is over."""
+    """Store the frames hit by the fault, until their delay is over."""
     passed = []
     for frame in frames:
         if active.hits():
@@ -99,7 +99,7 @@ def _delay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[F
 
 
 def _duplicate_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Send the frames that the fault affects twice."""
+    """Send the frames hit by the fault twice."""
     sent = []
     for frame in frames:
         sent.append(frame)
@@ -110,14 +110,14 @@ def _duplicate_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> li
 
 
 def _send_twin_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Send a second frame with the same identifier but with another payload, as a second node would."""
+    """Send an additional frame with the same identifier but another payload, as a second node would."""
     sent = []
     for frame in frames:
         sent.append(frame)
         if len(frame.data) >= 4 and active.hits():
             other = bytearray(frame.data)
-            # The inverted bit lies in the middle of a value. So the second frame looks plausible
-            # but differs from the true frame.
+            # The inverted bit lies in the middle of a value, so the frame is plausible but differs
+            # from the true frame.
             other[2] ^= 0x04
             sent.append(frame._replace(data=bytes(other)))
             active.note_effect(t_ns)
@@ -125,7 +125,7 @@ def _send_twin_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> li
 
 
 def _reorder_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Hold back the first frame of an answer, and send it after the frames of the next answer."""
+    """Send the first frame only after the frames of the next answer."""
     late = [frame for _, frame in active.delayed]
     active.delayed = []
     if not late and active.hits():
@@ -136,7 +136,7 @@ def _reorder_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list
 
 
 def _corrupt_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Invert random bits in the payload of each frame that the fault affects."""
+    """Invert random bits in the payload of each frame hit by the fault."""
     sent = []
     for frame in frames:
         if frame.data and active.hits():
@@ -153,7 +153,7 @@ def _corrupt_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list
 
 
 def _shorten_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Remove the last bytes from the payload of each frame that the fault affects."""
+    """Remove the last bytes from the payload of each frame hit by the fault."""
     sent = []
     for frame in frames:
         if frame.data and active.hits():
@@ -164,9 +164,9 @@ def _shorten_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list
 
 
 def _extend_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Mark frames with 11-bit identifiers as frames with 29-bit identifiers.
+    """Mark identifiers of 11 bits as identifiers of 29 bits.
 
-    Frames with 29-bit identifiers stay unchanged.
+    Identifiers of 29 bits stay unchanged.
     """
     sent = []
     for frame in frames:
@@ -178,10 +178,7 @@ def _extend_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[
 
 
 def _slow_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Drop the answers of a node, except every n-th answer.
-
-    The number n is the size of the fault.
-    """
+    """Drop all answers of a node except every n-th answer. The size of the fault is n."""
     active.calls += 1
     if active.calls % max(2, int(active.fault.size)):
         active.note_effect(t_ns)
@@ -190,21 +187,19 @@ def _slow_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Fr
 
 
 def _remove_all_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Drop all frames that a node sends, as if the node had no power."""
+    """Drop all frames of a node, as if the node had no power."""
     active.note_effect(t_ns)
     return []
 
 
 def _replay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Send the frames of an earlier answer in place of the present ones.
+    """Replay the frames of ``size`` answers ago.
 
-    The size of the fault says how many answers earlier.
-
-    While the node has sent fewer answers, send the present frames.
+    Until so many answers exist, send the present frames.
     """
     active.calls += 1
-    # The release time of these frames is NEVER_NS plus the number of the answer. So ``due_frames``
-    # never releases them.
+    # The release time is NEVER_NS plus the number of the answer, so ``due_frames`` never releases
+    # these frames.
     active.delayed += [(NEVER_NS + active.calls, frame) for frame in frames]
     then = active.calls - int(active.fault.size)
     if then <= 0:

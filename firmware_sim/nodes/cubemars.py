@@ -1,6 +1,4 @@
-"""A motor with the firmware of a CubeMars AK drive in MIT mode.
-
-It has no registers, no watchdog and no state in its feedback.
+"""A motor with the firmware of a CubeMars AK drive in MIT mode: no registers, no watchdog, no state in its feedback.
 
 Commands have the layout of ``mit.codec``. Feedback (8 bytes, highest byte and bit first):
 
@@ -12,9 +10,9 @@ Commands have the layout of ``mit.codec``. Feedback (8 bytes, highest byte and b
 
 Older firmware sends only the first six bytes. Source: fact sheet mit_damiao, section variants.
 
-Choices of this simulation where the fact sheet is silent: a disabled motor answers commands. An
-error removes the torque. The error ends when its cause ends. A special command consists of seven
-bytes FF and a code. If the code is unknown, the motor does not answer.
+Choices where the fact sheet is silent: a disabled motor answers commands. An error removes the
+torque. The error ends when its cause ends. Special commands (seven bytes of FF and a code) with an
+unknown code are not answered.
 """
 
 import enum
@@ -90,13 +88,13 @@ class CubemarsNode:
     Attributes:
         enabled: True if the motor follows commands.
         error: present error of the motor.
-        offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
+        offset: angle in the frames of the motor at which the spool angle theta is 0 [rad].
         thermal: temperatures of the motor.
-        short: True if the feedback has six bytes, as in older firmware.
-        ids: identifiers of the frames that the node answers.
-        malformed: number of frames with an identifier of the node that the node could not decode.
+        short: True if feedback has six bytes, as in older firmware.
+        ids: identifiers for the node to answer.
+        malformed: number of frames with the node's identifier that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
-        watchdog_fed_ns: negative number, because the drive has no watchdog.
+        watchdog_fed_ns: negative, because the drive has no watchdog.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -128,7 +126,7 @@ class CubemarsNode:
         """Process a frame, and answer with a frame of the same identifier.
 
         Returns:
-            The answers, or None if the frame is not meant for this motor.
+            The answers. None if the frame is not for this motor.
         """
         if frame.can_id != self._id:
             return None
@@ -138,7 +136,7 @@ class CubemarsNode:
             return []
         if t_ns < self._silent_until_ns:
             return []
-        # Eight bytes FF are a valid MIT command, in which all fields have their maximum.
+        # Eight bytes of FF are a valid MIT command, with all fields at their maximum.
         if data[:7] == _SPECIAL_COMMAND_START and data[7] != 0xFF:
             return self._process_special_command(data[7], frame, t_ns)
         self._apply_command(data)
@@ -160,7 +158,7 @@ class CubemarsNode:
         return [self._feedback_frame(frame, t_ns)]
 
     def _switch_torque(self, enable: bool) -> None:
-        """Switch the torque of the motor on or off.
+        """Switch the torque on or off.
 
         The servo keeps its setpoint only if the motor was enabled and stays enabled.
         """
@@ -169,7 +167,7 @@ class CubemarsNode:
         self.enabled = enable
 
     def _apply_command(self, data: bytes) -> None:
-        """If the motor is enabled, apply an MIT command."""
+        """Apply an MIT command if the motor is enabled."""
         if not self.enabled:
             return
         command = decode_command(data, self._ranges)
@@ -202,7 +200,7 @@ class CubemarsNode:
     def trip(self, feedback_error: FeedbackError) -> None:
         """Enter an error state, which removes the torque.
 
-        With ``FeedbackError.NONE``, the error state ends.
+        ``FeedbackError.NONE`` ends the error state.
         """
         self.error = feedback_error
         if feedback_error != FeedbackError.NONE:
@@ -214,10 +212,7 @@ class CubemarsNode:
         self._switch_torque(enable=False)
 
     def wake(self, t_ns: int) -> None:
-        """Update the temperatures.
-
-        If the motor is too hot, set the over-temperature error, otherwise end it.
-        """
+        """Update the temperatures, and set or end the over-temperature error."""
         if self._thermal_ns < 0 or t_ns - self._thermal_ns >= THERMAL_PERIOD_NS:
             if self._thermal_ns >= 0:
                 self.thermal.advance((t_ns - self._thermal_ns) * 1e-9, self.motor.heat)
@@ -231,10 +226,7 @@ class CubemarsNode:
 
 
 def shaft_of_motor(motor_type: str) -> ShaftSpec:
-    """Build the shaft of a motor model.
-
-    The inertia and the stall torque of the shaft are assumed.
-    """
+    """Build the shaft of a motor model. Inertia and stall torque of the shaft are assumptions."""
     position, velocity, peak = FULL_SCALE[motor_type]
     speed_constant, ratio = SPEED_CONSTANTS[motor_type]
     top_speed = speed_constant * SUPPLY_V / ratio * math.tau / 60.0
@@ -248,7 +240,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace the command *disable* by an MIT command with zero torque."""
+    """Replace the command *disable* by an MIT command without torque."""
     return (
         frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff")
         if frame.data == _SPECIAL_COMMAND_START + b"\xfd"
@@ -257,7 +249,7 @@ def _corrupt_command(frame: Frame) -> Frame:
 
 
 def _force_command(node: CubemarsNode, frame: Frame) -> None:
-    """Apply an MIT command, whatever the state of the motor is."""
+    """Apply an MIT command in any state of the motor."""
     if (
         frame.can_id in node.ids
         and len(frame.data) == 8

@@ -1,9 +1,7 @@
-"""Compiled kernel that answers the cyclic frames of a tick, which are the frames that a host sends in every tick.
+"""Compiled kernel that answers the cyclic frames of a tick. Frames and answers are records.
 
-The frames and their answers are records in arrays.
-
-A table gives the first receiver of each identifier. Each receiver contains the index of the next
-receiver with the same identifier. The kernel stops at a frame that Python must process: a special
+A table contains the first receiver of each identifier. Each receiver contains the index of the next
+receiver of the same identifier. The kernel stops at a frame that Python must process: a special
 command, a register request, a frame of wrong length, or any frame while a watchdog is due. The node
 then processes this frame in Python, and the kernel continues with the next frame. The bit layouts
 are in ``mit.codec``, ``odrive.node``, ``cia402.kernels`` and ``sensor_node``.
@@ -95,9 +93,9 @@ _SPECIAL_COMMAND_BITS = 0xFFFFFFFFFFFFFF
 
 
 class ReceiverStruct(ctypes.Structure):
-    """A node that receives frames with a certain identifier.
+    """A node that receives an identifier.
 
-    The fields are the kind of the node, the row in the array for this kind, and the index of the
+    The fields are the kind of the node, its row in the array for this kind, and the index of the
     next receiver or -1.
     """
 
@@ -105,7 +103,7 @@ class ReceiverStruct(ctypes.Structure):
 
 
 def empty_table(buses: int) -> Any:
-    """Create an empty table of receivers, of shape (2 * 2048 * buses,)."""
+    """Make an empty table of receivers, shape (2 * 2048 * buses,)."""
     return np.full(buses * 2 * _STANDARD_ID_COUNT, -1, np.int64)
 
 
@@ -113,11 +111,11 @@ def empty_table(buses: int) -> Any:
 def table_index(bus: int, can_id: int) -> int:
     """Return the index of an identifier in the table of receivers.
 
-    If an identifier has more than 11 bits, return -1.
+    Return -1 for an identifier of more than 11 bits.
     """
     if can_id & ~REMOTE_FLAG >= _STANDARD_ID_COUNT:
         return -1
-    # Each bus has two blocks of the table: one for data frames and one for remote frames.
+    # The index selects the blocks of the bus, and then the block of data frames or remote frames.
     return (2 * bus + (1 if can_id & REMOTE_FLAG else 0)) * _STANDARD_ID_COUNT + (
         can_id & (_STANDARD_ID_COUNT - 1)
     )
@@ -125,9 +123,9 @@ def table_index(bus: int, can_id: int) -> int:
 
 @kernel_helper
 def _payload_as_integer(payload: Any) -> int:
-    """Return eight bytes of a payload as one integer. The first byte is the most significant one.
+    """Return eight bytes as an integer. The first byte is the highest.
 
-    The sign of this integer has no meaning.
+    The sign of the integer has no meaning.
     """
     word = 0
     for i in range(8):
@@ -137,7 +135,7 @@ def _payload_as_integer(payload: Any) -> int:
 
 @kernel_helper
 def _fill_header(answer: Any, can_id: int, length: int, flags: int, bus: int) -> None:
-    """Fill all fields of a frame, but not the time. The payload is set to zero."""
+    """Fill all fields of a frame except its time. The payload is set to zero."""
     answer.can_id = can_id
     answer.length = length
     answer.flags = flags
@@ -165,14 +163,13 @@ def _mit_needs_python(node: Any, rotor: Any, frame: Any, t_ns: int) -> bool:
     """Return True if Python must process a frame for an MIT drive."""
     if frame.length != 8 or t_ns >= node.wake_ns or rotor.faulty != 0 or node.mode != MODE_MIT:
         return True
-    # Only the first seven bytes of the payload are compared. The eighth byte is the code of the
-    # special command.
+    # Only the first seven bytes are compared. The eighth byte is the code of the special command.
     return _payload_as_integer(frame.data) >> 8 & _SPECIAL_COMMAND_BITS == _SPECIAL_COMMAND_BITS
 
 
 @kernel_helper
 def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> None:
-    """Apply a command to an MIT drive, and write the feedback of the drive."""
+    """Apply a command to an MIT drive and write the drive's feedback."""
     node.watchdog_fed_ns = t_ns
     if node.state == ENABLED_STATE:
         apply_command(node, rotor.servo_row, _payload_as_integer(frame.data))
@@ -184,13 +181,13 @@ def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> No
     _fill_header(answer, node.reply_id, 8, frame.flags, frame.bus)
     data = answer.data
     for i in range(8):
-        # In the payload, the most significant byte of each field comes first.
+        # The payload has the highest byte first.
         data[i] = word >> (56 - 8 * i) & 0xFF
 
 
 @kernel_helper
 def _get_float(payload: Any) -> float:
-    """Return the float that the first four bytes of a payload contain."""
+    """Return the float in the first four bytes of a payload."""
     return float(
         np.uint32(payload[0] | payload[1] << 8 | payload[2] << 16 | payload[3] << 24).view(
             np.float32
@@ -241,8 +238,7 @@ def _cia402_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
         return bool(node.nmt != OPERATIONAL_STATE)
     if frame.can_id == node.master_id:
         return False
-    # A control word with bits 0 to 3 set and the bit *fault reset* clear keeps the operation
-    # enabled.
+    # With bits 0 to 3 set and fault reset clear, the control word keeps the operation enabled.
     stays_enabled = frame.data[0] & 0x8F == 0x0F and node.power_stage.reset_bit == 0
     return (
         node.nmt != OPERATIONAL_STATE
@@ -277,7 +273,7 @@ def _answer_cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, c
     else:
         values[CONTROL_WORD] = data[0] | data[1] << 8
         torque = int(data[2] | data[3] << 8)
-        # Conversion of 16 bits to a signed number (two's complement).
+        # Two's complement of 16 bits.
         values[TARGET_TORQUE] = torque - (1 << 16) if torque >= 1 << 15 else torque
         apply_torque(node, rotor.servo_row)
     schedule_cia402(node, t_ns, False)
@@ -288,14 +284,14 @@ def _answer_cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, c
 def _write_sensor_frames(
     words: Any, channels: int, can_id: int, frame: Any, answers: Any, count: int
 ) -> int:
-    """Write payloads of the sensor node into the frames that answer a SYNC frame.
+    """Write payloads of the sensor node into frames that answer SYNC.
 
     Args:
         words: payloads as integers. The payloads are written with the low byte first.
         channels: number of channels in all payloads together.
         can_id: identifier of the first frame.
         frame: the SYNC frame.
-        answers: array for the answers, which the kernel fills.
+        answers: array for the answers, filled by the kernel.
         count: number of answers so far.
 
     Returns:
@@ -314,7 +310,7 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
     node: Any, frame: Any, t_ns: int, cells: Any, q: Any, cell_order: Any, joint_order: Any, bias: Any,
     noise: Any, noise_bounds: Any, answers: Any, count: int,
 ) -> int:  # fmt: skip
-    """Read load cells and joint encoders, and write the frames that answer a SYNC frame.
+    """Sample load cells and joint encoders, and write the frames that answer SYNC.
 
     Args:
         node: row of the sensor node.
@@ -327,7 +323,7 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
         bias: bias of each load cell [N].
         noise: random numbers with a normal distribution, see ``NormalNoise``.
         noise_bounds: indices into ``noise``, see ``NormalNoise``.
-        answers: array for the answers, which the kernel fills.
+        answers: array for the answers, filled by the kernel.
         count: number of answers so far.
 
     Returns:
@@ -368,18 +364,18 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
 def _stamp_in_sequence(
     frames: Any, answers: Any, count: int, t_ns: int, last_ns: int, buses: int
 ) -> bool:
-    """Set the times of the answers as if each bus carried all its frames and answers one after the other.
+    """Set the times of answers as if each bus carried all frames and answers one after the other.
 
     Args:
         frames: frames of the host.
-        answers: answers whose times are set.
+        answers: answers, in which the times are set.
         count: number of answers.
         t_ns: start of the tick [ns].
         last_ns: largest delay of an answer after the start of the tick [ns].
         buses: number of buses.
 
     Returns:
-        True if the times of the answers are in rising order.
+        True if the times of the answers rise.
     """
     busy_ns = np.zeros(buses, np.int64)
     for i in range(len(frames)):
@@ -423,7 +419,7 @@ def _drive_needs_python(
 def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
     receiver_row: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int, answers: Any, count: int
 ) -> int:  # fmt: skip
-    """Process a frame in a drive, and write the answers of the drive.
+    """Process a frame in a drive and write the drive's answers.
 
     Returns:
         Number of answers in ``answers``.
@@ -458,7 +454,7 @@ def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
 
 @kernel_helper
 def _wake_ns(receiver_row: Any, mit: Any, odrive: Any, cia402: Any) -> int:
-    """Return the time at which a drive must work next [ns]."""
+    """Return the wake time of a drive [ns]."""
     if receiver_row.kind == MIT_KIND:
         return int(mit[receiver_row.number].wake_ns)
     return int(
@@ -470,7 +466,7 @@ def _wake_ns(receiver_row: Any, mit: Any, odrive: Any, cia402: Any) -> int:
 
 @kernel_helper
 def _next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any) -> int:
-    """Return the earliest time at which any drive must work next [ns]."""
+    """Return the earliest wake time of all drives [ns]."""
     wake_ns = NEVER_NS
     for i in range(len(drives)):
         wake_ns = min(wake_ns, _wake_ns(drives[i], mit, odrive, cia402))
@@ -479,7 +475,7 @@ def _next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any) -> int:
 
 @compiled(*DRIVE_ARGUMENTS)
 def next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any) -> int:
-    """Return the earliest time at which any drive must work next [ns]."""
+    """Return the earliest wake time of all drives [ns]."""
     return _next_wake(drives, mit, odrive, cia402)
 
 
@@ -490,25 +486,25 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
     bias: Any, noise: Any, noise_bounds: Any, tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any,
     dq: Any, cells: Any,
 ) -> None:  # fmt: skip
-    """Answer frames until a frame comes that Python must process.
+    """Answer frames until Python must process a frame.
 
     After the last frame, set the times of all answers.
 
     Args:
         frames: frames of the host.
-        answers: array for the answers, which the kernel fills.
+        answers: array for the answers, filled by the kernel.
         progress: numbers that describe the progress, see ``NEXT_FRAME``.
         t_ns: present time [ns].
-        last_ns: largest delay of an answer after the start of the tick [ns].
+        last_ns: maximum delay of an answer after the start of the tick [ns].
         table: index of the first receiver of each identifier, or -1.
-        max_answers: largest possible number of answers to one frame.
+        max_answers: maximum number of answers to one frame.
         receivers: array of all receivers. The indices in ``table`` and in the receivers are indices
             into this array.
         mit: rows of MIT drives.
         odrive: rows of ODrives.
         cia402: rows of CiA 402 drives.
         drives: all drives as receivers.
-        sensor: (1,) row of the sensor node, or (0,) if the hand has no sensor node.
+        sensor: row of the sensor node, shape (1,), shape (0,) without a sensor node.
         cell_order: see ``_answer_sync``.
         joint_order: see ``_answer_sync``.
         bias: see ``_answer_sync``.
@@ -520,7 +516,7 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         rotors: see ``drivetrain.tensions``.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
-        cells: array for the tension of each tendon [N], which the kernel fills.
+        cells: array for the tension of each tendon, filled by the kernel [N].
     """
     count = progress[ANSWERS]
     buses = len(table) // (2 * _STANDARD_ID_COUNT)
@@ -537,8 +533,8 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         while index >= 0:
             receiver_row = receivers[index]
             if receiver_row.kind == SENSOR_NODE_KIND:
-                # The kernel cannot draw random numbers. So all random numbers for one SYNC frame
-                # must be drawn before the call.
+                # The kernel cannot draw random numbers, so all random numbers for one SYNC frame
+                # must be drawn before.
                 drawn = noise_bounds[1] >= noise_bounds[0] + 2 * len(cell_order) + len(joint_order)
                 needs_python = needs_python or frame.length != 1 or not drawn
             else:
@@ -591,18 +587,16 @@ ROTOR_DTYPE = np.dtype(RotorStruct)
 
 @compiled(FRAME_DTYPE, FRAME_DTYPE, "counts", "count", "count", "count")
 def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answers: int) -> None:
-    """Answer frames, where most arrays are given by their addresses.
-
-    The kernel ``_answer`` explains the answers.
+    """Answer frames, with most arrays given by address. See ``_answer``.
 
     Args:
         frames: frames of the host.
-        answers: array for the answers, which the kernel fills.
+        answers: array for the answers, filled by the kernel.
         at: address and length of each other array of ``_answer``, in the order of
             ``tick_exchange.TickExchange``.
         t_ns: present time [ns].
-        last_ns: largest delay of an answer after the start of the tick [ns].
-        max_answers: largest possible number of answers to one frame.
+        last_ns: maximum delay of an answer after the start of the tick [ns].
+        max_answers: maximum number of answers to one frame.
     """
     _answer(
         frames, answers, rows_at(at[0], at[1], COUNT_DTYPE), t_ns, last_ns, rows_at(at[2], at[3], COUNT_DTYPE),
@@ -620,9 +614,9 @@ def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answ
 
 @kernel_helper
 def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
-    """Return True if Python must wake an ODrive, because something else than the two cyclic messages is due.
+    """Return True if Python must wake an ODrive, because something other than the two cyclic messages is due.
 
-    Python handles the update of temperatures, the watchdog, the end of a calibration, the modes of
+    Python does the update of temperatures, the watchdog, the end of a calibration, the modes of
     ``odrive.motion_modes``, and the messages of firmware 0.5.
     """
     busy = node.busy_until_ns > 0 or node.motion_due_ns > 0
@@ -633,7 +627,7 @@ def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
 
 @kernel_helper
 def _cia402_needs_wake(node: Any, now_ns: int) -> bool:
-    """Return True if Python must wake a CiA 402 drive, because something else than the heartbeat is due."""
+    """Return True if Python must wake a CiA 402 drive, because something other than the heartbeat is due."""
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= CIA402_THERMAL_PERIOD_NS
     if node.motion_due_ns > 0:
         return True
@@ -642,7 +636,7 @@ def _cia402_needs_wake(node: Any, now_ns: int) -> bool:
 
 @kernel_helper
 def _send_cia402(node: Any, now_ns: int, sent_frames: Any, count: int) -> int:
-    """If the heartbeat of a CiA 402 drive is due, write its frame.
+    """Write the heartbeat of a CiA 402 drive if it is due.
 
     Returns:
         Number of frames in ``sent_frames``.
@@ -659,7 +653,7 @@ def _send_cia402(node: Any, now_ns: int, sent_frames: Any, count: int) -> int:
 
 @kernel_helper
 def _send_odrive(node: Any, rotor: Any, now_ns: int, sent_frames: Any, count: int) -> int:
-    """Write those cyclic messages of an ODrive that are due.
+    """Write the cyclic messages of an ODrive that are due.
 
     Returns:
         Number of frames in ``sent_frames``.
@@ -692,20 +686,20 @@ def send_due(
     sent_frames: Any,
     progress: Any,
 ) -> bool:
-    """Write the frames that are due and that drives send without a request.
+    """Write the unsolicited frames of all drives that are due.
 
     Args:
-        drives: drives in the order in which they send.
+        drives: drives in the order of sending.
         mit: rows of MIT drives.
         odrive: rows of ODrives.
         cia402: rows of CiA 402 drives.
         rotors: rows of the rotors.
         now_ns: present time [ns].
         sent_frames: array with room for two frames of each drive.
-        progress: array that contains the number of frames in ``sent_frames``, see ``SENT``.
+        progress: array with the number of frames in ``sent_frames``, see ``SENT``.
 
     Returns:
-        False if Python must wake at least one drive. In this case, no frame is written.
+        False if Python must wake a drive. In this case, no frame is written.
     """
     for i in range(len(drives)):
         receiver_row = drives[i]
@@ -749,8 +743,8 @@ def merge(frames: Any, other_frames: Any, merged: Any) -> None:
     count = len(frames)
     for i in range(len(merged)):
         frame = frames[i] if i < count else other_frames[i - count]
-        # The loop is an insertion sort. It is fast because both arrays are almost sorted, and it
-        # keeps the order of equal times.
+        # The loop is an insertion sort, because both arrays are almost sorted and equal times must
+        # keep their order.
         place = i
         while place > 0 and merged[place - 1].t_ns > frame.t_ns:
             merged[place] = merged[place - 1]

@@ -1,7 +1,6 @@
-"""Temperatures of the winding and the MOSFETs of a drive.
+"""Temperatures of a drive's winding and MOSFETs.
 
-The winding and the MOSFETs are each modelled as a body with a heat capacity that loses heat to the
-surroundings.
+Winding and MOSFETs are each modelled as a heat capacity that loses heat to the surroundings.
 """
 
 import ctypes
@@ -30,11 +29,11 @@ class DriveTemperatures:
     Attributes:
         winding: temperature of the winding [degC].
         mosfet: temperature of the MOSFETs [degC].
-        forced: winding temperature that a fault sets [degC], or None without such a fault.
+        forced: winding temperature that a fault imposes [degC]. None without a fault.
     """
 
     def __init__(self, torque_constant: float) -> None:
-        """Start with both temperatures at the temperature of the surroundings.
+        """Start with both temperatures at ambient temperature.
 
         Args:
             torque_constant: torque constant of the motor [N m/A].
@@ -44,16 +43,16 @@ class DriveTemperatures:
         self._ohm_per_kt2 = PHASE_RESISTANCE_OHM / torque_constant**2
 
     def advance(self, elapsed_s: float, torque_squared: float) -> None:
-        """Advance the temperatures by the time that has passed.
+        """Advance the temperatures by an elapsed time.
 
         Args:
-            elapsed_s: time that has passed [s].
-            torque_squared: integral of the squared torque over this time [N2 m2 s].
+            elapsed_s: elapsed time [s].
+            torque_squared: integral of the squared torque over the elapsed time [N2 m2 s].
         """
         if elapsed_s <= 0.0:
             return
-        # The mean copper loss is the square of the current times the resistance. The current is the
-        # torque divided by the torque constant.
+        # The mean copper loss is the squared current times the resistance. The current is torque /
+        # torque constant.
         watt = torque_squared / elapsed_s * self._ohm_per_kt2
         self.winding = _low_pass(
             self.winding, AMBIENT_C + WINDING_K_PER_W * watt, elapsed_s / WINDING_S
@@ -66,14 +65,14 @@ class DriveTemperatures:
 
 
 class ThermalStruct(ctypes.Structure, DriveTemperatures):
-    """Temperatures of a drive, stored in the array row of the drive."""
+    """Temperatures stored in the row of a drive."""
 
     _fields_ = [(name, ctypes.c_double) for name in ("winding", "mosfet")]
 
 
 def _low_pass(value: float, target: float, time_constants: float) -> float:
-    """Move a value towards a target, as a first-order lag does.
+    """Move a value towards a target as a first-order lag does.
 
-    The time is given as a number of time constants.
+    The time is given in time constants.
     """
     return target + (value - target) * math.exp(-time_constants)

@@ -1,6 +1,6 @@
 """Random numbers with a normal distribution, drawn in blocks.
 
-The numbers are the same as those of ``random.Random(seed).gauss(0, 1)``.
+The numbers equal ``random.Random(seed).gauss(0, 1)``.
 """
 
 import math
@@ -33,10 +33,10 @@ def _normal_from_uniform(uniform: Any, out: Any) -> None:
 
 
 class NormalNoise:
-    """A sequence of random numbers with a normal distribution.
+    """A stream of random numbers with a normal distribution.
 
     Attributes:
-        numbers: array with the numbers that are already drawn.
+        numbers: array with the drawn numbers.
         bounds: index of the next unused number in ``numbers``, and index after the last drawn
             number.
     """
@@ -48,8 +48,8 @@ class NormalNoise:
             seed: seed of the stream.
         """
         _, words, _ = random.Random(seed).getstate()
-        # Python and numpy both use the generator MT19937, and convert its integers to doubles in
-        # the same way. Therefore both sequences have the same bits.
+        # Python and numpy both use MT19937, and make doubles from its numbers in the same way. Both
+        # streams therefore have the same bits.
         self._uniform = np.random.RandomState()
         self._uniform.set_state(("MT19937", np.array(words[:-1], np.uint32), words[-1], 0, 0.0))
         self.numbers: Any = np.zeros(2 * BLOCK_SIZE)
@@ -72,7 +72,7 @@ class NormalNoise:
         block = np.empty(BLOCK_SIZE)
         if isinstance(
             _normal_from_uniform, FunctionType
-        ):  # If this kernel is not compiled, lists are faster than arrays.
+        ):  # If the kernel is not compiled, lists are faster than arrays.
             plain = [0.0] * BLOCK_SIZE
             _normal_from_uniform(uniform.tolist(), plain)
             return plain
@@ -80,7 +80,7 @@ class NormalNoise:
         return block
 
     def take(self, count: int) -> Any:
-        """Return the next (count,) random numbers, which have the mean 0 and the standard deviation 1."""
+        """Return the next numbers of mean 0 and standard deviation 1, shape (count,)."""
         self.draw(count)
         first = int(self.bounds[0])
         self.bounds[0] = first + count

@@ -1,4 +1,4 @@
-"""The interface between a drive protocol and the simulator: the simulated node, and its motors as delivered."""
+"""The interface between a drive protocol and the simulator: the node of the protocol, and its motors as delivered."""
 
 import math
 from collections.abc import Callable
@@ -13,15 +13,13 @@ SENSOR_NODE_KIND, MIT_KIND, ODRIVE_KIND, CIA402_KIND = range(4)
 
 
 class SimulatedNode(Protocol):
-    """A simulated node on the bus.
-
-    The methods that depend on time get the present time as an argument.
+    """A simulated node on the bus. The methods get the present time as an argument.
 
     Attributes:
         wake_ns: time of the next call of ``wake`` [ns].
-        malformed: number of frames with an identifier of the node that the node could not decode.
-        ids: identifiers of the frames that the node answers. After each change of the identifiers,
-            the set is a different object. It is None if the node must see every frame.
+        malformed: number of frames with the node's identifiers that the node could not decode.
+        ids: identifiers for the node to answer. After each change, the set is another object.
+            None if the node must see every frame.
     """
 
     @property
@@ -31,19 +29,19 @@ class SimulatedNode(Protocol):
 
     @property
     def ids(self) -> frozenset[int] | None:
-        """Return the identifiers of the frames that the node answers, or None if it must see every frame."""
+        """Return the identifiers for the node to answer, None if the node must see every frame."""
         ...
 
     @property
     def malformed(self) -> int:
-        """Return the number of frames with an identifier of the node that the node could not decode."""
+        """Return the number of frames with the node's identifiers that the node could not decode."""
         ...
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Process a frame from the bus, and answer it.
 
         Returns:
-            The answers, or None if the frame is not meant for this node.
+            The answers. None if the frame is not for this node.
         """
         ...
 
@@ -51,7 +49,7 @@ class SimulatedNode(Protocol):
         """Do the work that is due, such as updates of watchdog and temperatures.
 
         Returns:
-            The frames to send without a request, or None if the node never sends such frames.
+            The unsolicited frames to send. None if the node never sends any.
         """
         ...
 
@@ -60,28 +58,26 @@ class DriveNode(SimulatedNode, Protocol):
     """A simulated node that drives a motor.
 
     Attributes:
-        watchdog_fed_ns: time of the last frame that restarted the watchdog [ns]. It is negative if
-            the drive has no watchdog.
+        watchdog_fed_ns: time of the last frame that fed the watchdog [ns], negative if the
+            drive has no watchdog.
     """
 
     watchdog_fed_ns: int
 
 
 class ShaftSpec(NamedTuple):
-    """Data of a motor with the settings that the maker has delivered.
-
-    All data are converted to the output shaft.
+    """Data of a motor as delivered. All of them refer to its output shaft.
 
     Attributes:
-        peak: torque that the largest code in a frame stands for [N m].
+        peak: torque at full scale of the frames [N m].
         inertia: inertia of the free shaft [kg m2].
         torque_constant: torque constant of the motor [N m/A].
-        position: largest position that a frame can contain [rad].
-        velocity: largest velocity that a frame can contain [rad/s].
+        position: largest position in frames [rad].
+        velocity: largest velocity in frames [rad/s].
         options: options of the motor, as in a hand file.
         limit: largest torque that the motor can make [N m].
         top_speed: speed of the motor without load [rad/s].
-        stall_torque: torque at standstill that the supply voltage alone would allow [N m].
+        stall_torque: torque at standstill if only the supply voltage limited it [N m].
     """
 
     peak: float
@@ -105,22 +101,22 @@ UNADDRESSED_FRAME = Frame(EXTENDED_FLAG, b"")
 
 
 class ProtocolSpec(NamedTuple):
-    """Functions and data of a drive protocol that the simulator uses.
+    """Specification of a drive protocol for the simulator.
 
     Attributes:
-        node: function that makes a node from the description of a motor, the rotor, and the encoder
-            angle when the spool angle theta is 0 [rad].
+        node: function that makes a node from the description of a motor, the rotor and the encoder
+            angle at theta = 0 [rad].
         numbers: valid node numbers of drives.
-        shaft: shaft of the default motor on a test bench.
-        host_frame: function that returns, for a node number, the identifier and the payload of a
-            frame that only hosts send and that has no effect.
+        shaft: shaft of the default motor on a bench.
+        host_frame: function from a node number to the identifier and the payload of
+            a frame that only hosts send and that has no effect.
         corrupt_command: function that makes the command *disable* ineffective, for a faulty drive.
         corrupt_reply: function that changes a value in the reply to a read request, for a faulty
             drive.
         force_command: function that makes a drive follow a torque command in any state, for a
-            faulty drive. It is None if the protocol has none.
-        row: class of a node whose numbers are in an array row, for compiled kernels. It is None if
-            the protocol has no such class.
+            faulty drive. None if the protocol has no such function.
+        row: class of a node whose numbers are kept in a row of an array, for compiled kernels.
+            None without such a class.
         node_kind: kind of node in compiled kernels, see ``cyclic_kernels.ReceiverStruct``.
     """
 

@@ -1,6 +1,7 @@
-"""The simulated sensor node of a hand.
+"""The sensor node.
 
-When a SYNC frame arrives, the node reads the load cells and joint encoders, and sends the readings.
+When a SYNC frame arrives, the node samples the load cells and joint encoders, and sends their
+readings.
 
 Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
 
@@ -11,9 +12,9 @@ Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
     tension code     (tension + 6 N) / 0.0625 N, 0 and 4095 mean saturated
     joint code       2048 + angle / (2 pi rad / 4096), or 2048 + position / 50 um
 
-Tension frames have the identifiers from the base identifier on. Joint frames have the identifiers
-from the base identifier + 0x10 on. A frame with fewer than five channels has only as many bytes as
-these channels need.
+The identifiers of tension frames start at the base identifier. The identifiers of joint frames
+start at the base identifier + 0x10. A frame with fewer than five channels has only as many bytes as
+its channels need.
 Source: DBC of the hand, sensor_node.
 """
 
@@ -68,17 +69,14 @@ class SensorStruct(ctypes.Structure):
 
 @compiled("real", "real", "real", "count")
 def _encode_value(value: float, low: float, step: float, offset: int) -> int:
-    """Return the 12-bit code of a value.
-
-    The codes 0 and 4095 mean that the value is outside of the range of the codes.
-    """
-    # In Python and in compiled code, round() rounds halves to even numbers.
+    """Return the 12-bit code of a value. The codes 0 and 4095 mean that the value is saturated."""
+    # Both in Python and in compiled code, round() rounds halves to even numbers.
     return min(_MAX_CHANNEL_CODE, max(0, round((value - low) / step) + offset))
 
 
 @kernel_helper
 def payload_size(channels: int) -> int:
-    """Return the size of a payload [bytes], given the number of channels in this payload and all later ones."""
+    """Return the size of a payload [bytes], given the number of channels in this and all following payloads."""
     return (4 + 12 * min(CHANNELS_PER_FRAME, channels) + 7) // 8
 
 
@@ -88,8 +86,8 @@ def _pack_codes(counter: int, codes: Any, words: Any) -> None:
 
     Args:
         counter: counter in the SYNC frame.
-        codes: (channels,) code of each channel.
-        words: payloads as integers, which the kernel writes.
+        codes: code of each channel, shape (channels,).
+        words: payloads as integers, written by the kernel.
     """
     for g in range(len(words)):
         word = counter & 0xF
@@ -102,18 +100,16 @@ def _pack_codes(counter: int, codes: Any, words: Any) -> None:
 def encode(
     values: Any, low: float, step: float, offset: int, counter: int, codes: Any, words: Any
 ) -> None:
-    """Encode the values of channels, and pack their codes.
-
-    The kernels ``_encode_value`` and ``_pack_codes`` explain the format.
+    """Encode values and pack their codes. See ``_encode_value`` and ``_pack_codes``.
 
     Args:
-        values: (channels,) value of each channel.
-        low: value that code 0 stands for, before the offset is added.
-        step: difference of the values of two neighbouring codes.
+        values: values of the channels, shape (channels,).
+        low: value of code 0 before the offset.
+        step: resolution of a code.
         offset: offset of the code.
         counter: counter in the SYNC frame.
-        codes: (channels,) array for the codes, which the kernel fills.
-        words: payloads as integers, which the kernel writes.
+        codes: array for the codes, filled by the kernel, shape (channels,).
+        words: payloads as integers, written by the kernel.
     """
     for i in range(len(values)):
         codes[i] = _encode_value(values[i], low, step, offset)
@@ -124,16 +120,16 @@ def encode(
 def read_cells(
     true: Any, bias: Any, normal: Any, drift: float, noise: float, readings: Any
 ) -> None:
-    """Compute the reading of each load cell, which is the sum of true tension, randomly drifting bias, and noise.
+    """Compute the readings of the load cells: the sum of true tension, random walk of the bias, and noise.
 
     Args:
         true: true tension of each cell [N].
         bias: bias of each cell [N], which the kernel updates.
-        normal: random numbers with a normal distribution: one for the drift of each cell's bias,
+        normal: random numbers with a normal distribution: first one for the bias walk of each cell,
             then one for the noise of each cell.
-        drift: standard deviation of the change of the bias since the last sample [N].
-        noise: standard deviation of the noise in a reading [N].
-        readings: reading of each cell [N], which the kernel writes.
+        drift: standard deviation of the bias walk since the last sample [N].
+        noise: standard deviation of the noise of a reading [N].
+        readings: reading of each cell [N], written by the kernel.
     """
     channels = len(true)
     for i in range(channels):
@@ -144,9 +140,9 @@ def read_cells(
 
 @kernel_helper
 def drift_since(node: Any, t_ns: int) -> float:
-    """Return the standard deviation of the change of the load-cell bias since the last sample [N].
+    """Return the standard deviation of the bias walk since the last sample [N].
 
-    The kernel also stores the time of this sample.
+    Store the time of the sample.
 
     After 100 s, the standard deviation of the bias is ``bias_drift``.
     """
@@ -164,7 +160,7 @@ def has_joints(node: Any, joints: int, counter: int) -> bool:
 def tension_code(tension: float) -> int:
     """Return the 12-bit code of a tension [N].
 
-    The codes 0 and 4095 mean that the tension is outside of the range of the codes.
+    The codes 0 and 4095 mean that the tension is saturated.
     """
     return _encode_value(tension, *TENSION_CODE)
 
@@ -189,10 +185,7 @@ class PayloadEncoder:
         self._sizes = [payload_size(channels - start) for start in starts]
 
     def of_codes(self, counter: int, codes: Sequence[int]) -> list[bytes]:
-        """Pack a counter (low four bits) and codes into payloads of up to five codes.
-
-        Each payload is as short as possible.
-        """
+        """Pack a counter (low four bits) and codes into payloads of up to five codes, as short as possible."""
         self._codes[:] = codes
         _pack_codes(counter, self._codes, self._words)
         return self._payload_bytes()
@@ -200,10 +193,7 @@ class PayloadEncoder:
     def of_values(
         self, counter: int, values: Any, low: float, step: float, offset: int
     ) -> list[bytes]:
-        """Encode the values of channels, and pack the codes into payloads.
-
-        The kernel ``encode`` explains the arguments.
-        """
+        """Encode values and pack the codes into payloads. See ``encode``."""
         encode(values, low, step, offset, counter, self._codes, self._words)
         return self._payload_bytes()
 
@@ -214,7 +204,7 @@ class PayloadEncoder:
 
 
 def pack(counter: int, codes: Sequence[int]) -> bytes:
-    """Pack a counter (low four bits) and up to five codes into a payload that is as short as possible."""
+    """Pack a counter (low four bits) and up to five codes into one payload, as short as possible."""
     (payload,) = PayloadEncoder(len(codes)).of_codes(counter, codes)
     return payload
 
@@ -224,15 +214,13 @@ class SensorNode:
 
     Attributes:
         bias: present bias of each load cell [N].
-        cell_faults: for each channel, the function by which a fault changes the reading of the load
-            cell.
-        joint_faults: for each channel, the function by which a fault changes the reading of the
-            joint encoder.
-        suppressed: functions by the identifier of a frame, for faults that suppress this frame. The
-            function is called in place of sending the frame.
-        ids: set that contains the identifier of SYNC frames.
-        malformed: number of SYNC frames that had a wrong length.
-        wake_ns: a time that is never reached, because this node acts only on SYNC frames.
+        cell_faults: for each channel, the function that changes the reading of its load cell.
+        joint_faults: for each channel, the function that changes the reading of its joint encoder.
+        suppressed: functions by the identifier of a frame. Such a function is called instead of
+            sending the frame.
+        ids: set with the identifier of SYNC.
+        malformed: number of SYNC frames of a wrong length.
+        wake_ns: a time that is never reached, because the node need not be woken.
     """
 
     def __init__(
@@ -242,8 +230,8 @@ class SensorNode:
 
         Args:
             spec: description of the sensor node.
-            tensions: function that returns the true tensions in the order of the channels [N].
-            angles: function that returns the true joint angles in the order of the channels [rad].
+            tensions: function that returns the true tensions [N] in the order of the channels.
+            angles: function that returns the true joint angles [rad] in the order of the channels.
             seed: seed of the noise of all readings.
         """
         self._spec = spec
@@ -251,7 +239,7 @@ class SensorNode:
         self._angles = angles
         self.tension_noise = spec.tension_noise
         self.bias_drift = spec.bias_drift
-        # The position of a prismatic joint is encoded as the angle that has the same code.
+        # A prismatic joint is encoded like the angle that has the same code.
         slides = [joint in spec.prismatic for joint in spec.joints]
         per_m = JOINT_STEP_RAD / JOINT_STEP_M
         noise = spec.travel_noise * per_m
@@ -273,11 +261,11 @@ class SensorNode:
 
     @property
     def nodes(self) -> list["SensorNode"]:
-        """Return the list of nodes on the bus. It contains only this sensor node."""
+        """Return the nodes on the bus. The sensor node is a single node."""
         return [self]
 
     def frame_of_cell(self, index: int) -> int:
-        """Return the identifier of the frame that contains the reading of a given load cell."""
+        """Return the identifier of the frame with the reading of a load cell."""
         return self._spec.base_id + index // CHANNELS_PER_FRAME
 
     @property
@@ -286,7 +274,7 @@ class SensorNode:
         return (self._spec.sync_id,)
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Answer a SYNC frame with tension frames and, if they are due, with joint frames.
+        """Answer a SYNC frame with tension frames, and with joint frames if these are due.
 
         Returns:
             The answers, or None if the frame is not a SYNC frame.
@@ -328,24 +316,21 @@ class SensorNode:
         return _with_faults(self._values, self.cell_faults)
 
     def wake(self, t_ns: int) -> None:
-        """Do nothing, because this node acts only on SYNC frames."""
+        """Do nothing, because this node acts only on SYNC."""
 
 
 class SensorNodeRow(SensorStruct, SensorNode):
-    """A sensor node whose numbers are in a row of an array, so that compiled kernels can use them."""
+    """A sensor node whose numbers are kept in a row of an array, for compiled kernels."""
 
     def prepare(
         self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int
     ) -> None:
-        """Set the row of the node to the state after power-up.
-
-        The class ``SensorNode`` explains the arguments.
-        """
+        """Initialize the row of the node. See ``SensorNode``."""
         SensorNode.__init__(self, spec, tensions, angles, seed)
 
 
 def _with_faults(readings: Any, faults: dict[int, Callable[[float], float]]) -> Any:
-    """Let the faults of single channels change the readings."""
+    """Apply the faults of single channels to readings."""
     for i, fault in sorted(faults.items()):
         readings[i] = fault(float(readings[i]))
     return readings

@@ -1,5 +1,4 @@
-"""The mechanics of a simulated hand.
+"""The mechanics of the simulated hand.
 
-The library MuJoCo computes the links and the contacts. The modules of this package compute the
-tendons and the rotors.
+MuJoCo computes the links and the contacts. This package computes the tendons and the rotors.
 """

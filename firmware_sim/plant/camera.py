@@ -1,4 +1,4 @@
-"""Camera that draws pictures of the plant, even on a machine without a screen."""
+"""Camera that draws the plant as pictures, also on a machine without a screen."""
 
 import os
 import platform
@@ -42,16 +42,16 @@ class Camera:
     """
 
     def __init__(self, hand: Hand, scene: Scene, width_px: int, height_px: int) -> None:
-        """Build the MuJoCo model for drawing, with the meshes of the links, and open a graphics context.
+        """Build the model that is drawn, with the meshes of the links, and open a graphics context.
 
         Args:
-            hand: description of the hand.
-            scene: scene with the object and its support.
+            hand: the hand.
+            scene: object and support.
             width_px: width of the pictures [pixels].
             height_px: height of the pictures [pixels].
 
         Raises:
-            SimulatorError: a graphics context cannot be opened.
+            SimulatorError: no graphics context can be opened.
         """
         self.width_px = width_px
         self.height_px = height_px
@@ -76,7 +76,7 @@ class Camera:
         )
 
     def picture(self, engine: RigidBodyEngine) -> NDArray[np.uint8]:
-        """Return a picture of the plant in its present state, (height, width, 3): red, green and blue from 0 to 255.
+        """Return a picture of the present state of a plant, (height, width, 3): red, green, blue from 0 to 255.
 
         Args:
             engine: rigid bodies of the plant with the hand and the scene of this camera.
@@ -93,18 +93,18 @@ class Camera:
             mujoco.mjtCatBit.mjCAT_ALL.value,
             self._scene,
         )
-        # Another camera of this process may have made its own graphics context the current one.
+        # Another camera of this process may have made its own context the current one.
         self._gl.make_current()
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         place = mujoco.MjrRect(0, 0, self.width_px, self.height_px)
         mujoco.mjr_render(place, self._scene, self._context)
         picture = np.empty((self.height_px, self.width_px, 3), np.uint8)
         mujoco.mjr_readPixels(picture, None, place, self._context)
-        # OpenGL returns the lowest row of the picture first.
+        # OpenGL begins with the lowest row.
         return np.ascontiguousarray(picture[::-1])
 
     def close(self) -> None:
-        """Free the graphics context. If the method is called again, it has no effect."""
+        """Free the graphics context. A second call has no effect."""
         if self._gl is not None:
             self._gl.make_current()
             self._context.free()
@@ -115,12 +115,11 @@ class Camera:
 def _open_graphics(width_px: int, height_px: int) -> Any:
     """Open a graphics context.
 
-    As in MuJoCo, the environment variable ``MUJOCO_GL`` chooses the graphics library. If this
-    variable is not set and there is no screen, the library EGL draws on the graphics card or on the
-    processor.
+    The environment variable ``MUJOCO_GL`` chooses its kind, as for MuJoCo. Without this variable
+    and without a screen, EGL draws on the graphics card or on the processor.
 
     Raises:
-        SimulatorError: a graphics context cannot be opened.
+        SimulatorError: no context can be opened.
     """
     has_screen = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     headless = platform.system() == "Linux" and not has_screen
@@ -139,7 +138,7 @@ def _open_graphics(width_px: int, height_px: int) -> Any:
 
 def _graphics_errors() -> tuple[type[Exception], ...]:
     """Return the exceptions with which graphics libraries report that they cannot be used."""
-    # If the library lacks an EGL function, an AttributeError is raised.
+    # A library without an EGL function raises AttributeError.
     known = (AttributeError, ImportError, OSError, RuntimeError, ValueError, mujoco.FatalError)
     try:
         from OpenGL.error import Error  # type: ignore[import-untyped,unused-ignore]
@@ -160,12 +159,12 @@ def _paint(model: Any, digits: list[str]) -> None:
 
 
 def _view_of_hand(model: Any, data: Any, aspect: float) -> Any:
-    """Return a camera view that shows all bodies except the table.
+    """Return a view that shows all bodies except the table.
 
     Args:
-        model: MuJoCo model that is drawn.
-        data: state of the model in which the hand is open.
-        aspect: width of the picture divided by the height of the picture.
+        model: model that is drawn.
+        data: state of the open hand.
+        aspect: width of the picture divided by its height.
     """
     bodies = [
         mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, model.geom_bodyid[geom])

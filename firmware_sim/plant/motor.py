@@ -1,10 +1,8 @@
-"""A motor of the plant: the rotor at the spool, and the servo of the drive.
+"""A motor: the rotor at the spool and the servo of the drive, integrated with the step of the plant.
 
-Both are integrated with the time step of the plant.
-
-The control loop of a real drive runs at 10 to 20 kHz, which is faster than the time steps of the
-plant. Therefore the simulation integrates the control loop implicitly. So gains that are stable in
-the drive are stable in the simulation, without shorter time steps.
+The control loop of a real drive (10 to 20 kHz) is faster than the step of the plant. The simulation
+integrates the loop implicitly. Because of this, gains that are stable in the drive are stable in
+the simulation, without sub-steps.
 """
 
 import math
@@ -28,50 +26,46 @@ VELOCITY_LAG_S = 1e-3
 
 
 def step_factors(step_s: float) -> tuple[float, float, float]:
-    """Compute the step [s], the lag of the current and the lag of the velocity of a motor for a given time step [s].
+    """Compute step [s], current lag and velocity lag of a motor for a length of the step [s].
 
-    Such a lag is the fraction of the distance to its input that a first-order filter covers in one
-    step.
+    A lag is the fraction by which a first-order filter approaches its input in one step.
     """
     return step_s, 1.0 - math.exp(-step_s / CURRENT_LAG_S), 1.0 - math.exp(-step_s / VELOCITY_LAG_S)
 
 
 class Motor:
-    """The rotor of one motor, with the servo of its drive.
-
-    The kernels that advance a motor are in ``drivetrain``.
+    """The rotor of one motor. The kernels of a motor are in ``drivetrain``.
 
     Attributes:
-        theta: spool angle [rad], positive in the direction that winds the tendon up.
+        theta: spool angle, positive in the winding direction [rad].
         omega: angular velocity of the spool [rad/s].
-        torque: torque that the drive computes from the measured current [N m].
+        torque: torque, as derived by the drive from the current [N m].
         velocity: angular velocity that the drive estimates [rad/s].
-        heat: integral of the squared torque since the last update of the drive's temperatures [N2
-            m2 s].
-        servo: setpoints and gains of the drive. A fault can replace this servo by that of another
-            motor.
-        servo_row: setpoints and gains in the memory of the rotor, as kernels use them.
+        heat: integral of the squared torque since the node last updated its temperatures [N2 m2 s].
+        servo: setpoints and gains of the drive. A fault can replace this servo by the servo of
+            another motor.
+        servo_row: setpoints and gains in the memory of the rotor, for kernels.
         inertia: inertia of the rotor [kg m2].
         viscous: viscous friction of the rotor [N m s/rad].
         coulomb: Coulomb friction of the rotor [N m].
-        gain: true torque divided by the torque that the drive computes from its current.
-        top_speed: speed of the motor without load [rad/s], or 0 if the speed is not limited.
-        stall_torque: torque at standstill that the supply voltage alone would allow [N m].
+        gain: true torque divided by the torque that the drive derives from its current.
+        top_speed: speed of the motor without load [rad/s], 0 for a motor without a speed
+            limit.
+        stall_torque: torque at standstill if only the supply voltage limited it [N m].
         step: time step of the plant [s].
         lag: fraction by which the current approaches its command in one step.
         velocity_lag: fraction by which the estimated velocity approaches the true velocity in one
             step.
         load: torque of the tendons on the spool [N m].
-        angle: spool angle that the servo measures [rad].
+        angle: spool angle as measured by the servo [rad].
         command: torque command of the current loop [N m].
-        drag: load of the tendons plus Coulomb friction [N m].
+        drag: load plus Coulomb friction [N m].
         impedance: inertia divided by the step, plus the slope of the friction [N m s/rad].
-        steps_alone: True if Python advances the rotor, and not the kernel ``step_drivetrain``.
-        number: row of this rotor in the array with all rotors of the hand.
-        encoder_fault: function by which a fault changes the measured angle [rad], or None if there
-            is no fault.
-        power_stage_fault: function by which a fault changes the torque command [N m], or None if
-            there is no fault.
+        steps_alone: True if the rotor is stepped by Python and not by ``step_drivetrain``.
+        number: row of the rotor among all rotors of a hand.
+        encoder_fault: function that changes the measured angle [rad]. None without a fault.
+        power_stage_fault: function that changes the torque command [N m]. None without a
+            fault.
         faulty: True if the encoder or the power stage has a fault.
     """
 
@@ -81,7 +75,7 @@ class Motor:
     _power_stage_fault: Callable[[float], float] | None
 
     def __init__(self, spec: MotorSpec, step_s: float) -> None:
-        """Set the rotor to a state at rest.
+        """Set up the rotor at rest.
 
         Args:
             spec: description of the motor.
@@ -91,7 +85,7 @@ class Motor:
         self._set_parameters(spec, step_s)
 
     def _set_parameters(self, spec: MotorSpec, step_s: float) -> None:
-        """Set the parameters of the motor and a state at rest."""
+        """Set the parameters of the motor, and its state at rest."""
         self.theta = self.omega = self.torque = self.velocity = self.heat = 0.0
         self.inertia = spec.inertia
         self.viscous = spec.viscous
@@ -108,10 +102,7 @@ class Motor:
 
     @property
     def encoder_fault(self) -> Callable[[float], float] | None:
-        """Return the function by which a fault changes the measured angle.
-
-        If there is no fault, return None.
-        """
+        """Return the function that changes the measured angle. None without a fault."""
         return self._encoder_fault
 
     @encoder_fault.setter
@@ -121,10 +112,7 @@ class Motor:
 
     @property
     def power_stage_fault(self) -> Callable[[float], float] | None:
-        """Return the function by which a fault changes the torque command.
-
-        If there is no fault, return None.
-        """
+        """Return the function that changes the torque command. None without a fault."""
         return self._power_stage_fault
 
     @power_stage_fault.setter
@@ -133,7 +121,7 @@ class Motor:
         self.faulty = fault is not None or self._encoder_fault is not None
 
     def set_step(self, step_s: float) -> None:
-        """Set the length of the following time steps [s]."""
+        """Set the time step of the next steps [s]."""
         self.step, self.lag, self.velocity_lag = step_factors(step_s)
 
     def encoder(self) -> float:
@@ -143,12 +131,12 @@ class Motor:
         return encoder_fault(angle) if encoder_fault else angle
 
     def advance(self, load: float) -> None:
-        """Integrate the motor over one time step against the torque of the tendons [N m] (semi-implicit Euler)."""
+        """Integrate the motor over one step against a tendon torque [N m], semi-implicitly."""
         self.load = load
         self.step_alone()
 
     def step_alone(self) -> None:
-        """Integrate the motor over one time step against its present load, with encoder and power-stage faults."""
+        """Integrate the motor over a step against the present load, with faults of encoder and power stage."""
         measure_angle(self)
         if self._encoder_fault and (self.servo.kp or self.servo.kd):
             self.angle = self._encoder_fault(self.angle)
@@ -159,11 +147,11 @@ class Motor:
 
 
 class MotorRow(RotorStruct, Motor):
-    """A motor whose numbers are in a row of an array, so that compiled kernels can use them."""
+    """A motor whose numbers are kept in a row of an array, for compiled kernels."""
 
 
 def motor_rows(specs: Sequence[MotorSpec], step_s: float) -> tuple[list[Motor], Any]:
-    """Create motors whose numbers are in the rows of one array.
+    """Make motors whose numbers are kept in the rows of one array.
 
     Args:
         specs: descriptions of the motors.

@@ -1,7 +1,7 @@
-"""The plant of the simulation: links, object, contacts, tendons and rotors, in time steps of 0.5 ms.
+"""The plant of the simulation, in steps of 0.5 ms: links, object, contacts, tendons and rotors.
 
-MuJoCo computes links, object and contacts. The module ``drivetrain`` computes tendons and rotors.
-If a node reads the plant at a time within a step, the step is divided exactly at this time.
+The engine computes links, object and contacts. ``drivetrain`` computes tendons and rotors. If a
+node samples the plant within a step, the step is divided at the exact time of the sample.
 """
 
 import random
@@ -35,42 +35,40 @@ TABLE_UPDATE_STEPS = 4
 
 
 class Plant:
-    """The simulated mechanics of a hand and an object.
+    """The simulated mechanics of a hand and its object.
 
     Attributes:
         hand: description of the hand.
-        scene: description of the object, its support and the events after the grasp.
-        engine: rigid bodies and contacts, which MuJoCo computes.
-        motors: rotors by the names of the motors.
-        tendons: each tendon together with the rotor that winds it, in the order of
-            ``Hand.every_tendon``.
-        table: table under the object, or None in a scene without a support.
-        load: force on the object that grows with time, or None in most scenes.
-        stages: stages after the grasp, or None in most scenes.
-        stage: index of the present stage, or -1 before the first stage.
-        sampled: arguments for the kernels by which nodes read the plant: arrays of the drivetrain,
-            joint angles [rad], joint velocities [rad/s], and an array into which tensions are
-            written [N].
+        scene: description of object, support and later events.
+        engine: rigid bodies and contacts.
+        motors: rotors by motor name.
+        tendons: each tendon with the winding rotor, in the order of ``Hand.every_tendon``.
+        table: table under the object. None in a scene without a support.
+        load: force on the object that grows with time. None in most scenes.
+        stages: events after the grasp. None in most scenes.
+        stage: index of the present stage, -1 before the first stage.
+        sampled: arguments for kernels that sample the plant: arrays of the drivetrain, joint angles
+            [rad], joint velocities [rad/s], and an array in which tensions are written [N].
         steps: number of completed steps.
-        part_ns: completed part of the time step in progress [ns].
+        part_ns: completed part of the step in progress [ns].
     """
 
     def __init__(
         self, hand: Hand, scene: Scene, seed: int = 0, homed: bool = False, compiled: bool = True
     ) -> None:
-        """Build the plant in its state at power-up.
+        """Build the plant as it is at power-up.
 
         Args:
             hand: description of the hand.
-            scene: description of the object, its support and the events after the grasp.
-            seed: seed for the random slack of the tendons.
+            scene: description of object, support and later events.
+            seed: seed of the tendons' slack.
             homed: True to start with taut tendons.
-            compiled: True to use compiled kernels. If it is False, the simulator starts one second
-                earlier, but each step takes longer.
+            compiled: True to use compiled kernels. If False, the start is one second faster,
+                but each step is slower.
 
         Raises:
-            SimulatorError: MuJoCo does not accept the hand, a tendon names an unknown motor or
-                joint, or the object is inside the hand.
+            SimulatorError: the engine does not accept the hand, a tendon names an unknown motor or joint, or the
+                object is inside the hand.
         """
         self.hand = hand
         self.scene = scene
@@ -87,8 +85,8 @@ class Plant:
             self._rotors, rotors = motor_rows(hand.motors, STEP_S)
         else:
             self._rotors = rotors = [Motor(motor, STEP_S) for motor in hand.motors]
-        # The key of this dict is the index of the first tendon of each spool pair, and the value is
-        # the index of the second tendon.
+        # The dict has the index of the first tendon of each spool pair as its key, and the index of
+        # the second tendon as its value.
         firsts = [i for i, spec in enumerate(hand.tendons) if spec.pretension]
         self._antagonist = {i: len(hand.tendons) + place for place, i in enumerate(firsts)}
         self.motors = {
@@ -103,8 +101,7 @@ class Plant:
         )
         native = engine.native
         arrays = (*self._drivetrain, *self._bodies) if self._bodies else ()
-        # The kernel gets a single array of addresses, because each argument would cost 0.2 us in
-        # every tick.
+        # The kernel gets one array of addresses, because each argument costs 0.2 us in every tick.
         self._addresses = (
             np.array([*array_addresses(arrays), *native], np.int64) if arrays and native else None
         )
@@ -124,7 +121,7 @@ class Plant:
             self._unwind_spools(seed)
 
     def _check_overlaps(self) -> None:
-        """Raise an error if the object overlaps the open hand.
+        """Refuse an object that overlaps the open hand.
 
         Otherwise contact forces would throw the hand and the object apart.
         """
@@ -142,10 +139,7 @@ class Plant:
             )
 
     def _build_routing(self, compiled: bool) -> TendonRouting:
-        """Build the tendons of the hand and their pulleys.
-
-        If a tendon names an unknown motor or joint, raise an error.
-        """
+        """Build the tendons and their pulleys. Refuse unknown motors and joints."""
         hand = self.hand
         motors = [motor.name for motor in hand.motors]
         for spec in hand.tendons:
@@ -164,9 +158,9 @@ class Plant:
         )
 
     def _build_table(self, support: SinkingTable, compiled: bool) -> SupportTable:
-        """Build the table under the object.
+        """Build the table.
 
-        With compiled kernels, the table reads the contact forces directly from MuJoCo's memory.
+        With compiled kernels, the table reads the contact forces in the memory of the engine.
         """
         hand = self.hand
         closing = [i for i, digit in enumerate(hand.digits) if digit in hand.closing_digits]
@@ -177,23 +171,22 @@ class Plant:
         return SupportTable(support, opposed, indices, machine_code(support_kernels))
 
     def _unwind_spools(self, seed: int) -> None:
-        """Unwind each spool by a random length of slack tendon."""
+        """Unwind each spool by a random slack."""
         rng = random.Random(f"slack {seed}")
         for i, (spec, (tendon, motor)) in enumerate(
             zip(self.hand.tendons, self.tendons, strict=False)
         ):
-            # A negative length means that the tendon is unwound.
-            wound = -rng.uniform(*INITIAL_SLACK_RANGE_M)
+            wound = -rng.uniform(*INITIAL_SLACK_RANGE_M)  # A negative length is unwound.
             motor.theta = wound / tendon.radius
             if spec.pretension:
-                # The tendons of a spool pair stay taut, because they were mounted while the spool
-                # was at this angle.
+                # The tendons of a spool pair stay taut, because they were mounted with the spool at
+                # this angle.
                 tendon.extra_length += wound
                 self.tendons[self._antagonist[i]][0].extra_length -= wound
 
     @property
     def can_sink(self) -> bool:
-        """Return True if the scene has a table that sinks after the object has been grasped."""
+        """Return True if the scene has a table that sinks once the object is held."""
         support = self.scene.support
         return support is not None and support.drop_when == "grasped"
 
@@ -203,17 +196,16 @@ class Plant:
         return self.steps * STEP_NS + self.part_ns
 
     def step(self) -> None:
-        """Advance the plant by one time step. The method ``advance`` describes the step."""
+        """Advance the plant by one step. See ``advance``."""
         self.advance(1)
 
     def advance(self, count: int) -> None:
-        """Advance the plant by a number of time steps.
+        """Run a number of steps of the plant.
 
-        If a step has been divided, its rest is completed first. The rest of a divided step counts
-        as one step.
+        A divided step is completed first. A divided step counts as one step.
 
         Args:
-            count: number of time steps.
+            count: number of steps.
 
         Raises:
             SimulatorError: the plant has diverged, because its parameters are too extreme for the
@@ -223,7 +215,7 @@ class Plant:
             block = 1 if self.part_ns else min(count, self._free_steps())
             self._run_steps(block)
             count -= block
-            # The table and the load change only between two steps, never within a step.
+            # The table and the load act only between two steps, never within a step.
             if (
                 self.table
                 and self.steps % TABLE_UPDATE_STEPS == 0
@@ -235,10 +227,10 @@ class Plant:
                 self.engine.push_object([force * component for component in self.load.direction])
 
     def advance_part(self, duration_ns: int) -> None:
-        """Advance the plant by a part of the next time step.
+        """Run a part of the next step of the plant.
 
         Args:
-            duration_ns: length of the part [ns]. The sum of all parts must be less than a step.
+            duration_ns: length of the part [ns]. The sum of all parts is less than a step.
 
         Raises:
             SimulatorError: the plant has diverged, because its parameters are too extreme for the
@@ -248,7 +240,7 @@ class Plant:
         self.part_ns += duration_ns
 
     def _run_step_of_duration(self, duration_ns: int) -> None:
-        """Run one time step whose duration differs from the usual one [ns]."""
+        """Run one step with another duration [ns]."""
         self._set_step(duration_ns * 1e-9)
         try:
             self._run_single_step(self.faulty_motors)
@@ -256,7 +248,7 @@ class Plant:
             self._set_step(STEP_S)
 
     def _set_step(self, step_s: float) -> None:
-        """Set the time step of MuJoCo and the rotors for the following steps [s]."""
+        """Set the time step of engine and rotors for the next steps [s]."""
         self.engine.set_timestep(step_s)
         rotors = self._drivetrain[-1]
         if self._bodies is None:
@@ -267,24 +259,23 @@ class Plant:
             rotors[name] = value
 
     def _free_steps(self) -> int:
-        """Count the steps that can run before the table, the load or the stages of the scene act again."""
+        """Count the steps that can run before table, load or stages act again."""
         if self.load:
             return 1
         table_active = self.table and self._table_can_act(self.table)
         return TABLE_UPDATE_STEPS - self.steps % TABLE_UPDATE_STEPS if table_active else 1 << 30
 
     def _table_can_act(self, table: SupportTable) -> bool:
-        """Return True if the plant can still be changed by the table, or by a stage after the table has sunk."""
+        """Return True if the table, or a stage after the table has sunk, can still change the plant."""
         return bool(self.stages) or not table.settled
 
     def _run_steps(self, count: int) -> None:
-        """Run a number of time steps of the plant.
+        """Run steps of the plant.
 
-        If no motor has a fault, a single call of the kernel runs all steps.
+        If no motor is faulty, a single call of the kernel runs all steps.
         """
         if self.part_ns:
-            # The rest of a divided step is completed first, so that later steps start at multiples
-            # of STEP_NS.
+            # A divided step is completed first, so that later steps start at multiples of STEP_NS.
             self._run_step_of_duration(STEP_NS - self.part_ns)
             self.part_ns = 0
             self.steps += 1
@@ -307,15 +298,15 @@ class Plant:
         return [motor for motor in self._rotors if motor.faulty]
 
     def _run_single_step(self, faulty_motors: list[Motor]) -> None:
-        """Run one time step of the plant.
+        """Run one step of the plant.
 
-        Python advances the given faulty motors. The kernel advances all other motors.
+        Python steps the given faulty motors. The kernel steps all others.
         """
         engine = self.engine
         q, dq, torque, damping = self._bodies or self._joint_lists()
         if (
             not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGED_RAD_S
-        ):  # this condition is also true if the sum of the speeds is NaN
+        ):  # this condition is also true if the sum is NaN
             raise self._divergence_error()
         if faulty_motors:
             for motor in self._rotors:
@@ -329,20 +320,20 @@ class Plant:
         engine.step()
 
     def _joint_lists(self) -> tuple[list[float], list[float], list[float], list[float]]:
-        """Return lists of joint angles and velocities, and lists for torques and damping, for interpreted kernels."""
+        """List joint angles and velocities, and make lists for torques and tendon damping, for Python kernels."""
         q = self.engine.q.tolist()
         dq = self.engine.dq.tolist()
         return q, dq, [0.0] * len(q), [0.0] * len(self.tendons)
 
     def _divergence_error(self) -> SimulatorError:
-        """Build the error which reports that the simulation has diverged."""
+        """Build the error that reports a diverged plant."""
         when = self.steps * STEP_S
         return SimulatorError(
             f"the plant diverged at {when:.4f} s; expected less extreme parameters"
         )
 
     def _update_table(self, table: SupportTable) -> None:
-        """Lower the table after the hand has grasped the object, and then apply the stages of the scene."""
+        """Lower the table once the hand holds the object, and then apply the stages of the scene."""
         before = table.depth
         forces = (
             self.engine.sensed
@@ -363,27 +354,27 @@ class Plant:
                 self.engine.set_friction(now.friction)
 
     def measured_grip(self) -> list[float]:
-        """Return the load on the object, and for each digit the sum of its normal forces on the object [N].
+        """Return the load on the object, and the sum of the normal forces of each digit on the object [N].
 
-        If the scene has no load, the list is empty.
+        The list is empty in a scene without a load.
         """
         return [self.load.force_at(self.steps * STEP_S), *self.normal_forces()] if self.load else []
 
     def cells(self) -> Any:
-        """Compute the present tension of each tendon at the load cell of the tendon.
+        """Compute the present tension of each tendon at its load cell.
 
         Returns:
-            Tensions of shape (tendons,) [N]. The array belongs to the plant, and the next call
-            overwrites it. The next call overwrites it.
+            Tensions, shape (tendons,) [N]. The array belongs to the plant. The next call overwrites
+            it.
         """
         q, dq, *_ = self._bodies or self._joint_lists()
         self._kernels.tensions(*self._drivetrain, q, dq, self._tensions)
         return self._tensions
 
     def tensions(self) -> list[float]:
-        """Return the present tension of each tendon at the load cell of the tendon [N].
+        """Return the present tension of each tendon at its load cell [N].
 
-        A spool pair has a single value, the difference between the tensions of its two tendons.
+        A spool pair has a single value: its net tension.
         """
         single = self.cells().tolist()
         net = [float(tension) for tension in single[: len(self.hand.tendons)]]

@@ -1,4 +1,4 @@
-"""Perturbation of the plant: factors by which parameters from the hand file are multiplied."""
+"""Perturbation of the plant: factors that multiply parameters of the hand file."""
 
 import math
 from dataclasses import replace
@@ -28,12 +28,12 @@ PERTURBATION_KEYS = {
 
 
 def perturbed_hand(hand: Hand, factors: dict[str, float]) -> Hand:
-    """Multiply the parameters of a simulated plant by factors.
+    """Multiply the plant parameters of a hand by factors.
 
     Args:
-        hand: description of the hand, as the hand file gives it.
-        factors: factors by their keys in ``PERTURBATION_KEYS``. The value of ``bias`` is not a
-            factor. It is an offset [N].
+        hand: description of the hand from its file.
+        factors: factors by key of ``PERTURBATION_KEYS``. The value of ``bias`` is not a factor but an offset
+            [N].
 
     Returns:
         The description of the perturbed hand.

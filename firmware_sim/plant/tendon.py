@@ -30,36 +30,34 @@ def _pulley_numbers(spec: TendonSpec, joint: str) -> tuple[float, ...]:
 
 
 class Tendon:
-    """One tendon of the simulated plant. The kernels that advance a tendon are in ``drivetrain``.
+    """One tendon of the plant. The kernels of tendons are in ``drivetrain``.
 
     Attributes:
-        tension: tension at the load cell, which lies between the spool and the first pulley, in the
-            last step [N].
-        speed: speed of the tendon towards the spool in the last step [m/s]. The speed is positive
+        tension: tension at the load cell, between spool and first pulley, in the last step [N].
+        speed: speed of the tendon towards the spool in the last step [m/s]. The value is positive
             when the digit closes.
-        slope: slope of tendon damping and friction over the speed of the tendon, for the implicit
-            integrator [N s/m].
-        extra_length: length by which the tendon is longer than its description says [m].
-        radius: radius of the spool [m]. It is negative if a positive spool angle pays the tendon
+        slope: damping plus friction divided by speed, for the implicit integrator [N s/m].
+        extra_length: length of the tendon beyond the length in its description [m].
+        radius: radius of the spool [m], negative if a positive spool angle pays the tendon
             out.
         stiffness: stiffness of the tendon at tensions below the knee [N/m].
         after_knee: stiffness of the tendon at tensions far above the knee [N/m].
         knee: highest tension at which the stiffness is constant [N].
         knee_stretch: stretch of the tendon at the knee [m].
-        knee_width: width of the transition at the knee, as a difference of stretch [m].
+        knee_width: width of the transition at the knee, as a stretch [m].
         damping: viscous damping of the tendon [N s/m].
-        friction: coefficient of friction of the tendon in the capstan equation.
-        wrap: total angle by which the tendon is wrapped before the first joint [rad].
+        friction: friction coefficient of the tendon, for the capstan equation.
+        wrap: wrap angle of the tendon before the first joint [rad].
         motor: row of the rotor that winds the tendon.
-        first: index of the first pulley of this tendon.
-        end: index after the last pulley of this tendon.
+        first: index of the tendon's first pulley.
+        end: index after the tendon's last pulley.
     """
 
     first: int
     end: int
 
     def describe(self, spec: TendonSpec, motor: int, spool_radius: float) -> None:
-        """Set the parameters of the tendon and a state without tension.
+        """Set the parameters of the tendon, and its state without tension.
 
         Args:
             spec: description of the tendon.
@@ -67,8 +65,7 @@ class Tendon:
             spool_radius: radius of the spool that winds the tendon [m].
         """
         self.tension = self.speed = self.slope = 0.0
-        # The pretension of a spool pair is below the tension at the knee, where the stiffness is
-        # constant.
+        # The pretension of a spool pair is below the knee, so the stiffness is constant there.
         self.extra_length = -spec.pretension / spec.stiffness if spec.pretension else 0.0
         self.motor = motor
         self.radius = spec.winding * spool_radius
@@ -85,7 +82,7 @@ class Tendon:
         """Break the tendon, which then carries no tension.
 
         Returns:
-            Function that repairs the tendon.
+            Function that mends the tendon.
         """
         before = self.stiffness, self.damping, self.knee_stretch
         self.stiffness = 0.0
@@ -99,18 +96,18 @@ class Tendon:
 
 
 class TendonRow(TendonStruct, Tendon):
-    """A tendon whose numbers are in a row of an array, so that compiled kernels can use them."""
+    """A tendon whose numbers are kept in a row of an array, for compiled kernels."""
 
 
 class TendonRouting:
-    """The tendons of a hand, and the pulleys along each tendon.
+    """The tendons of a hand and the pulleys on the path of each tendon.
 
     Attributes:
-        tendons: tendons of the hand.
-        rows: array with one row for each tendon, for compiled kernels. Without compiled kernels, it
-            is the list ``tendons``.
-        joints: for each pulley, the index of its joint, tendon by tendon, as an array or a list.
-        arms: ``PULLEY_NUMBER_COUNT`` numbers that describe each pulley, as an array or a list.
+        tendons: the tendons.
+        rows: array with a row for each tendon, for compiled kernels. Without compiled kernels, the
+            attribute is the list ``tendons``.
+        joints: joint index of each pulley, tendon by tendon, as an array or a list.
+        arms: ``PULLEY_NUMBER_COUNT`` numbers of each pulley, as an array or a list.
     """
 
     def __init__(
@@ -121,14 +118,14 @@ class TendonRouting:
         radii: list[float],
         compiled: bool,
     ) -> None:
-        """Build the tendons of a hand and their pulleys.
+        """Build the tendons and their pulleys.
 
         Args:
             specs: descriptions of the tendons.
             joints: names of the joints.
             motors: names of the motors.
             radii: radius of each spool [m].
-            compiled: True to create arrays for compiled kernels.
+            compiled: True to make arrays for compiled kernels.
         """
         memory = (TendonRow * len(specs))() if compiled else [Tendon() for _ in specs]
         self.tendons: list[Tendon] = list(memory)
@@ -137,8 +134,8 @@ class TendonRouting:
             motor = motors.index(spec.motor)
             tendon.describe(spec, motor, radii[motor])
             tendon.first = len(path)
-            # At a joint with a moment arm of 0, the tendon passes through the joint's axis. So
-            # there is no pulley at this joint.
+            # At a joint with a moment arm of 0, the tendon passes through the axis, without a
+            # pulley.
             passed = [name for name, arm in spec.arms.items() if arm]
             path += [(joints.index(name), _pulley_numbers(spec, name)) for name in passed]
             tendon.end = len(path)

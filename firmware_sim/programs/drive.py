@@ -1,4 +1,4 @@
-"""The program ``python -m firmware_sim drive``: drives on a test bench, with free shafts, for any client on the bus."""
+"""The program ``python -m firmware_sim drive``: drives on a bench, with free shafts, for any client on the bus."""
 
 import argparse
 import sys
@@ -67,26 +67,23 @@ objects of a CiA 402 drive, for CANopen tools: {EDS_PATH}
 
 
 class SimulatedDriveBench:
-    """Simulated drives on one bus, without a hand.
-
-    The class ``bus_server.ServedNodes`` describes the methods.
+    """Simulated drives on one bus. See ``bus_server.ServedNodes``.
 
     Attributes:
-        motors: rotors of the drives, in the order of the drive descriptions.
-        nodes: simulated nodes of the drives, in the order of the drive descriptions.
-        slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
-        part_ns: completed part of the time step in progress [ns].
-        faults: faults that are injected while the bench runs.
+        motors: rotors in the order of the drive descriptions.
+        nodes: nodes in the order of the drive descriptions.
+        slip_ns: time lost by slips of the clock [ns].
+        part_ns: completed part of the step in progress [ns].
+        faults: faults injected while the bench runs.
     """
 
     def __init__(self, specs: list[MotorSpec], origin_ns: int = 0, fault: str = "") -> None:
-        """Build the drives of the test bench.
+        """Build the drives of the bench.
 
         Args:
             specs: descriptions of the drives.
             origin_ns: time of the clock at the start [ns].
-            fault: deliberate fault of all drives, as a key of ``faulty_drive.DRIVE_FAULTS``, or an
-                empty text for no fault.
+            fault: deliberate fault of all drives, as a key of ``faulty_drive.DRIVE_FAULTS``, empty for no fault.
         """
         self.t_ns = origin_ns
         self.slip_ns = 0
@@ -108,7 +105,7 @@ class SimulatedDriveBench:
         return sum(node.malformed for node in self.nodes)
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Pass a frame to every drive, and return all answers."""
+        """Pass a frame to every node and return all answers."""
         if self.faults.wire_faults_of:
             answers = [self.faults.exchange(node, frame, self.t_ns) for node in self.nodes]
         else:
@@ -121,7 +118,7 @@ class SimulatedDriveBench:
         ]
 
     def advance(self, t_ns: int) -> None:
-        """Advance the drives towards the time ``t_ns``, by whole time steps."""
+        """Advance the drives towards ``t_ns`` in whole steps."""
         while self.t_ns - self.part_ns + STEP_NS <= t_ns:
             self._turn(STEP_NS - self.part_ns)
             self.part_ns = 0
@@ -139,10 +136,9 @@ class SimulatedDriveBench:
         self._unsolicited += frames
 
     def reach(self, t_ns: int) -> None:
-        """Advance the drives exactly to the time ``t_ns``.
+        """Advance the drives to exactly ``t_ns``.
 
-        For this, a time step may have to be divided. The next call then first completes the divided
-        step.
+        This may divide a step. The next call then completes the step.
         """
         self.advance(t_ns)
         rest_ns = t_ns - self.t_ns
@@ -151,7 +147,7 @@ class SimulatedDriveBench:
             self.part_ns += rest_ns
 
     def _turn(self, duration_ns: int) -> None:
-        """Advance every shaft by a duration [ns], which is a time step or a part of one."""
+        """Advance every shaft by a duration [ns]: a step or a part of a step."""
         self.t_ns += duration_ns
         for motor in self.motors:
             if motor.step != duration_ns * 1e-9:
@@ -159,7 +155,7 @@ class SimulatedDriveBench:
             motor.advance(0.0)
 
     def take_unsolicited(self) -> list[Frame]:
-        """Return the frames that the drives have sent without a request since the last call."""
+        """Return the unsolicited frames since the last call."""
         unsolicited = self._unsolicited
         self._unsolicited = []
         return unsolicited
@@ -211,7 +207,7 @@ def _behaviour_options(args: argparse.Namespace) -> dict[str, object]:
     """Return the command-line options that change how the drives behave.
 
     Raises:
-        SimulatorError: an option belongs to a protocol that the drives do not use.
+        SimulatorError: an option belongs to another protocol.
     """
     given = {
         "--firmware": ("odrive", "", bool(args.firmware)),
@@ -258,10 +254,10 @@ def _drive_specs(args: argparse.Namespace) -> list[MotorSpec]:
 
 
 def run(words: list[str]) -> None:
-    """Serve simulated drives until the process receives SIGTERM or SIGINT.
+    """Serve simulated drives until SIGTERM or SIGINT.
 
     Raises:
-        SimulatorError: the simulator cannot use the arguments.
+        SimulatorError: the simulator does not support the arguments.
     """
     args = _argument_parser().parse_args(words)
     specs = _drive_specs(args)
@@ -290,13 +286,13 @@ def run(words: list[str]) -> None:
 
 
 def fault_socket(bus: str, bench: SimulatedDriveBench) -> FaultSocket | None:
-    """Open the socket on which ``handctl fault inject`` sends faults.
+    """Open the socket for ``handctl fault inject``.
 
-    If another simulator on this bus already has such a socket, return None.
+    Return None if another simulator on this bus already has a fault socket.
 
     Args:
         bus: specification of the bus.
-        bench: drives that are connected to the bus.
+        bench: drives on the bus.
     """
     path = faults_path(bus)
     if is_served(path):

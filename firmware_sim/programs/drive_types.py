@@ -1,4 +1,4 @@
-"""Drives as delivered: with the identifiers, ranges and timing that the manufacturer has set, and with a free shaft."""
+"""Drives as delivered: with the identifiers, ranges and timing of the manufacturer, and with a free shaft."""
 
 from firmware_sim.hand_description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS, cubemars
@@ -35,17 +35,16 @@ def drive_spec(
 
     Args:
         protocol: key of ``nodes.PROTOCOL_SPECS``. If the protocol is ``mit`` and the motor type is
-            one of CubeMars, the drive uses the protocol cubemars.
+            one of CubeMars, the drive has the protocol cubemars.
         node_id: node number of the drive.
-        motor_type: motor type that the protocol supports, such as a key of ``MIT_TYPES``, or an
-            empty text for the default type.
-        fd: True for an MIT motor that has been set to CAN FD.
-        inertia: inertia of the shaft [kg m2], or None for the default inertia of the motor type.
-        firmware: firmware version of an ODrive, 0.6 or 0.5. Drives with other protocols ignore this
-            value.
+        motor_type: motor type of the protocol, such as a key of ``MIT_TYPES``, empty for the
+            default of the protocol.
+        fd: True for an MIT motor that is set to CAN FD.
+        inertia: inertia of the shaft [kg m2]. None for the default of the motor type.
+        firmware: firmware version of an ODrive, 0.6 or 0.5. Other drives ignore it.
 
     Raises:
-        SimulatorError: the node number or the motor type is not valid for the protocol.
+        SimulatorError: the node number or the motor type does not exist.
     """
     _check_type(protocol, motor_type)
     protocol = MIT_TYPES.get(motor_type, protocol)
@@ -67,12 +66,10 @@ def drive_spec(
 
 
 def _check_type(protocol: str, motor_type: str) -> None:
-    """Check that drives with a protocol exist for a motor type.
-
-    The protocol ``mit`` accepts all motor types that have an MIT mode.
+    """Check that a protocol has a motor type. ``mit`` accepts all motor types with an MIT mode.
 
     Raises:
-        SimulatorError: the motor type does not exist, or uses another protocol.
+        SimulatorError: the motor type does not exist, or speaks another protocol.
     """
     types = ROBSTRIDE_TYPES if protocol in ROBSTRIDE_PROTOCOLS else tuple(MIT_TYPES)
     if motor_type and MIT_TYPES.get(motor_type, protocol) != protocol != "mit":
@@ -82,7 +79,7 @@ def _check_type(protocol: str, motor_type: str) -> None:
 
 
 def _shaft_of_type(protocol: str, motor_type: str, fd: bool, firmware: str) -> ShaftSpec:
-    """Build the description of the shaft of a motor type."""
+    """Build the shaft of the requested motor type."""
     if protocol == "odrive":
         return odrive_bench.shaft_of_firmware(firmware)
     if protocol in ROBSTRIDE_PROTOCOLS and motor_type:

@@ -1,1 +1,1 @@
-"""The scene in which a hand grasps: an object, its support, and the events after the grasp."""
+"""The scene of a grasp: an object, its support, and the events after the grasp."""

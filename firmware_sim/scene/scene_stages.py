@@ -1,7 +1,4 @@
-"""Stages of a scene after the grasp.
-
-In a stage, the hand is turned, the object is pushed, or the friction changes.
-"""
+"""Stages of a scene after the grasp, in which the hand is turned, the object is pushed or the friction changes."""
 
 import math
 from dataclasses import dataclass
@@ -23,15 +20,15 @@ class SceneStage:
     stage ends.
 
     Attributes:
-        down: unit vector along gravity in the palm frame, after the hand has turned. If it is None,
-            the hand does not turn in this stage.
-        turn: time that the turn takes [s].
-        duration: duration of the stage after the turn [s].
-        push: force that pushes the centre of the object, in the palm frame [N].
+        down: unit vector of gravity in the palm frame after the turn. If None, the direction
+            stays the same.
+        turn: duration of the turn of gravity to the new direction [s].
+        duration: duration of the rest of the stage, after the turn [s].
+        push: force at the centre of the object in the palm frame [N].
         push_at: time from the end of the turn to the start of the push [s].
         push_duration: duration of the push [s].
-        friction: coefficient of sliding friction after the turn. If it is None, the coefficient
-            does not change in this stage.
+        friction: sliding friction coefficient after the turn. If None, the coefficient stays
+            the same.
     """
 
     down: Vector | None
@@ -44,7 +41,7 @@ class SceneStage:
 
 
 def read_stage(section: dict[str, Any]) -> SceneStage:
-    """Read one stage from its section in a scene file.
+    """Read one stage of a scene file.
 
     Raises:
         ValueError: a key or a value of the stage is wrong.
@@ -76,13 +73,13 @@ def _parse_vector(raw_vector: Any, where: str) -> Vector:
 
 @dataclass(frozen=True, slots=True)
 class SceneState:
-    """State of a scene with stages at a given time.
+    """State of a scene with stages at one time.
 
     Attributes:
-        stage: index of the present stage, or -1 in a scene without stages.
+        stage: index of the present stage, -1 in a scene without stages.
         gravity: acceleration of gravity in the palm frame [m/s2].
-        push: force that pushes the centre of the object, in the palm frame [N].
-        friction: coefficient of sliding friction. If it is None, the coefficient in the scene file
+        push: force at the centre of the object in the palm frame [N].
+        friction: sliding friction coefficient. If None, the coefficient of the scene file
             applies.
     """
 
@@ -93,7 +90,7 @@ class SceneState:
 
 
 class StageSequence:
-    """All stages of a scene, from which the state at any time can be computed.
+    """All stages of a scene, as a function of time.
 
     Attributes:
         duration: total duration of all stages [s].
@@ -111,9 +108,9 @@ class StageSequence:
         self.duration = sum(stage.turn + stage.duration for stage in stages)
 
     def state_at(self, time: float) -> SceneState:
-        """Return the state of the scene at a time that is counted from the start of the table's sinking [s].
+        """Return the state at a time since the table started to sink [s].
 
-        After the last stage, the state no longer changes.
+        After the last stage, its final state stays.
         """
         start = 0.0
         gravity = self._gravity
@@ -146,18 +143,18 @@ def _scaled_vector(v: Vector, factor: float) -> Vector:
 def _turned_vector(start: Vector, end: Vector, fraction: float) -> Vector:
     """Interpolate between two vectors along a great circle.
 
-    If the vectors are opposite, the path is a straight line.
+    Between opposite vectors, the path is a straight line.
 
     Args:
         start: vector at fraction 0.
-        end: vector at fraction 1. The result is as long as the first vector.
-        fraction: fraction of the way from ``start`` to ``end``, from 0 to 1.
+        end: vector at fraction 1. The result has the length of the first vector.
+        fraction: fraction of the way from ``start`` to ``end``, 0 to 1.
     """
     mixed = tuple(a + (b - a) * fraction for a, b in zip(start, end, strict=True))
     length = math.hypot(*mixed)
     target_length = math.hypot(*end)
-    # Halfway between opposite vectors, the direction is not defined, because many great circles
-    # pass through both vectors.
+    # Halfway between opposite vectors, no direction is defined, because many great circles pass
+    # through both.
     if length < 1e-9 or target_length == 0.0:
         return mixed[0], mixed[1], mixed[2]
     return _scaled_vector((mixed[0], mixed[1], mixed[2]), target_length / length)

@@ -1,4 +1,4 @@
-"""The table under the object of a scene. The table sinks after the hand has grasped the object."""
+"""The table under the object. The table sinks once the hand holds the object."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -13,16 +13,14 @@ from firmware_sim.scene.scene import SinkingTable
 def grasped(
     forces: Any, indices: Any, opposed: Any, min_force_squared: float, digits: int, both_sides: bool
 ) -> bool:
-    """Check whether enough digits press on the object.
-
-    If required, they must press from both sides.
+    """Check whether enough digits press on the object and, if required, from both sides.
 
     Args:
-        forces: array that contains, among other values, the components x, y, z of the contact force
-            on each digit [N].
-        indices: (digits,) index of the first force component of each digit.
-        opposed: (digits,) 1 for each digit that closes against the first digit, and 0 for each
-            other digit.
+        forces: array that contains x, y, z of the contact force on each digit [N], among other
+            values.
+        indices: index of the first value of each digit, shape (digits,).
+        opposed: 1 for each digit that closes against the first digit, and 0 for the others, shape
+            (digits,).
         min_force_squared: square of the smallest force with which a digit counts as pressing [N2].
         digits: number of digits that must press.
         both_sides: True if digits on both sides of the object must press.
@@ -36,17 +34,17 @@ def grasped(
         if x * x + y * y + z * z > min_force_squared:
             pressing += 1
             opposing += opposed[i]
-    # If both sides are required, at least one opposed digit and at least one other digit must
-    # press.
+    # If both sides are required, at least one pressing digit must be opposed, and at least one must
+    # not be opposed.
     return pressing >= digits and (not both_sides or 0 < opposing < pressing)
 
 
 class SupportTable:
-    """The table under the object, which can sink.
+    """The sinking table under the object.
 
     Attributes:
-        depth: distance of the table below its initial position [m].
-        dropped_at: plant time at which the table started to sink [s], or None before that time.
+        depth: depth of the table below its initial position [m].
+        dropped_at: plant time when the table started to sink [s]. None before this time.
     """
 
     def __init__(
@@ -56,14 +54,14 @@ class SupportTable:
         indices: Sequence[int] = (),
         kernels: Any = None,
     ) -> None:
-        """Place the table at its initial position.
+        """Set up the table at its initial position.
 
         Args:
-            support: description of the table, from the scene.
+            support: description of the table in the scene.
             opposed: True for each digit that closes against the first digit.
-            indices: index of the first force component of each digit. By default, the forces are
-                three components for each digit, one digit after the other.
-            kernels: compiled functions of this module, for forces in an array. If it is None, the
+            indices: index at which the force of each digit begins. By default, the forces are three
+                values for each digit, one digit after the other.
+            kernels: compiled kernels of this module, for forces in an array. If None, the
                 Python functions are used.
         """
         self._support = support
@@ -73,7 +71,7 @@ class SupportTable:
         self._digits = (
             (np.array(starts, np.int64), np.array(sides, np.int64)) if kernels else (starts, sides)
         )
-        # If the hand has fewer digits than required, all of its digits must hold the object.
+        # A hand with fewer digits than required must hold the object with all its digits.
         digits = min(support.drop_digits, len(opposed))
         self._criteria = support.drop_force**2, digits, support.drop_opposed
         self._grasped_since: float | None = None
@@ -82,17 +80,17 @@ class SupportTable:
 
     @property
     def settled(self) -> bool:
-        """Return True if the table has reached its final position."""
+        """Return True if the table will not move any more."""
         if self.dropped_at is None:
             return self._support.drop_when != "grasped"
         return self.depth >= self._support.sink_depth
 
     def update(self, time: float, forces: Any) -> float:
-        """Update the depth of the table, and return the depth.
+        """Update and return the depth of the table.
 
         Args:
-            time: present time of the plant [s].
-            forces: components x, y, z of the contact force on each digit [N], in one list or array.
+            time: present plant time [s].
+            forces: x, y, z of the contact force on each digit [N], in one list or array.
 
         Returns:
             The depth of the table below its initial position [m].
@@ -106,7 +104,7 @@ class SupportTable:
         return self.depth
 
     def _check_grasp(self, time: float, forces: Any) -> None:
-        """Start to sink the table after the digits have held the object for the time ``drop_hold`` without a break."""
+        """Start to sink once the digits have held the object for the time ``drop_hold`` without a break."""
         if self._support.drop_when != "grasped" or not self._grasped(
             forces, *self._digits, *self._criteria
         ):

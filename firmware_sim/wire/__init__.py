@@ -1,1 +1,1 @@
-"""A simulated CAN wire on which frames take time, with arbitration, error counters and queues."""
+"""A simulated CAN wire with frame times, arbitration, error counters and queues."""

@@ -1,10 +1,9 @@
-"""Latency of a CAN adapter, the device between a host and the CAN controller on the wire.
+"""Latency of a CAN adapter, which connects a host to the CAN controller on the wire.
 
-The USB controller of a host transfers data only at the start of a USB frame. For a full-speed
-device, a USB frame starts every 1 ms. For a high-speed device, one starts every 125 us. In both
-directions, a CAN frame has to wait for the start of the next USB frame. A serial bus inside an
-adapter transfers one CAN frame after the other. Source of the USB times: USB 2.0 specification,
-5.3.3 (frames and microframes).
+A USB host transfers data only at the start of a USB frame. A USB frame starts every 1 ms for a
+full-speed device, and every 125 us for a high-speed device. In both directions, a CAN frame waits
+for the start of the next USB frame. A serial bus inside an adapter transfers one CAN frame after
+the other. Source of the USB times: USB 2.0 specification, 5.3.3 (frames and microframes).
 """
 
 import random
@@ -21,13 +20,11 @@ class AdapterClass(NamedTuple):
     """A class of CAN adapters with similar latency.
 
     Attributes:
-        send_period_ns: period of the times at which frames can leave the host [ns], or 0 if they do
-            not wait.
-        receive_ns: period of the times at which received frames can reach the host [ns], or 0 if
-            they do not wait.
-        frame_ns: time that a serial bus inside the adapter needs for one frame in either direction
-            [ns].
-        text: description of the class, with examples of adapters.
+        send_period_ns: period of frames that leave the host [ns], 0 if they do not wait.
+        receive_ns: period of received frames that reach the host [ns], 0 if they do not
+            wait.
+        frame_ns: duration of a frame on a serial bus inside the adapter, in either direction [ns].
+        text: description of the class with examples.
     """
 
     send_period_ns: int
@@ -58,38 +55,38 @@ NO_LATENCY_CLASS = "none"
 
 
 class AdapterLatency:
-    """Latency of one CAN adapter in both directions.
+    """Latency of one CAN adapter.
 
-    From call to call, the times that are passed to a method must not decrease.
+    The times passed to a method must not decrease from call to call.
     """
 
     def __init__(self, adapter_class: str, seed: int = 0) -> None:
-        """Create the latency of an adapter whose USB frames start at random times of the period.
+        """Make the latency of an adapter whose USB frames have a random phase.
 
         Args:
             adapter_class: key of ``ADAPTER_CLASSES``.
-            seed: seed of the random start time.
+            seed: seed of the random phase.
         """
         self._adapter = ADAPTER_CLASSES[adapter_class]
         self._phase = random.Random(f"adapter {adapter_class} {seed}").random()
         self._sent_ns = self._received_ns = 0
 
     def send(self, t_ns: int) -> int:
-        """Return the time at which a frame that the host sends now arrives at the CAN controller [ns]."""
+        """Return the time when a frame that the host sends now arrives at the controller [ns]."""
         adapter = self._adapter
         at_ns = self._next_start(t_ns, adapter.send_period_ns)
         self._sent_ns = max(at_ns, self._sent_ns) + adapter.frame_ns
         return self._sent_ns
 
     def receive(self, t_ns: int) -> int:
-        """Return the time at which a frame that the CAN controller receives now arrives at the host [ns]."""
+        """Return the time when a frame that the controller receives now arrives at the host [ns]."""
         adapter = self._adapter
         at_ns = self._next_start(t_ns, adapter.receive_ns)
         self._received_ns = max(at_ns, self._received_ns) + adapter.frame_ns
         return self._received_ns
 
     def _next_start(self, t_ns: int, period_ns: int) -> int:
-        """Return the time at which the next transfer period starts [ns]."""
+        """Return the start of the next transfer period [ns]."""
         if not period_ns:
             return t_ns
         period = period_ns * (1.0 + CLOCK_DRIFT)

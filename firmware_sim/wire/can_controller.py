@@ -1,4 +1,4 @@
-"""A simulated CAN controller: queue, error counters, error state, and error frames that the owner receives.
+"""A simulated CAN controller: queue, error counters, error state, and the error frames to the owner.
 
 Error frame (8 bytes):
 
@@ -69,29 +69,27 @@ class CanErrorState(enum.IntEnum):
 
 
 class CanController:
-    """A simulated CAN controller on a simulated wire.
-
-    ``SimulatedWire.add`` creates such a controller.
+    """A CAN controller on a simulated wire. ``SimulatedWire.add`` creates the controller.
 
     Attributes:
-        queue: frames that wait for sending, each with its earliest start [ns] and its priority.
+        queue: queued frames, each with earliest start [ns] and priority.
         tx_errors: value of the transmit error counter.
         rx_errors: value of the receive error counter.
         state: error state of the controller.
-        refused: number of frames that the controller refused because its queue was full or it was
-            in the state bus-off.
-        sent: number of frames that the controller has sent successfully.
-        on_receive: function called with each received frame and its time [ns], and with error
-            frames of this controller. If it is None, received frames are ignored.
-        retry_ns: time before which the next transmission must not start [ns]. An error-passive
-            sender must let other senders go first.
+        refused: number of frames that were refused because the queue was full or the controller was
+            off the bus.
+        sent: number of frames sent successfully.
+        on_receive: function that is called with each received frame and its time [ns], and with
+            error frames of the controller. None to ignore received frames.
+        retry_ns: earliest time of the next transmission [ns]. An error-passive sender must wait for
+            other senders.
     """
 
     def __init__(self, depth: int, on_receive: Callable[[Frame, int], None] | None) -> None:
-        """Create a CAN controller whose queue is empty.
+        """Create a controller with an empty queue.
 
         Args:
-            depth: largest number of frames in the queue.
+            depth: capacity of the queue [frames].
             on_receive: function called with each received frame and its time [ns], or None.
         """
         self.queue: deque[tuple[int, int, Frame]] = deque()
@@ -109,13 +107,11 @@ class CanController:
 
     @property
     def on_bus(self) -> bool:
-        """Return True if the controller takes part in the bus, which means that it is not in the state bus-off."""
+        """Return True if the controller is on the bus, which means that it is not in the state bus-off."""
         return self.state != CanErrorState.BUS_OFF
 
     def offer(self, frame: Frame, t_ns: int) -> bool:
-        """Queue a frame for sending.
-
-        If the frame is refused, the owner of the controller gets an error frame.
+        """Queue a frame for sending. If the frame is refused, the owner gets an error frame.
 
         Args:
             frame: frame to send.
@@ -132,16 +128,16 @@ class CanController:
         return False
 
     def ready_ns(self) -> int:
-        """Return the earliest time at which the first frame in the queue may start [ns].
+        """Return the earliest start of the first frame in the queue [ns].
 
-        The queue must contain at least one frame.
+        The queue must not be empty.
         """
         since_ns = self.queue[0][0]
         retry_ns = self.retry_ns
         return since_ns if since_ns > retry_ns else retry_ns
 
     def count_sent(self, t_ns: int) -> None:
-        """Remove the first frame from the queue, because it has been sent."""
+        """Remove the first frame from the queue, because it was sent."""
         self.queue.popleft()
         self.sent += 1
         self._last_error = 0
@@ -150,21 +146,20 @@ class CanController:
             self._update_error_state(t_ns)
 
     def deliver(self, frame: Frame, t_ns: int) -> None:
-        """Count a frame of another controller as received, and pass the frame to the owner."""
+        """Count a frame of another controller as received, and pass it to the owner."""
         if self.rx_errors:
-            # According to ISO 11898-1, a received frame reduces the receive error counter. In an
-            # error-passive receiver, the counter falls below the error-passive level. In any other
-            # receiver, it falls by one.
+            # According to ISO 11898-1, a received frame lowers the error counter. The counter of a
+            # passive receiver falls below the passive level, and any other counter falls by one.
             self.rx_errors = min(self.rx_errors, PASSIVE_ERROR_COUNT) - 1
             self._update_error_state(t_ns)
         if self.on_receive:
             self.on_receive(frame, t_ns)
 
     def count_unacknowledged(self, t_ns: int) -> None:
-        """Count a transmit error, because no controller has acknowledged the sent frame.
+        """Count a transmit error, because no controller has acknowledged the frame.
 
-        In an error-passive sender, the counter does not change. So a controller that is alone on a
-        bus never reaches the state bus-off.
+        The counter of an error-passive sender does not change. So a controller that is alone on a
+        bus never goes off the bus.
         """
         if self.state < CanErrorState.PASSIVE:
             self.tx_errors += TX_ERROR_INCREMENT
@@ -181,7 +176,7 @@ class CanController:
         self._update_error_state(t_ns)
 
     def restart(self, t_ns: int) -> None:
-        """Restart the controller after the state bus-off, with all error counters at zero."""
+        """Restart the controller after bus-off, with all counters at zero."""
         self.tx_errors = self.rx_errors = 0
         self.state = CanErrorState.ACTIVE
         self._last_error = 0
@@ -190,8 +185,7 @@ class CanController:
     def _count_error(self, kind: int, t_ns: int) -> None:
         """Update the error state after a transmit error.
 
-        Repeated errors of the same kind are reported only once, until a frame has been sent
-        successfully.
+        Repeated errors of one kind are reported only once, until a frame is sent successfully.
         """
         changed = self._update_error_state(t_ns, kind)
         if kind != self._last_error and not changed:
@@ -199,13 +193,11 @@ class CanController:
         self._last_error = kind
 
     def _update_error_state(self, t_ns: int, kind: int = 0) -> bool:
-        """Update the error state from the error counters.
-
-        If the state changes, report the change to the owner.
+        """Update the error state from the counters. Report a change to the owner.
 
         Args:
             t_ns: present time [ns].
-            kind: error classes that are added to the report.
+            kind: error classes to add to the report.
 
         Returns:
             True if the state changed.
@@ -217,8 +209,8 @@ class CanController:
             self.queue.clear()
             self._send_error_frame(CAN_ERR_BUSOFF | kind, t_ns)
         else:
-            # The states are numbered so that the sum of these two comparisons is the number of the
-            # present state.
+            # The states are ordered so that the sum of these two comparisons is the number of the
+            # state.
             self.state = CanErrorState(
                 (highest >= WARNING_ERROR_COUNT) + (highest >= PASSIVE_ERROR_COUNT)
             )
@@ -227,7 +219,7 @@ class CanController:
         return self.state != before
 
     def _status_bits(self) -> int:
-        """Return the bits that data[1] of an error frame contains in the present error state."""
+        """Return the bits of data[1] in an error frame for the present state."""
         if self.state == CanErrorState.ACTIVE:
             return ERROR_ACTIVE
         limit, receive, send = (
@@ -238,12 +230,12 @@ class CanController:
         return receive * (self.rx_errors >= limit) | send * (self.tx_errors >= limit)
 
     def _send_error_frame(self, kind: int, t_ns: int, extra: dict[int, int] | None = None) -> None:
-        """Send an error frame to the owner of the controller.
+        """Send an error frame to the owner.
 
         Args:
-            kind: error classes that the error frame contains.
+            kind: error classes.
             t_ns: present time [ns].
-            extra: further bytes of the payload, by their position.
+            extra: further bytes of the payload, by position.
         """
         if not self.on_receive:
             return

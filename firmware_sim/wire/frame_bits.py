@@ -1,11 +1,11 @@
-"""The number of bits that a frame takes on the wire, and the arbitration priority of the frame.
+"""The length of a frame on the wire in bits, and the arbitration priority of a frame.
 
 Source: ISO 11898-1:2015, frame formats and bit stuffing.
 
-In a classical frame, stuff bits are inserted from the start of frame to the CRC (start of frame,
-identifier, RTR, IDE, reserved bit, DLC, data, CRC), but not after the CRC. In an FD frame, stuff
-bits are inserted in the same way from the start of frame to the end of the data. In an FD frame,
-the stuff count and the CRC have fixed stuff bits instead: one before every four bits.
+In a classical frame, stuff bits are inserted into all fields from start of frame to CRC (start of
+frame, identifier, RTR, IDE, reserved bit, DLC, data, CRC), but not into the tail. In an FD frame,
+stuff bits are inserted up to the data in the same way. The stuff count and the CRC of an FD frame
+have fixed stuff bits: one before every four bits.
 """
 
 from dataclasses import dataclass
@@ -32,10 +32,10 @@ class BitRates:
 
     Attributes:
         nominal: bit rate of the arbitration and of classical frames [bit/s].
-        data: bit rate in the data phase of FD frames with bit-rate switch [bit/s]. It is 0 for a
+        data: bit rate in the data phase of FD frames with bit-rate switch [bit/s], 0 for a
             bus without CAN FD.
-        actual: True to count the stuff bits that each frame really has. False to count the largest
-            number of stuff bits that a frame of this length can have.
+        actual: True to count the actual stuff bits of each frame. False to count the largest
+            possible number of stuff bits for the length of the frame.
     """
 
     nominal: int
@@ -43,40 +43,38 @@ class BitRates:
     actual: bool = False
 
     def bits_ns(self, count: int) -> int:
-        """Return the time that a number of bits takes at the nominal bit rate [ns]."""
+        """Return the duration of a number of nominal bits [ns]."""
         return round(count * 1e9 / self.nominal)
 
     def frame_ns(self, frame: Frame) -> int:
-        """Return the time for which a frame occupies the wire [ns], including the interframe space."""
+        """Return the time for which a frame occupies the wire, including the interframe space [ns]."""
         content = bytes(frame.data) if self.actual else bytes(len(frame.data))
-        # If the actual stuff bits are not counted, zeros replace the content, so that the cache key
-        # depends only on the length.
+        # If the actual stuff bits do not count, the content is replaced by zeros, so that the cache
+        # key depends only on the length.
         slow, fast = _frame_bits(frame.can_id, content, frame.flags & (FDF | BRS), self.actual)
         return round(slow * 1e9 / self.nominal + fast * 1e9 / (self.data or self.nominal))
 
 
 def arbitration_number(can_id: int) -> int:
-    """Return the arbitration field of a frame as a number.
+    """Return the arbitration field of a frame as a number. The frame with the lowest number wins.
 
-    The frame with the lowest number wins the arbitration.
-
-    If two frames have equal numbers, arbitration cannot decide between them.
+    Arbitration cannot decide between frames with equal numbers.
     """
     remote = bool(can_id & REMOTE_FLAG)
     if can_id & EXTENDED_FLAG:
         base = can_id >> 18 & 0x7FF
         rest = can_id & 0x3FFFF
-        # The arbitration field of a 29-bit identifier has 11 base bits, SRR and IDE (both
-        # recessive, 1), 18 extension bits, and RTR.
+        # The field of a 29-bit identifier has 11 bits of the base, SRR and IDE (both recessive, 1),
+        # 18 bits of the extension, and RTR.
         return base << 21 | 0b11 << 19 | rest << 1 | remote
-    # In the arbitration field of an 11-bit identifier, RTR takes the place of SRR, and IDE is
-    # dominant. So a data frame wins over a remote frame.
+    # In the field of an 11-bit identifier, RTR takes the place of SRR, and IDE is dominant. A data
+    # frame wins over a remote frame.
     return (can_id & 0x7FF) << 21 | remote << 20
 
 
 @lru_cache(maxsize=1 << 12)
 def _frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int, int]:
-    """Count the bits of a frame that have the nominal bit rate, and those that have the fast bit rate."""
+    """Count the bits of a frame at the nominal and at the fast bit rate."""
     return (
         _fd_frame_bits(can_id, data, flags, actual)
         if flags & FDF
@@ -85,10 +83,7 @@ def _frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int
 
 
 def _classical_frame_bits(can_id: int, data: bytes, actual: bool) -> tuple[int, int]:
-    """Count the bits of a classical frame.
-
-    All bits of a classical frame have the nominal bit rate.
-    """
+    """Count the bits of a classical frame. All bits have the nominal bit rate."""
     body = (
         _identifier_bits(can_id)
         + ("00" if can_id & EXTENDED_FLAG else "0")
@@ -102,7 +97,7 @@ def _classical_frame_bits(can_id: int, data: bytes, actual: bool) -> tuple[int, 
 
 
 def _fd_frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int, int]:
-    """Count the bits of an FD frame that have the nominal bit rate, and those that have the fast bit rate."""
+    """Count the bits of an FD frame at the nominal and at the fast bit rate."""
     size = next(length for length in FD_LENGTHS if length >= len(data))
     fast_bits = bool(flags & BRS)
     head = _identifier_bits(can_id) + "10" + ("1" if fast_bits else "0")  # FDF, reserved, BRS
@@ -110,8 +105,8 @@ def _fd_frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[
     body += "".join(format(byte, "08b") for byte in data.ljust(size, b"\0"))
     in_head = _stuff_bit_count(head) if actual else (len(head) - 1) // 4
     in_all = _stuff_bit_count(head + body) if actual else (len(head) + len(body) - 1) // 4
-    # The CRC has 17 bits for a payload of up to 16 bytes, and 21 bits for a longer payload. The
-    # stuff count and the CRC have one fixed stuff bit before every four bits.
+    # The CRC has 17 bits for up to 16 bytes of payload, and 21 bits for more. Stuff count and CRC
+    # have one fixed stuff bit before every four bits.
     check = 4 + (17 if size <= 16 else 21)
     slow = len(head) + in_head + TAIL_BITS
     fast = len(body) + in_all - in_head + check + -(-check // 4)
@@ -119,10 +114,7 @@ def _fd_frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[
 
 
 def _identifier_bits(can_id: int) -> str:
-    """Return the bits of a frame from the start of frame to IDE.
-
-    For a 29-bit identifier, return the bits up to RTR.
-    """
+    """Return the bits from start of frame to IDE, or to the RTR bit of a 29-bit identifier."""
     remote = "1" if can_id & REMOTE_FLAG else "0"
     if can_id & EXTENDED_FLAG:
         return (
@@ -136,10 +128,9 @@ def _identifier_bits(can_id: int) -> str:
 
 
 def _stuff_bit_count(bits: str) -> int:
-    """Count the stuff bits that a sequence of bits needs.
+    """Count the stuff bits of a bit string.
 
-    After five equal bits, one bit with the opposite value is inserted. The inserted bit is the
-    first bit of the next count.
+    After five equal bits, the opposite bit is inserted. Counting continues with the inserted bit.
     """
     last = ""
     run = 0
@@ -155,10 +146,10 @@ def _stuff_bit_count(bits: str) -> int:
 
 
 def _crc15(bits: str) -> str:
-    """Compute the CRC of a classical frame from a sequence of bits, as 15 binary digits."""
+    """Compute the classical CRC of a bit string, written as 15 binary digits."""
     register = 0
     for bit in bits:
-        # This line is one step of the CRC's shift register, with the feedback of the top bit and
+        # This line is one step of the shift register of the CRC, with feedback of the top bit and
         # the input bit.
         out = register >> 14 ^ (bit == "1")
         register = register << 1 & 0x7FFF ^ (CRC15_POLYNOMIAL if out else 0)

@@ -1,10 +1,10 @@
-"""A simulated wire, which carries CAN frames.
+"""The simulated wire.
 
-A wire carries only one frame at a time. If several frames wait, the frame with the lowest
-identifier is sent first. A frame on the wire is never interrupted.
+The wire carries one frame at a time. The lowest identifier comes first, and no frame is
+interrupted.
 
-The caller advances the time of the wire with ``advance``. The caller provides all times, which may
-be real or virtual.
+The caller advances the wire with ``advance``. All times come from the caller, and may be real or
+virtual.
 """
 
 import random
@@ -33,13 +33,13 @@ RECOVERY_BITS = 128 * 11
 
 @dataclass(frozen=True, slots=True)
 class WireOptions:
-    """Options that describe a simulated wire.
+    """Options of a simulated wire.
 
     Attributes:
-        queue: largest number of frames in the queue of a controller.
-        error_rate: fraction of the frames that are destroyed on the wire at random.
-        restart_ms: time from the state bus-off until the controller is restarted [ms]. If the value
-            is negative, the controller is not restarted.
+        queue: capacity of a controller's queue [frames].
+        error_rate: fraction of the frames that are randomly destroyed on the wire.
+        restart_ms: delay after bus-off until a controller is restarted [ms]. If negative, the
+            controller is not restarted.
         seed: seed of the random errors.
     """
 
@@ -55,10 +55,10 @@ class SimulatedWire:
     Attributes:
         rate: bit rates of the wire.
         options: options of the wire.
-        busy_ns: time during which frames and errors have occupied the wire [ns].
-        frames: number of frames that were sent successfully.
+        busy_ns: time during which the wire was occupied, including errors [ns].
+        frames: number of frames sent successfully.
         errors: number of frames that were destroyed or not acknowledged.
-        disturbed: number of frames that the wire will destroy next. Only tests set this number.
+        disturbed: number of the next frames that the wire will destroy. Tests set the number.
     """
 
     def __init__(self, rate: BitRates, options: WireOptions = WireOptions()) -> None:
@@ -82,41 +82,35 @@ class SimulatedWire:
     def add(
         self, on_receive: Callable[[Frame, int], None] | None = None, queue: int | None = None
     ) -> CanController:
-        """Create a CAN controller, and connect the controller to the wire.
+        """Create a controller and connect it to the wire.
 
         Args:
-            on_receive: function called with each received frame and its time [ns], or None to
-                ignore received frames.
-            queue: largest number of frames in the queue of the controller. If it is None, the
-                options of the wire determine the number.
+            on_receive: function called with each received frame and its time [ns], None to ignore
+                received frames.
+            queue: capacity of the controller's queue [frames]. If None, the options of the
+                wire decide.
         """
         controller = CanController(self.options.queue if queue is None else queue, on_receive)
         self._controllers.append(controller)
         return controller
 
     def remove(self, controller: CanController) -> None:
-        """Disconnect a CAN controller from the wire.
-
-        A frame that is on the wire at this time is still completed.
-        """
+        """Disconnect a controller. A frame on the wire is completed."""
         self._controllers.remove(controller)
         controller.queue.clear()
         self._senders = [other for other in self._senders if other is not controller]
 
     def next_ns(self) -> int:
-        """Return the time of the next event on the wire [ns].
-
-        If there is no next event, return NEVER_NS.
-        """
+        """Return the time of the next event on the wire [ns]. Return NEVER_NS if none exists."""
         due = self._end_ns if self._end_ns != NEVER_NS else self._start_ns()
         return min(due, self._restart_ns()) if self._restarts else due
 
     def _restart_ns(self) -> int:
-        """Return the time at which the next controller is restarted after the state bus-off [ns]."""
+        """Return the time when the next controller is restarted after bus-off [ns]."""
         return min((at for at, _ in self._restarts), default=NEVER_NS)
 
     def step(self, t_ns: int) -> bool:
-        """Process the next event on the wire, if the event is due at ``t_ns`` or before.
+        """Process the next event on the wire, if it is due by ``t_ns``.
 
         Returns:
             True if an event was processed.
@@ -139,39 +133,39 @@ class SimulatedWire:
         return True
 
     def advance(self, t_ns: int) -> None:
-        """Process all events on the wire that are due at ``t_ns`` or before."""
+        """Process all events on the wire that are due by ``t_ns``."""
         while self.step(t_ns):
             pass
 
     def load(self, busy_before_ns: int, elapsed_ns: int) -> float:
-        """Return the fraction of a time interval during which frames occupied the wire.
+        """Return the fraction of a time span during which frames occupied the wire.
 
         Args:
-            busy_before_ns: value of ``busy_ns`` at the start of the interval.
-            elapsed_ns: length of the interval [ns].
+            busy_before_ns: ``busy_ns`` at the start of the span.
+            elapsed_ns: length of the span [ns].
         """
         return (self.busy_ns - busy_before_ns) / elapsed_ns
 
     def _start_ns(self) -> int:
-        """Return the time at which the next frame can start on the wire [ns]."""
+        """Return the time when the next frame can start [ns]."""
         ready = min([c.ready_ns() for c in self._controllers if c.queue], default=NEVER_NS)
         return max(ready, self._free_ns) if ready != NEVER_NS else NEVER_NS
 
     def _arbitrate(self, t_ns: int) -> None:
-        """Start the frame that wins the arbitration among all frames that are ready to be sent."""
+        """Start the frame that wins the arbitration among all ready frames."""
         candidates = [c for c in self._controllers if c.queue and c.ready_ns() <= t_ns]
         lowest = min([c.queue[0][1] for c in candidates])
         self._senders = [c for c in candidates if c.queue[0][1] == lowest]
         frames = [c.queue[0][2] for c in self._senders]
-        # Two frames with the same identifier both win arbitration. If the contents of these frames
-        # differ, both frames are destroyed.
+        # Two frames with the same identifier both win arbitration. If their contents differ, both
+        # frames are destroyed.
         identical = len(frames) == 1 or all(frame[:3] == frames[0][:3] for frame in frames)
         self._acknowledged = self._has_receiver()
         self._intact = identical and self._acknowledged and not self._is_next_frame_disturbed()
         span = max(map(self.rate.frame_ns, frames))
         if not self._intact:
-            # After an error, an error flag replaces the rest of the frame. The error flag is longer
-            # if several controllers send it.
+            # An error flag replaces the end of the frame. The flag is longer if several controllers
+            # send it.
             span += self.rate.bits_ns(
                 (ERROR_FLAGS_BITS if self._acknowledged else ERROR_FLAG_BITS) - UNSENT_END_BITS
             )
@@ -179,21 +173,21 @@ class SimulatedWire:
         self._end_ns = t_ns + span
 
     def _has_receiver(self) -> bool:
-        """Check whether any controller that does not send takes part in the bus."""
+        """Check whether any controller except the senders is on the bus."""
         for controller in self._controllers:
             if controller.state != CanErrorState.BUS_OFF and controller not in self._senders:
                 return True
         return False
 
     def _is_next_frame_disturbed(self) -> bool:
-        """Decide whether the wire destroys the next frame, either on request or at random."""
+        """Decide whether the next frame is destroyed, by request or at random."""
         if self.disturbed:
             self.disturbed -= 1
             return True
         return self.options.error_rate > 0.0 and self._rng.random() < self.options.error_rate
 
     def _finish_frame(self, t_ns: int) -> None:
-        """End the transmission of the frame on the wire: deliver the frame, or keep it in the queue for a retry."""
+        """End the frame on the wire: deliver the frame, or keep the frame in the queue for a retry."""
         senders = self._senders
         self._senders = []
         self._end_ns = NEVER_NS
@@ -206,7 +200,7 @@ class SimulatedWire:
             self._destroy_frame(senders, t_ns)
 
     def _deliver_frame(self, senders: list[CanController], t_ns: int) -> None:
-        """Deliver the frame that the senders have sent to all other controllers."""
+        """Deliver the frame of the senders to all other controllers."""
         self.frames += 1
         can_id, data, flags, bus, _ = senders[0].queue[0][2]
         frame = Frame(can_id, data, flags, bus, t_ns)
@@ -222,9 +216,9 @@ class SimulatedWire:
                 controller.deliver(frame, t_ns)
 
     def _destroy_frame(self, senders: list[CanController], t_ns: int) -> None:
-        """Count an error in all controllers, because a frame was destroyed.
+        """Count the error of a destroyed frame in all controllers.
 
-        The senders keep the frame in their queues for a retry.
+        Senders keep the frame for a retry.
         """
         self.errors += 1
         for controller in self._controllers:
@@ -240,12 +234,12 @@ class SimulatedWire:
                 self._restarts.append((t_ns + wait_ns, controller))
 
     def _suspend_sender(self, controller: CanController, t_ns: int) -> None:
-        """Delay the next frame of a sender that is in the state error-passive."""
+        """Delay the next frame of an error-passive sender."""
         if controller.state == CanErrorState.PASSIVE:
             controller.retry_ns = t_ns + self.rate.bits_ns(SUSPEND_BITS)
 
     def _restart_controllers(self, t_ns: int) -> None:
-        """Restart those controllers whose restart delay after the state bus-off has passed."""
+        """Restart the controllers whose restart delay after bus-off has passed."""
         due = [controller for at, controller in self._restarts if at <= t_ns]
         self._restarts = [(at, controller) for at, controller in self._restarts if at > t_ns]
         for controller in due:

@@ -1,4 +1,4 @@
-"""Command-line words that describe a simulated wire, such as ``--wire queue=10 stuffing=actual``."""
+"""Command-line words of a simulated wire, such as ``--wire queue=10 stuffing=actual``."""
 
 import math
 from collections.abc import Sequence
@@ -26,15 +26,15 @@ _MAX_BITRATE = 20_000_000
 
 @dataclass(frozen=True, slots=True)
 class WireSpec:
-    """Description of simulated wires, as read from the command line.
+    """Specification of simulated wires from the command line.
 
     Attributes:
         options: options of the wires.
-        actual: True to count the stuff bits that each frame really has.
-        bitrate: nominal bit rate that replaces the one in the hand file [bit/s]. 0 keeps the bit
-            rate of the hand file.
-        data_bitrate: data bit rate that replaces the one in the hand file [bit/s]. 0 keeps the bit
-            rate of the hand file.
+        actual: True to count the actual stuff bits of each frame.
+        bitrate: nominal bit rate that replaces the rate in the hand file [bit/s], 0 to keep
+            the rate in the hand file.
+        data_bitrate: data bit rate that replaces the rate in the hand file [bit/s], 0 to keep
+            the rate in the hand file.
         adapter: class of the CAN adapters of the hosts, a key of ``ADAPTER_CLASSES``.
     """
 
@@ -48,13 +48,13 @@ class WireSpec:
         """Return the latency of a host's CAN adapter.
 
         Args:
-            adapter_number: number of the adapter. This number determines at which random time of
-                the period the adapter's USB frames start.
+            adapter_number: number of the adapter. The number of the host selects the random phase
+                of the adapter.
         """
         return AdapterLatency(self.adapter, self.options.seed + adapter_number)
 
     def rate(self, bitrate: int, data_bitrate: int) -> BitRates:
-        """Return the bit rates of a bus. Rates on the command line replace those of the hand file.
+        """Return the bit rates of a bus, from the command line or the hand file.
 
         Args:
             bitrate: nominal bit rate in the hand file [bit/s].
@@ -64,7 +64,7 @@ class WireSpec:
 
 
 def parse_wire_options(words: Sequence[str]) -> WireSpec:
-    """Parse the words KEY=VALUE after the option ``--wire``.
+    """Parse the KEY=VALUE words of ``--wire``.
 
     Raises:
         SimulatorError: a key is unknown, or a value is out of range.
@@ -76,7 +76,7 @@ def parse_wire_options(words: Sequence[str]) -> WireSpec:
 
 
 def _updated_spec(spec: WireSpec, word: str) -> WireSpec:
-    """Return a copy of a specification in which one word has changed one value."""
+    """Return a specification with the change made by a word."""
     key, _, text = word.partition("=")
     if key not in WIRE_OPTION_KEYS:
         raise SimulatorError(
@@ -111,7 +111,7 @@ def _updated_spec(spec: WireSpec, word: str) -> WireSpec:
 
 
 def _number_in_range(word: str, text: str, low: float, high: float) -> float:
-    """Parse a number that must lie in a given range."""
+    """Parse a number that must lie in a range."""
     try:
         value = float(text)
     except ValueError:

@@ -1,18 +1,14 @@
-"""Compilation of kernels.
+"""Compilation of kernels, the functions that run for every tendon, motor or joint in every tick.
 
-A kernel is a function that runs in every tick for every tendon, motor or joint.
+A kernel is a plain function of arrays and numbers, written with loops and ``math``. With
+``NUMBA_DISABLE_JIT=1``, Python interprets the kernels. Compiled code does not reorder operations
+(no ``fastmath``), so interpreted and compiled kernels give the same numbers to the last bit.
 
-Kernels are plain functions of arrays and numbers, written with loops and ``math``. With the
-environment variable ``NUMBA_DISABLE_JIT=1``, Python interprets the kernels. Compiled code does not
-reorder operations (no ``fastmath``). So interpreted and compiled kernels give the same numbers to
-the last bit.
-
-The function ``compile_kernels`` compiles all kernels before a hand is armed. The same compiled code
-serves every hand, because the types of a kernel's arguments do not depend on the hand. The compiled
-code is stored in a folder on the disk. The name of this folder contains a hash of the path and the
-content of all source files that contain kernels. A change in one of these files leads to a folder
-with another name. So no process runs compiled code that belongs to other source files. If no such
-folder can be written, each process compiles the kernels itself.
+``compile_kernels`` compiles all kernels before a hand is armed. One compilation serves every hand,
+because the types of a kernel's arguments do not depend on the hand. The compiled code is stored in
+a folder. The name of the folder contains a hash of the path and the content of all source files of
+kernels. A change in one of these files leads to a new folder. So no process runs the compiled code
+of another version. If no folder can be written, each process compiles the kernels itself.
 """
 
 import contextlib
@@ -93,13 +89,12 @@ def kernel(*arguments: str) -> Callable[[F], F]:
     """Mark a function as a kernel to be compiled.
 
     Args:
-        arguments: type of each argument. The types real and count are numbers. The types vector,
-            matrix, cube, flags and counts are arrays that the kernel reads. The types keys (int64),
-            table (rows of float64),
+        arguments: type of each argument. real and count are numbers. vector, matrix, cube, flags
+            and counts are arrays that the kernel reads. keys (int64), table (rows of float64),
             table_int and table_words (rows of uint64) are contiguous arrays that the kernel reads
-            and
-            may borrow. The types block (float64), layout (int64) and words (rows of uint64) are
-            contiguous arrays into which the kernel may write.
+            and may borrow. block (float64),
+            layout (int64) and words (rows of uint64) are contiguous arrays that the kernel may
+            write into.
     """
 
     def mark_kernel(function: F) -> F:
@@ -116,9 +111,9 @@ def kernel(*arguments: str) -> Callable[[F], F]:
 def kernel_helper(function: F) -> F:
     """Mark a function that only kernels call.
 
-    Numba compiles this function into each kernel that calls it.
+    The function is compiled into the kernels that call it.
 
-    Python code cannot call this function.
+    Python cannot call the function.
     """
     KERNEL_FUNCTIONS.append(function)
     options: dict[str, Any] = {
@@ -136,16 +131,16 @@ def _mark_function(function: F) -> F:
     with _cached_in(_CACHE_FOLDER):
         try:
             dispatcher: Any = njit(cache=_CACHE_FOLDER is not None, error_model="numpy")(function)
-        except RuntimeError:  # numba raises this error if it cannot write into the folder
+        except RuntimeError:  # numba cannot write into the folder
             dispatcher = njit(error_model="numpy")(function)
     return cast(F, dispatcher)
 
 
 @contextlib.contextmanager
 def _cached_in(folder: Path | None) -> Iterator[None]:
-    """Within this context, let numba store the code of kernels in a folder.
+    """Let numba store the code of kernels in a folder, within this context.
 
-    Other packages that use numba are not affected.
+    The context has no effect on other packages that use numba.
     """
     before = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(folder or "")
@@ -156,10 +151,7 @@ def _cached_in(folder: Path | None) -> Iterator[None]:
 
 
 def _cache_folder() -> Path | None:
-    """Create and return the folder for the compiled code of this version.
-
-    If it is not writable, return None.
-    """
+    """Create and return the folder for the compiled code of this version, or None if it is not writable."""
     root = Path(
         os.environ.get("NUMBA_CACHE_DIR")
         or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
@@ -177,11 +169,11 @@ def _cache_folder() -> Path | None:
 
 
 def _source_hash() -> str:
-    """Return a hash of the package's path and of the content of all source files that contain kernels.
+    """Return a hash over the content of all source files of kernels and over the path of the package.
 
-    Numba finds stored code by the path of the source file. If the hash did not contain the path,
-    two installations of the same version would share a folder. One of these installations would
-    then find code that only the other one can use.
+    Numba stores code by the path of the source file. Without the path in the hash, two
+    installations of the same version would share a folder. One of them would then find code that
+    only the other one can use.
     """
     here = Path(__file__).parent
     digest = hashlib.blake2b(os.fsencode(here), digest_size=8)
@@ -193,7 +185,7 @@ def _source_hash() -> str:
 
 
 def _remove_old(root: Path) -> None:
-    """Delete the compiled code of old versions, except the last `MAX_CACHE_FOLDERS` versions that were used."""
+    """Delete the compiled code of all versions except the last `MAX_CACHE_FOLDERS` versions that were used."""
     with contextlib.suppress(OSError):
         folders = sorted(
             root.glob("kernels-*"), key=lambda path: path.stat().st_mtime, reverse=True
@@ -207,20 +199,20 @@ _CACHE_FOLDER = None if numba_config.DISABLE_JIT else _cache_folder()
 
 @kernel("real")
 def square(value: float) -> float:
-    """Return the square of a number, computed as the number times itself.
+    """Return the square of a number, computed as a product.
 
-    In interpreted code, the operator ``**`` would round differently.
+    The interpreter's ``**`` would round differently.
     """
     return value * value
 
 
 def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> Any:
-    """Generate the code of ``borrowed_array``, which returns an array that owns no memory.
+    """Generate the code of ``borrowed_array``, a function that returns an array without an owner.
 
-    Numba does not count the references to a borrowed array.
+    References to a borrowed array are not counted.
 
     Raises:
-        TypingError: the original array is not contiguous in C order.
+        TypingError: the array to borrow from is not contiguous in C order.
     """
     if flat.layout != "C":
         raise TypingError(f"a kernel can borrow a contiguous array only, not {flat}")
@@ -229,7 +221,7 @@ def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> An
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         from numba.np import (
             arrayobj as _arrayobj,
-        )  # imported here, because only a compilation needs this module
+        )  # imported here, because only a compilation needs it
 
         arrayobj: Any = _arrayobj
         source = arrayobj.make_array(signature.args[0])(context, builder, arguments[0])
@@ -253,15 +245,13 @@ _borrow: Any = intrinsic(_without_owner)
 
 
 def borrowed_array(flat: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[Any]:
-    """Return a part of a contiguous array in another shape.
+    """Return a part of a contiguous array in another shape, without counting references to the array.
 
-    Numba does not count references to the result.
-
-    When a function is called with an array, numba counts the references to the array with atomic
-    operations. Kernels pass dozens of arrays to the functions that they call, and the counting took
-    longer than all computations. A borrowed array does not keep its memory alive, so the caller of
-    the kernel must do this. If Python interprets the kernel, the borrowed array is an ordinary
-    view.
+    If a function is called with an array, numba counts the references to the array with atomic
+    operations. Kernels pass dozens of tables to the functions that they call, and the counting took
+    longer than all computations. A borrowed array has no reference count, so the caller of the
+    kernel must keep the memory alive. If Python interprets the kernel, the borrowed array is an
+    ordinary view.
 
     Args:
         flat: contiguous array.
@@ -284,8 +274,8 @@ class _UncompiledKernel(NamedTuple):
 
     Attributes:
         name: module and name of the kernel.
-        code: numba dispatcher of the kernel.
-        types: numba types of the kernel's arguments.
+        code: dispatcher of the kernel.
+        types: types of the arguments.
     """
 
     name: str
@@ -294,9 +284,9 @@ class _UncompiledKernel(NamedTuple):
 
 
 def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
-    """Compile all imported kernels, or load their code from the disk.
+    """Compile all imported kernels, or load the stored code.
 
-    After this call, no tick has to wait for a compilation.
+    Afterwards, no kernel is compiled during a tick.
 
     Args:
         progress: function called with the number of kernels that are ready and the number of all
@@ -311,7 +301,7 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
         report(done, len(waiting))
         if _CACHE_FOLDER:
             load_kernel(one.code, one.types)
-        one.code.compile(one.types)  # this call does nothing if the code was loaded from the disk
+        one.code.compile(one.types)  # this call does nothing if the stored code was loaded
         one.code.disable_compile()
 
 
@@ -322,7 +312,7 @@ def _ignore_progress(done: int, total: int) -> None:
 def _compiled_count(folder: Path, kernels: Sequence[_UncompiledKernel]) -> int:
     """Count the kernels whose compiled code is in a folder.
 
-    Numba chooses the names of the files, and each file name contains the name of a kernel.
+    The file names, which numba chooses, contain the names of the kernels.
     """
     files = [name for _, _, names in os.walk(folder) for name in names]
     compiled_names = {name.partition("-")[0] for name in files if name.endswith(".nbi")}
@@ -332,17 +322,16 @@ def _compiled_count(folder: Path, kernels: Sequence[_UncompiledKernel]) -> int:
 def _compile_together(
     folder: Path, waiting: Sequence[_UncompiledKernel], report: Callable[[int, int], None]
 ) -> None:
-    """Compile kernels into a folder, with one process for each processor core.
+    """Compile kernels into a folder, with one process per core.
 
-    During the compilation, a lock makes other processes that use this folder wait.
+    During the compilation, a lock makes other users of the folder wait.
 
     If a kernel cannot be compiled, ``compile_kernels`` raises the error later.
 
     Args:
         folder: folder of the compiled code.
-        waiting: kernels whose code is not in the folder yet.
-        report: function that reports progress, like the argument ``progress`` of
-            ``compile_kernels``.
+        waiting: kernels without code in the folder.
+        report: function that reports progress, as ``progress`` in ``compile_kernels``.
     """
     order = sorted(
         range(len(waiting)),
@@ -357,13 +346,13 @@ def _compile_together(
             return
         with _cached_in(
             folder
-        ):  # only a compilation needs the compiled code of the functions that kernels call
+        ):  # only a compilation needs the code of the functions that kernels call
             for part in _INNER_DISPATCHERS:
                 part.enable_caching()
         todo, giving = os.pipe()
         os.write(
             giving, bytes(order)
-        )  # a number in the pipe stands for one kernel, and the worker that reads the number compiles this kernel
+        )  # the worker that reads a byte from the pipe compiles the kernel with this number
         os.close(giving)
         workers = [
             _start_compiler_process(todo, waiting)
@@ -377,7 +366,7 @@ def _compile_together(
 
 
 def _try_lock(lock: IO[str]) -> bool:
-    """Try to lock the folder with the compiled code, and return True on success."""
+    """Try to lock the folder of the compiled code. Return True on success."""
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -1,6 +1,6 @@
-"""Output files that are written atomically, so that no reader sees an incomplete file.
+"""Output files that are written atomically.
 
-A reader finds either the complete old file or the complete new file.
+A reader finds either the old file or the complete new file.
 """
 
 import errno
@@ -24,14 +24,13 @@ FIGURE_SUFFIXES = {".png", ".svg", ".pdf"}
 
 @contextmanager
 def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
-    """Yield a temporary path, to which the caller writes the new content.
+    """Yield a temporary path.
 
-    When the new content is on the disk, the temporary file is moved to ``path``.
+    When the new content is on the disk, move the temporary file to ``path``.
 
-    Even after a power cut, ``path`` leads to the complete old file or to the complete new file. If
-    the output fails, the temporary file is deleted. If ``path`` is a link, the file to which it
-    leads is replaced. If ``path`` is an existing terminal or pipe, the output is written directly
-    to it.
+    Even after a power cut, the path leads to the complete old file or the complete new file. If the
+    output fails, no temporary file remains. Links are followed. Output to an existing terminal or
+    pipe is written directly.
 
     Args:
         path: path of the output.
@@ -39,8 +38,8 @@ def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
 
     Raises:
         ConfigError: the path cannot be written.
-        OSError: the content could not be written. The error message contains ``path`` instead of
-            the temporary path.
+        OSError: writing has failed. In the error message, ``path`` takes the place of the temporary
+            path.
     """
     target = _resolve_target(path, new)
     if target.exists() and not target.is_file():
@@ -63,7 +62,7 @@ def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
 
 
 def path_with_suffix(path: Path, suffix: str) -> Path:
-    """Return the path of an output file, which is the path of its source file with another suffix.
+    """Return the path of an output file: the path of its source file with another suffix.
 
     Raises:
         ConfigError: the path has no file name, e.g. ``.`` or ``/``.
@@ -82,7 +81,7 @@ def write_text_atomically(path: Path, text: str, new: bool = False) -> None:
 def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
     """Write a figure of matplotlib atomically, with the version of handctl in the metadata.
 
-    The rules for the path and the errors are those of ``atomic_path``.
+    For the rules and the errors, see ``atomic_path``.
     """
     creator = f"handctl {version('handctl')}"
     kind = path.suffix[1:] if path.suffix in FIGURE_SUFFIXES else "png"
@@ -96,12 +95,12 @@ def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
 
 
 def check_output(path: Path, what: str, *read: Path | None) -> None:
-    """Before the work begins, check an output path by the rules of ``atomic_path``.
+    """Check an output path by the rules of ``atomic_path``, before the work begins.
 
     Args:
         path: path of the output.
-        what: name of the output for the error message, such as the name of the option.
-        read: paths of the input files of the same command.
+        what: name of the output in the error message, e.g. the name of the option.
+        read: input files of the same command.
 
     Raises:
         ConfigError: the path cannot be written, or is the path of an input file.
@@ -115,13 +114,13 @@ def check_output(path: Path, what: str, *read: Path | None) -> None:
 
 
 def _is_same_file(target: Path, other: Path) -> bool:
-    """Return True if two paths lead to the same file, which need not exist."""
+    """Return True if two paths lead to the same file. The file need not exist."""
     there = target.exists() and other.exists()
     return target.samefile(other) if there else str(target) == os.path.realpath(other)
 
 
 def _resolve_target(path: Path, new: bool) -> Path:
-    """Check the path of an output, and return the path of the file to which it leads."""
+    """Check the path of an output, and return the path to which its links lead."""
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise ConfigError("no such folder", str(path), "a name in a folder that exists")
@@ -136,10 +135,9 @@ def _resolve_target(path: Path, new: bool) -> Path:
 
 @contextmanager
 def _check_pipe_reader(target: Path, path: Path) -> Iterator[None]:
-    """Raise an error if a named pipe has no reader. Otherwise opening the pipe would wait forever.
+    """Raise an error for a named pipe without a reader, because opening such a pipe would wait forever.
 
-    This function keeps the pipe open during the block. If the function closed the pipe, the reader
-    would take this as the end of the data.
+    The pipe stays open during the block. If the function closed the pipe, the reader would end.
     """
     if not target.is_fifo():
         yield
@@ -157,7 +155,7 @@ def _check_pipe_reader(target: Path, path: Path) -> Iterator[None]:
 
 
 def _is_log(path: Path) -> bool:
-    """Return True if a file begins with the first bytes of a log, whatever its name is."""
+    """Return True if a file of any name begins with the first bytes of a log."""
     with suppress(PermissionError), path.open("rb") as file:
         return file.read(len(LOG_MAGIC)) == LOG_MAGIC
     return False
@@ -165,7 +163,7 @@ def _is_log(path: Path) -> bool:
 
 @contextmanager
 def _with_user_path(path: Path, written: Path) -> Iterator[None]:
-    """If an error contains the temporary path, replace that path by the path that the user has given."""
+    """Replace the temporary path in errors by the path that the user has given."""
     try:
         yield
     except OSError as error:
@@ -178,7 +176,7 @@ def _with_user_path(path: Path, written: Path) -> Iterator[None]:
 def _move_into_place(beside: Path, target: Path, new: bool) -> None:
     """Move a finished file to the path of the output.
 
-    If the output must be a new file, a file that another process has created is never replaced.
+    A file that must be new never replaces a file of another process.
     """
     if new and beside.is_file():
         try:
@@ -192,8 +190,8 @@ def _move_into_place(beside: Path, target: Path, new: bool) -> None:
 
 
 def _fsync_file(path: Path) -> None:
-    """Make sure that the content of a file, or the entries of a folder, are on the disk (fsync)."""
-    with suppress(PermissionError):  # the folder may be writable although it is not readable
+    """Write the content of a file, or the entries of a folder, to the disk (fsync)."""
+    with suppress(PermissionError):  # the folder may be writable but not readable
         descriptor = os.open(path, os.O_RDONLY)
         try:
             os.fsync(descriptor)

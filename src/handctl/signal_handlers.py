@@ -1,4 +1,4 @@
-"""Signal handlers that are installed only for the duration of a block."""
+"""Signal handlers that are installed for a limited time."""
 
 import signal
 from collections.abc import Callable, Iterator
@@ -10,10 +10,10 @@ from types import FrameType
 def installed_handler(
     handler: Callable[[int, FrameType | None], None], *numbers: signal.Signals
 ) -> Iterator[None]:
-    """Install a signal handler for the duration of a block, and restore the previous handlers afterwards.
+    """Install a signal handler for the duration of a block, and then restore the previous handlers.
 
     Args:
-        handler: function that handles every signal in ``numbers`` during the block.
+        handler: function that handles all signals of the block.
         numbers: signals to handle.
     """
     before = {number: signal.signal(number, handler) for number in numbers}
@@ -25,10 +25,9 @@ def installed_handler(
 
 
 class TerminationFlag:
-    """Flag that is set when the process receives SIGTERM.
+    """Flag that SIGTERM sets.
 
-    A program that checks this flag between its steps can complete the present step before the
-    program ends.
+    A program that checks this flag between its steps can complete the present step before it ends.
     """
 
     def __init__(self) -> None:

@@ -1,6 +1,6 @@
 """Kernels for the cyclic frames of a CiA 402 drive.
 
-The kernels accept an array row or a Python object as the drive. Source: fact sheet cia402.
+The kernels work on an array row or on a Python object. Source: fact sheet cia402.
 
 The standard RPDO (little-endian) has the control word in bytes 0..1 and the target torque in bytes
 2..3, in thousandths of the rated torque. The standard TPDO, sent after SYNC, has the status word in
@@ -49,12 +49,10 @@ _MAX_INT32 = (1 << 31) - 1
 
 
 class Cia402Struct(ctypes.Structure):
-    """Memory of a simulated drive, for compiled kernels.
-
-    The class ``node.Cia402Node`` explains the fields.
+    """Memory of a drive for compiled kernels. See ``node.Cia402Node`` for the fields.
 
     ``motor_number`` is the row of the drive's rotor. ``bus`` is the index of the drive's bus in the
-    list of the hand's buses.
+    hand.
     """
 
     _fields_ = [
@@ -82,7 +80,7 @@ class Cia402Struct(ctypes.Structure):
 
 @kernel_helper
 def _saturated(value: int, limit: int) -> int:
-    """Return a value, limited to the range of an object with a signed data type."""
+    """Return a value saturated at the range of a signed object."""
     return min(limit, max(-limit - 1, value))
 
 
@@ -90,14 +88,14 @@ def _saturated(value: int, limit: int) -> int:
 def update_measured_objects(
     node: Any, power: Any, angle: float, velocity: float, torque: float
 ) -> None:
-    """Update those objects of a drive that contain measured values.
+    """Update the objects of a drive with measured values.
 
     Args:
-        node: simulated drive, as an array row or as a Python object.
+        node: the drive, as an array row or as a Python object.
         power: power stage of the drive.
         angle: spool angle that the encoder measures [rad].
         velocity: angular velocity of the spool [rad/s].
-        torque: torque of the motor, converted to the spool [N m].
+        torque: torque of the motor at the spool [N m].
     """
     values = node.values
     sign = node.direction
@@ -108,9 +106,9 @@ def update_measured_objects(
         # Bits 10 to 13 depend on the mode of operation.
         word = word & ~0x3C00 | node.mode_bits
     values[STATUS_WORD] = word
-    # The position is counted in encoder counts at the motor shaft.
+    # The position is in encoder counts at the motor shaft.
     values[POSITION] = _saturated(round(shaft / TURN_RAD * node.counts), _MAX_INT32)
-    # In this drive, object 0x606C (velocity) has the unit revolutions per minute.
+    # In this drive, object 0x606C (velocity) is in revolutions per minute.
     values[VELOCITY] = _saturated(round(sign * gear * velocity / TURN_RAD * 60.0), _MAX_INT32)
     values[TORQUE] = values[CURRENT] = _saturated(
         round(sign * torque / gear / node.rated * 1000.0), _MAX_INT16
@@ -119,19 +117,16 @@ def update_measured_objects(
 
 @kernel_helper
 def apply_torque(node: Any, servo: Any) -> None:
-    """In an enabled drive, apply the target torque to the servo.
-
-    The objects 0x6072 and 0x6080 limit the torque.
-    """
+    """Apply the target torque to the servo of an enabled drive, limited by objects 0x6072 and 0x6080."""
     values = node.values
     thousandths = values[TARGET_TORQUE] + values[TORQUE_OFFSET]
     limit = values[MAX_TORQUE]
     servo.limit = node.peak
-    # This factor converts thousandths of the rated torque at the shaft to N m at the spool.
+    # Conversion from thousandths of the rated torque at the shaft to N m at the spool.
     servo.torque = (
         node.direction * node.gear * node.rated / 1000.0 * min(limit, max(-limit, thousandths))
     )
-    # This factor converts revolutions per minute at the shaft to rad/s at the spool.
+    # Conversion from revolutions per minute at the shaft to rad/s at the spool.
     servo.speed_limit = values[MAX_SPEED] * TURN_RAD / 60.0 / node.gear
     servo.speed_gain = 0.0
     if servo.speed_limit > 0.0:
@@ -140,21 +135,20 @@ def apply_torque(node: Any, servo: Any) -> None:
 
 @kernel_helper
 def follows_torque(node: Any, power: Any) -> bool:
-    """Return True if the drive follows torque commands, because it is enabled and in torque mode."""
+    """Return True if the drive follows torque commands: enabled and in torque mode."""
     return bool(power.state == ENABLED_STATE and node.values[MODE_SHOWN] == CYCLIC_TORQUE_MODE)
 
 
 @kernel_helper
 def heartbeat_timeout_ns(node: Any) -> int:
-    """Return the timeout of the master's heartbeat [ns], or 0 if the drive does not supervise the master."""
-    # Object 0x1016 contains the node number of the master in bits 23..16 and the time [ms] in bits
-    # 15..0.
+    """Return the timeout of the master's heartbeat [ns], 0 if the drive does not supervise the master."""
+    # Object 0x1016 has the master's node number in bits 23..16 and the time [ms] in bits 15..0.
     return int(node.values[MASTER] & 0xFFFF) * 1_000_000
 
 
 @kernel_helper
 def heartbeat_due(node: Any, t_ns: int) -> bool:
-    """Return True if the drive must send its heartbeat now."""
+    """Return True if the drive must now send its heartbeat."""
     period_ns = node.values[HEARTBEAT_MS] * 1_000_000
     return bool(period_ns > 0 and t_ns - node.heartbeat_ns >= period_ns)
 
@@ -171,12 +165,12 @@ def watchdog_expired(node: Any, t_ns: int) -> bool:
 
 @kernel_helper
 def schedule_wake(node: Any, t_ns: int, frame_pending: bool) -> None:
-    """Set the time at which the drive must work next: for temperatures, heartbeat, master timeout or motion.
+    """Schedule the next wake of a drive, for temperatures, heartbeat, timeout of the master or motion.
 
     Args:
-        node: simulated drive, as an array row or as a Python object.
+        node: the drive, as an array row or as a Python object.
         t_ns: present time [ns].
-        frame_pending: True if a frame of the drive waits to be sent at once.
+        frame_pending: True if a frame waits to be sent now.
     """
     wake_ns = t_ns if frame_pending or node.thermal_ns < 0 else node.thermal_ns + THERMAL_PERIOD_NS
     period_ns = node.values[HEARTBEAT_MS] * 1_000_000

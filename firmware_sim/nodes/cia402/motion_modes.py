@@ -19,12 +19,11 @@ acts. A following error above 0x6065 for longer than 0x6066 causes fault 0x8611.
 Choices of this simulation:
 
 - When the drive is enabled or changes its mode, 0x607A and the demand become the present position.
-  The object 0x60FF keeps its value.
-- In cyclic position mode, positions are interpolated over the period in object 0x60C2.
-- In profile position mode, the drive stores one set-point in addition to the active one.
-- After homing, the position value at the home position is that of object 0x607C. The methods 33 and
-  34 move to the next index pulse. With the methods 35 and 37, the present position becomes the home
-  position.
+  0x60FF is kept.
+- Cyclic positions are interpolated over the period in 0x60C2.
+- Profile position stores one set-point in addition to the active one.
+- After homing, the home position has the value of 0x607C. The methods 33 and 34 move to the next
+  index pulse. With 35 and 37 the present position is the home position.
 - The gains of the position and velocity controllers are assumed.
 """
 
@@ -82,13 +81,13 @@ def check_write(object_index: int, value: int) -> None:
 
 
 class MotionModes:
-    """The position, velocity and homing modes of a drive, with demand values and controllers.
+    """The motion modes of a drive: demand and controllers.
 
-    The demand is the position that the shaft should have, in the units of the frames [count].
+    The demand is the shaft position in frames [count].
     """
 
     def __init__(self, node: Any) -> None:
-        """Use the objects and the rotor of a drive, see ``node.Cia402Node``."""
+        """Use the objects and the rotor of a drive (``node.Cia402Node``)."""
         self._node = node
         self._demand = MotionSetpoint()
         self._at_spool = MotionSetpoint()
@@ -106,14 +105,11 @@ class MotionModes:
 
     @property
     def running(self) -> bool:
-        """Return True if the drive is enabled in one of these modes."""
+        """Return True if the drive is enabled in a motion mode."""
         return self._mode != 0
 
     def start(self, mode: int, t_ns: int) -> None:
-        """Enter one of these modes at the present position.
-
-        If the mode is already active, it continues.
-        """
+        """Enter a motion mode at the present position. A mode that is already active continues."""
         if mode == self._mode:
             return
         node = self._node
@@ -132,7 +128,7 @@ class MotionModes:
         self.advance(t_ns)
 
     def end(self) -> None:
-        """Leave the active mode, and clear the status bits that belong to it."""
+        """Leave the active motion mode, and clear the status bits of the mode."""
         self._mode = 0
         self._node.motion_due_ns = 0
         self._node.mode_bits = -1
@@ -171,11 +167,11 @@ class MotionModes:
         elif self._next is None:
             self._next = target
         self._acknowledged = True
-        # The bit *target reached* still refers to the previous target.
+        # The bit *target reached* still belongs to the previous target.
         self._bits &= ~TARGET_REACHED_BIT
 
     def _start_homing(self) -> None:
-        """Start homing with the method that object 0x6098 contains."""
+        """Start homing with the method in object 0x6098."""
         node = self._node
         self._homing = True
         self._attained = False
@@ -183,7 +179,8 @@ class MotionModes:
         method = node.objects[0x6098, 0]
         self._target = self._position()
         if method in (INDEX_NEGATIVE, INDEX_POSITIVE):
-            # The index pulse occurs at whole turns of the encoder, wherever the position is zero.
+            # The index pulse occurs at whole turns of the encoder, wherever the zero of the
+            # position is.
             turn = node.counts
             raw = self._position() - node.offset / TURN_RAD * turn
             edge = math.floor(raw / turn) if method == INDEX_NEGATIVE else math.ceil(raw / turn)
@@ -191,7 +188,7 @@ class MotionModes:
         self._demand.jump(self._position())
 
     def _finish_homing(self) -> None:
-        """Finish homing: shift the position values, so that the present position has the value of object 0x607C."""
+        """Finish homing: shift the zero until the present position has the value of 0x607C."""
         node = self._node
         home = node.objects[0x607C, 0]
         node.offset += (home - self._position()) / node.counts * TURN_RAD
@@ -200,7 +197,7 @@ class MotionModes:
         self._attained = True
 
     def advance(self, t_ns: int) -> None:
-        """If an update is due at the present time [ns], update the demand, the status bits and the servo."""
+        """Update the demand, the status bits and the servo if the update is due at the present time [ns]."""
         node = self._node
         if not self._mode or t_ns < node.motion_due_ns:
             return
@@ -239,9 +236,9 @@ class MotionModes:
         acceleration_index: int,
         deceleration_index: int,
     ) -> bool:
-        """Move the demand towards the target, with the speed and the ramps that objects of the drive contain.
+        """Move the demand towards the target, with the speed and the ramps from objects of the drive.
 
-        Return True if the demand has reached the target.
+        Return True at the target.
         """
         slope = max(1.0, self._counts_per_s(self._node.objects[deceleration_index, 0]))
         if self._control & HALT_BIT:
@@ -259,7 +256,7 @@ class MotionModes:
         )
 
     def _interpolate(self, step_s: float) -> None:
-        """Move the demand linearly, so that it reaches the cyclic target at the end of the interpolation period."""
+        """Move the demand linearly, to reach the cyclic target at the end of the interpolation period."""
         objects = self._node.objects
         self._target = self._within_position_limits(float(objects[0x607A, 0] + objects[0x60B0, 0]))
         part = step_s / self._rest_s if self._rest_s > step_s else 1.0
@@ -268,7 +265,7 @@ class MotionModes:
         self._demand.jump(self._demand.position + change, change / step_s + self._rate_of(0x60B1))
 
     def _within_position_limits(self, target: float) -> float:
-        """Return the target, limited to the software position limits (object 0x607D)."""
+        """Return the target, clamped to the software position limits (object 0x607D)."""
         objects = self._node.objects
         inside = min(float(objects[0x607D, 2]), max(float(objects[0x607D, 1]), target))
         if inside != target:
@@ -276,10 +273,7 @@ class MotionModes:
         return inside
 
     def _check_following_error(self, t_ns: int) -> bool:
-        """Check the difference between demand and measured position (following error).
-
-        Return True if this error has caused a fault.
-        """
+        """Check the following error. Return True if the error has caused a fault."""
         node = self._node
         error = self._demand.position - self._position()
         node.objects[0x60F4, 0] = round(error)
@@ -301,7 +295,7 @@ class MotionModes:
         return arrived and abs(self._position() - self._target) <= window
 
     def _status_bits(self) -> int:
-        """Return the bits that the active mode sets in the status word of the drive."""
+        """Return the bits that the active mode sets in the status word."""
         if self._mode in (CYCLIC_POSITION, CYCLIC_VELOCITY):
             return self._bits | DRIVE_FOLLOWS_BIT
         if self._control & HALT_BIT:
@@ -314,8 +308,8 @@ class MotionModes:
         self._bits = (
             self._bits | TARGET_REACHED_BIT if reached else self._bits & ~TARGET_REACHED_BIT
         )
-        # In profile position mode, a set-point stays acknowledged until the host clears the bit and
-        # the buffer is free.
+        # In profile position, the set-point is acknowledged until the host clears the bit and the
+        # buffer is free.
         self._acknowledged = self._next is not None or (
             self._acknowledged and bool(self._control & NEW_SETPOINT_BIT)
         )
@@ -324,7 +318,7 @@ class MotionModes:
         return self._bits
 
     def _regulate_servo(self, step_s: float) -> None:
-        """Set the servo to the demand, after conversion from counts at the shaft to radians at the spool."""
+        """Set the servo to the demand, converted from counts at the shaft to radians at the spool."""
         node = self._node
         objects = node.objects
         scale = node.direction * TURN_RAD / node.counts / node.gear
@@ -346,7 +340,7 @@ class MotionModes:
         self._cascade.regulate(self._at_spool, gains, speed, limit, step_s, torque)
 
     def _position(self) -> float:
-        """Return the measured position of the shaft [count]."""
+        """Return the measured position at the shaft [count]."""
         node = self._node
         return float(
             (node.direction * node.gear * node.motor.encoder() + node.offset)
@@ -355,7 +349,7 @@ class MotionModes:
         )
 
     def _velocity(self) -> float:
-        """Return the measured velocity of the shaft [count/s]."""
+        """Return the measured velocity at the shaft [count/s]."""
         node = self._node
         return float(node.direction * node.gear * node.motor.velocity / TURN_RAD * node.counts)
 
@@ -364,5 +358,5 @@ class MotionModes:
         return float(per_minute / 60.0 * self._node.counts)
 
     def _rate_of(self, object_index: int) -> float:
-        """Return the value of a velocity object, converted to count/s."""
+        """Return the value of a velocity object in count/s."""
         return self._counts_per_s(self._node.objects[object_index, 0])

@@ -13,19 +13,19 @@ Frames (COB-ID, payload little-endian):
     0x700+node  heartbeat    u8 NMT state
     RPDO, TPDO  see ``pdo``
 
-A text object is uploaded in several segments. The first reply is 0x41 with the length of the text.
-After that, requests 0x60 and 0x70 alternate, and each reply contains up to seven bytes of the text.
-If a host writes ``save`` to object 0x1010:1, the drive stores its settings.
+A text is uploaded in segments. The first reply is 0x41 with the length of the text. Requests 0x60
+and 0x70 then alternate, and each reply has up to seven bytes of the text. Writing ``save`` to
+0x1010:1 stores the settings.
 
 SDO specifiers: 0x40 upload request, 0x43 | 4 n upload reply with n unused bytes, 0x23 | 4 n
 download request, 0x60 download reply, 0x80 abort.
 
-Choices of this simulation where the fact sheet is not definite:
+Choices where the fact sheet is not definite:
 
-- Object 0x6076 has the unit mN·m, unless the option ``rated_torque_unit`` is uN_m.
-- If object 0x6007 is 1, two events are faults: the node leaves the state operational while enabled,
-  or the master's heartbeat is lost. If 0x6007 is 2 or 3, these events switch the power stage off.
-- A host can change PDOs only while the node is in the state pre-operational.
+- Object 0x6076 is in mN·m, unless the option ``rated_torque_unit`` is uN_m.
+- Two events are faults if 0x6007 is 1: the node leaves operational while enabled, or the master's
+  heartbeat is lost. If 0x6007 is 2 or 3, these events switch the power stage off.
+- The host can change PDOs only while the node is pre-operational.
 """
 
 from firmware_sim.bus.frame import FDF, REMOTE_FLAG, Frame
@@ -92,7 +92,7 @@ class Cia402Node:
         ids: None, because the node answers many identifiers.
         malformed: number of frames that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
-        watchdog_fed_ns: time of the master's last heartbeat [ns], or -1 if the drive does not
+        watchdog_fed_ns: time of the master's last heartbeat [ns], -1 if the drive does not
             supervise the master.
         thermal_ns: time of the last update of the temperatures [ns].
         heartbeat_ns: time of the drive's last heartbeat [ns].
@@ -101,13 +101,13 @@ class Cia402Node:
         master_id: identifier of the master's heartbeat.
         rpdo_id: identifier of the standard RPDO, see ``pdo.NodePdos``.
         tpdo_id: identifier of the standard TPDO, see ``pdo.NodePdos``.
-        tpdo_kind: transmission type of the standard TPDO, which says when the TPDO is sent.
-        accepted_ids: identifiers of the frames that the node answers.
+        tpdo_kind: transmission type of the standard TPDO.
+        accepted_ids: identifiers for the node to answer.
         values: values of the object dictionary.
         frame_pending: True if a frame of the drive waits to be sent.
-        motion: position, velocity and homing modes of the drive.
-        motion_due_ns: time of the next update of ``motion_modes`` [ns], or 0 in torque mode.
-        mode_bits: bits that the active mode sets in the status word, or -1 in torque mode.
+        motion: the position, velocity and homing modes of the drive.
+        motion_due_ns: time of the next update of ``motion_modes`` [ns], 0 in torque mode.
+        mode_bits: bits that the motion mode sets in the status word, -1 in torque mode.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -116,7 +116,7 @@ class Cia402Node:
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: shaft angle when the spool angle theta is 0 [rad].
+            offset: shaft angle at the spool angle theta = 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -167,13 +167,13 @@ class Cia402Node:
             self._unsolicited.append(Frame(0x700 + self.node_id, b"\0"))
 
     def _initial_objects(self) -> tuple[ObjectDictionary, PowerStage]:
-        """Return the object dictionary and the power stage as they are after power-up."""
+        """Return the dictionary and the power stage after power-up."""
         objects = ObjectDictionary(self.node_id)
         self.values = objects.values
         return objects, PowerStage()
 
     def _update_derived(self) -> None:
-        """Update those attributes that follow from communication objects."""
+        """Update the attributes derived from communication objects."""
         self.sync_id = self.objects[0x1005, 0] & 0x7FF
         self.master_id = 0x700 + (self.objects[0x1016, 1] >> 16 & 0x7F)
         self.rpdo_id, (self.tpdo_id, self.tpdo_kind) = (
@@ -194,8 +194,7 @@ class Cia402Node:
         """Process a frame from the bus.
 
         Returns:
-            The frames that the drive sends in response, or None if the frame is not meant for this
-            node.
+            The frames sent in response by the drive, or None if the frame is not for this node.
         """
         can_id = frame.can_id
         data = frame.data
@@ -221,13 +220,13 @@ class Cia402Node:
         return self._take_unsolicited() if handled else None
 
     def _take_unsolicited(self) -> list[Frame]:
-        """Return the frames that wait to be sent, and empty their list."""
+        """Return the frames waiting to be sent, and empty the list."""
         unsolicited = self._unsolicited
         self._unsolicited = []
         return unsolicited
 
     def _nmt_command(self, command: int) -> None:
-        """Execute a command of the CANopen network management (NMT)."""
+        """Execute an NMT command."""
         if command in (0x81, 0x82):
             self._reset(sends_boot_message=True)
             return
@@ -242,7 +241,7 @@ class Cia402Node:
             self._send_event_pdos()
 
     def _connection_lost(self, error_code: int) -> None:
-        """React to a lost connection in the way that object 0x6007 (abort connection option) demands."""
+        """React to a lost connection as object 0x6007 (abort connection option) demands."""
         option = self.objects[0x6007, 0]
         if option == 1:
             self.trip(error_code)
@@ -260,7 +259,7 @@ class Cia402Node:
         self._apply_torque()
 
     def lose_settings(self) -> None:
-        """Give the torque limit and the supervision of the master their default values, but keep the drive's state."""
+        """Restore the default torque limit and supervision of the master, but keep the state of the drive."""
         initial = ObjectDictionary(self.node_id)
         for key in ((0x6072, 0), (0x6007, 0), (0x1016, 1)):
             self.objects[key] = initial[key]
@@ -275,7 +274,7 @@ class Cia402Node:
             self._unsolicited.append(Frame(0x80 + self.node_id, data))
 
     def _answer_sdo_request(self, data: bytes) -> None:
-        """Answer a request for an object (SDO request).
+        """Answer a request to the SDO server.
 
         Numbers have up to four bytes and are transferred in one frame.
         """
@@ -288,7 +287,7 @@ class Cia402Node:
             )
 
     def _execute_sdo_request(self, data: bytes, key: tuple[int, int]) -> bytes:
-        """Execute a request for an object (SDO request).
+        """Execute an SDO request.
 
         Returns:
             The payload of the SDO reply.
@@ -309,13 +308,13 @@ class Cia402Node:
         if specifier >> 5 != 1 or not specifier & 2:
             raise SdoAbort(UNKNOWN_COMMAND)
         # If bit 0 is set, bits 3..2 give the number of unused bytes. If bit 0 is not set, the
-        # request does not contain the size. In this case, the size of the object is used.
+        # request gives no size. The size of the object then counts.
         size = 4 - (specifier >> 2 & 3) if specifier & 1 else self.objects.size(key)
         self._write_object(key, data[4 : 4 + size])
         return b"\x60" + data[1:4] + bytes(4)
 
     def _first_segment(self, name: bytes, text: bytes) -> bytes:
-        """Return the reply that announces a text, and store the text in segments of up to seven bytes."""
+        """Return the reply that announces a text, and keep the text in segments of up to seven bytes."""
         self._segments = [text[i : i + 7] for i in range(0, len(text), 7)]
         return b"\x41" + name + len(text).to_bytes(4, "little")
 
@@ -337,7 +336,7 @@ class Cia402Node:
         return bytes((head,)) + segment.ljust(7, b"\0")
 
     def _write_object(self, key: tuple[int, int], value_bytes: bytes) -> None:
-        """Write the value that a host has sent to an object, and apply the new value."""
+        """Write an object to which a host has sent a value, and apply the new value."""
         # This range contains the communication and mapping objects of RPDOs (0x1400, 0x1600) and
         # TPDOs (0x1800, 0x1A00).
         if 0x1400 <= key[0] < 0x1C00:
@@ -380,7 +379,7 @@ class Cia402Node:
             self._send_event_pdos()
 
     def _send_event_pdos(self) -> None:
-        """Send those TPDOs whose transmission type is *on a change*."""
+        """Send the TPDOs whose transmission type is *on a change*."""
         if self.nmt == OPERATIONAL_STATE:
             self._update_measured_objects()
             self._unsolicited += self.pdos.on_event()
@@ -404,10 +403,10 @@ class Cia402Node:
         return True
 
     def _synchronise(self) -> bool:
-        """Process a SYNC frame: apply the stored RPDOs, measure, and send TPDOs.
+        """Process a SYNC frame: apply stored RPDOs, measure, and send TPDOs.
 
         Returns:
-            True if the node is in the state operational.
+            True if the node is operational.
         """
         if self.nmt != OPERATIONAL_STATE:
             return False
@@ -419,13 +418,13 @@ class Cia402Node:
         return True
 
     def _update_measured_objects(self) -> None:
-        """Update those objects of the drive that contain measured values."""
+        """Update the objects of the drive with measured values."""
         update_measured_objects(
             self, self.power, self.motor.encoder(), self.motor.velocity, self.motor.torque
         )
 
     def _apply_torque(self) -> None:
-        """If the power stage and the mode of operation allow it, follow the target torque or a motion mode."""
+        """Follow the target torque or a motion mode, if the power stage and the mode of operation allow it."""
         mode = self.objects[0x6061, 0]
         if self.power.state == ENABLED_STATE and mode in MOTION_MODES:
             if not self.motion.running:
@@ -460,10 +459,7 @@ class Cia402Node:
         return self._take_unsolicited()
 
     def _update_thermal(self, t_ns: int) -> None:
-        """Advance the temperatures of the drive.
-
-        If the winding is too hot, enter the fault state.
-        """
+        """Advance the temperatures of the drive, and trip on over-temperature of the winding."""
         if self.thermal_ns >= 0:
             self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0
@@ -473,15 +469,12 @@ class Cia402Node:
 
 
 class Cia402NodeRow(Cia402Struct, Cia402Node):
-    """A drive whose numbers are in a row of an array, so that compiled kernels can use them."""
+    """A drive whose numbers are kept in a row of an array, for compiled kernels."""
 
     layout = Cia402Struct
 
     def prepare(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Set the row of the drive to the state after power-up.
-
-        The class ``Cia402Node`` explains the arguments.
-        """
+        """Initialize the row of the drive. See ``Cia402Node``."""
         Cia402Node.__init__(self, spec, motor, offset)
         self.motor_number = motor.number
 

@@ -1,4 +1,4 @@
-"""Process data objects (PDOs) of the simulated CiA 402 drive: four RPDOs and four TPDOs, which a host maps over SDO.
+"""Process data of the simulated CiA 402 drive: four RPDOs and four TPDOs, mapped over SDO.
 
 Source: fact sheet cia402.
 
@@ -35,10 +35,10 @@ MAX_SYNCHRONOUS_TYPE = 240
 
 
 class NodePdos:
-    """The PDOs that one node receives and sends."""
+    """The received and sent PDOs of one node."""
 
     def __init__(self, objects: ObjectDictionary) -> None:
-        """Use the communication and mapping objects of an object dictionary."""
+        """Use the communication and mapping objects of a dictionary."""
         self._objects = objects
         self._waiting: dict[int, bytes] = {}
 
@@ -62,23 +62,20 @@ class NodePdos:
         self._objects.write(key, value_bytes)
 
     def _check_mapping(self, mapping_index: int, entry_count: int) -> None:
-        """Check that a mapping has an allowed number of entries and an allowed length."""
+        """Check that the number of entries and the length of a mapping are allowed."""
         if entry_count > 4:
             raise SdoAbort(OUT_OF_RANGE)
         if sum(self._objects[mapping_index, i + 1] & 0xFF for i in range(entry_count)) > 64:
             raise SdoAbort(PDO_TOO_LONG)
 
     def _mapped_objects(self, mapping: int) -> Iterator[tuple[ObjectKey, int]]:
-        """Iterate over the objects in a mapping, each with its size [bytes]."""
+        """Iterate over the objects in a mapping, with sizes [bytes]."""
         for i in range(self._objects[mapping, 0]):
             entry = self._objects[mapping, i + 1]
             yield (entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8
 
     def _rpdo_index(self, can_id: int) -> int:
-        """Return the index of the RPDO with a given identifier.
-
-        If no RPDO has this identifier, return -1.
-        """
+        """Return the index of the RPDO that has an identifier. Return -1 if no RPDO has it."""
         return next((i for i in range(4) if self._objects[0x1400 + i, 1] == can_id), -1)
 
     def receives(self, can_id: int) -> bool:
@@ -86,10 +83,10 @@ class NodePdos:
         return self._rpdo_index(can_id) >= 0
 
     def unpack(self, can_id: int, data: bytes) -> list[ObjectKey] | None:
-        """Write the objects of an RPDO at once, or keep the RPDO until the next SYNC frame.
+        """Write the objects of an RPDO at once, or store the RPDO until the next SYNC frame.
 
         Returns:
-            The objects that were written at once, or None if the RPDO is too short.
+            The objects that were written at once. None if the RPDO is too short.
         """
         number = self._rpdo_index(can_id)
         if len(data) < sum(size for _, size in self._mapped_objects(0x1600 + number)):
@@ -100,7 +97,7 @@ class NodePdos:
         return self._store_rpdo(number, data)
 
     def _store_rpdo(self, pdo_number: int, data: bytes) -> list[ObjectKey]:
-        """Write the objects that an RPDO contains, and return their keys."""
+        """Write the objects of an RPDO and return their keys."""
         keys = []
         offset = 0
         for key, size in self._mapped_objects(0x1600 + pdo_number):
@@ -110,7 +107,7 @@ class NodePdos:
         return keys
 
     def synchronise(self) -> list[ObjectKey]:
-        """Write the objects of the RPDOs that have waited for this SYNC frame.
+        """Write the objects of the RPDOs that were stored until this SYNC frame.
 
         Returns:
             The objects that were written.
@@ -138,9 +135,9 @@ class NodePdos:
         return [self._objects[0x1400 + i, 1] for i in range(4)]
 
     def standard_rpdo(self) -> int:
-        """Return the identifier of the RPDO that compiled kernels can handle, or -1 if there is none.
+        """Return the identifier of the RPDO that compiled kernels can handle, or -1.
 
-        This RPDO contains the control word and the target torque, which are written at once.
+        The RPDO contains the control word and the target torque, and is written at once.
         """
         for i in range(4):
             can_id = self._objects[0x1400 + i, 1]
@@ -156,9 +153,9 @@ class NodePdos:
     def standard_tpdo(self) -> tuple[int, int]:
         """Return the identifier and the transmission type of the TPDO that compiled kernels can handle.
 
-        This TPDO contains the status word, the position and the torque. It is sent after SYNC, and
-        no other TPDO is active. If the PDOs are arranged differently, or if an RPDO waits for SYNC,
-        the identifier is -1.
+        The TPDO contains status word, position and torque. The TPDO is sent after SYNC, and is the
+        only active TPDO. With any other arrangement of PDOs, or if an RPDO depends on SYNC, the
+        identifier is -1.
         """
         active = self._active_tpdos()
         waits = any(
@@ -177,13 +174,13 @@ class NodePdos:
         return (self._objects[0x1800 + i, 1] & 0x7FF if standard else -1), transmission
 
     def on_event(self) -> list[Frame]:
-        """Return the frames of the TPDOs that the node sends when a value has changed."""
+        """Return the frames of the TPDOs that are sent on a change."""
         return [
             self._tpdo_frame(i) for i in self._active_tpdos() if self._objects[0x1800 + i, 2] >= 254
         ]
 
     def _active_tpdos(self) -> list[int]:
-        """List the indices of the TPDOs that are switched on."""
+        """List the indices of the TPDOs that are on."""
         return [i for i in range(4) if not self._objects[0x1800 + i, 1] & PDO_OFF_BIT]
 
     def _tpdo_frame(self, pdo_number: int) -> Frame:

@@ -1,6 +1,4 @@
-"""Simulated CiA 404 amplifiers, which measure the load cells of a hand.
-
-Source: docs/facts/cia404.md.
+"""Simulated CiA 404 measuring amplifiers for load cells. Source: docs/facts/cia404.md.
 
 Frames (COB-ID, payload little-endian):
 
@@ -11,10 +9,10 @@ Frames (COB-ID, payload little-endian):
     0x600+n       SDO request  u8 specifier, u16 index, u8 sub-index, u32 value
     0x700+n       heartbeat    u8 NMT state, 0 once after a restart
 
-Choices of this simulation where the fact sheet is not definite: the node ignores a SYNC frame with
-a payload, because object 0x1019 does not exist. TPDOs of the types 254 and 255 (on a change) are
-sent only once, when the node becomes operational. A host can write communication objects only while
-the node is in the state pre-operational. The node loses its settings at a restart.
+Choices where the fact sheet is not definite: the node ignores a SYNC frame with a payload, because
+object 0x1019 does not exist. TPDOs of the types 254 and 255 (on a change) are sent only once, when
+the node becomes operational. The host can write communication objects only while the node is
+pre-operational. The settings are lost at a restart.
 """
 
 import math
@@ -48,15 +46,16 @@ _NEVER_NS = 1 << 62
 
 
 class LoadCellAmplifiers:
-    """The load cells of a hand with amplifiers, and the noise, the bias and the faults of these load cells.
+    """The load cells of a hand that uses amplifiers, with their noise, bias and faults.
 
     Attributes:
         nodes: the amplifiers of the hand.
         bias: present bias of each load cell [N].
-        cell_faults: functions by which faults change the readings, by the index of the load cell.
-        joint_faults: empty mapping, because amplifiers have no joint encoders.
-        suppressed: functions by the identifier of a frame, for faults that suppress this frame. The
-            function is called in place of sending the frame.
+        cell_faults: for each load cell, the function that changes its reading, by the index of the
+            load cell.
+        joint_faults: empty, because amplifiers have no joint encoders.
+        suppressed: functions by the identifier of a frame. Such a function is called instead of
+            sending the frame.
     """
 
     def __init__(self, spec: SensorSpec, tensions: Callable[[], Any], seed: int) -> None:
@@ -90,9 +89,9 @@ class LoadCellAmplifiers:
         ]
 
     def frame_of_cell(self, index: int) -> int:
-        """Return the identifier of the frame that contains the reading of a given load cell.
+        """Return the identifier of the frame that contains the reading of a load cell.
 
-        The identifier belongs to the mapping that a host usually sets.
+        The identifier is the one in the usual mapping of a host.
         """
         node = next(node for node in self.nodes if index in node.cells)
         return 0x180 + 0x100 * ((index - node.cells.start) // 2) + node.node_id
@@ -100,7 +99,7 @@ class LoadCellAmplifiers:
     def sample(self, t_ns: int) -> Any:
         """Return the readings of all load cells [N].
 
-        After each SYNC frame, all amplifiers use the same sample.
+        The amplifiers share one sample for each SYNC.
         """
         if t_ns != self._sampled_ns:
             elapsed_s = (t_ns - self._sampled_ns) * 1e-9 if self._sampled_ns >= 0 else 0.0
@@ -118,8 +117,8 @@ class AmplifierNode:
     """A simulated CiA 404 amplifier.
 
     Attributes:
-        node_id: node number of this amplifier.
-        cells: indices of the load cells of this amplifier in the hand's list of load cells.
+        node_id: node number of the amplifier.
+        cells: indices of the load cells of this node in the list of the hand.
         nmt: NMT state of the amplifier.
         objects: object dictionary of the amplifier.
         ids: identifiers of the frames that the node may answer.
@@ -148,7 +147,7 @@ class AmplifierNode:
         self.restart()
 
     def restart(self) -> None:
-        """Restart with the values of all objects as delivered, and announce the restart on the bus."""
+        """Restart with all objects as delivered, and announce the restart on the bus."""
         self.objects = AmplifierObjects(self.node_id, len(self.cells), self._range, self.serial)
         self.nmt = PRE_OPERATIONAL
         self._syncs = 0
@@ -157,7 +156,7 @@ class AmplifierNode:
         self.wake_ns = 0
 
     def _update_ids(self) -> None:
-        """Update the identifiers of the frames that the node answers."""
+        """Update the identifiers for the node to answer."""
         self._sync_id = self.objects[0x1005, 0] & 0x7FF
         self.ids = frozenset((0x000, self._sync_id, 0x600 + self.node_id))
 
@@ -165,8 +164,8 @@ class AmplifierNode:
         """Process a frame from the bus.
 
         Returns:
-            The frames that the amplifier sends in response, or None if the frame is not meant for
-            this node.
+            The frames that the amplifier sends in response. None if the frame is not for this
+            node.
         """
         can_id = frame.can_id
         data = frame.data
@@ -193,10 +192,7 @@ class AmplifierNode:
         return self._take_waiting_frames()
 
     def _take_waiting_frames(self) -> list[Frame]:
-        """Return the frames that wait to be sent, without those that a fault suppresses.
-
-        Then empty the list of waiting frames.
-        """
+        """Return the frames that wait to be sent, except suppressed frames. Then empty the list."""
         out = self._out
         self._out = []
         suppressed = self._load_cells.suppressed
@@ -206,7 +202,7 @@ class AmplifierNode:
         return [frame for frame in out if frame.can_id not in suppressed]
 
     def _nmt_command(self, command: int) -> None:
-        """Execute a command of the CANopen network management (NMT)."""
+        """Execute an NMT command."""
         if command in (0x81, 0x82):
             self.restart()
             return
@@ -219,7 +215,7 @@ class AmplifierNode:
             self._send_tpdos(lambda kind: kind > MAX_SYNCHRONOUS_TYPE)
 
     def _synchronise(self, data: bytes) -> None:
-        """Process a SYNC frame: read the load cells, and send the TPDOs that are due."""
+        """Process a SYNC frame: sample the load cells, and send the TPDOs that are due."""
         if data:
             self.malformed += 1
             return
@@ -230,7 +226,7 @@ class AmplifierNode:
             )
 
     def _send_tpdos(self, is_due: Callable[[int], bool]) -> None:
-        """Send the TPDOs for whose transmission type the function ``is_due`` returns True."""
+        """Send the TPDOs that are due: ``is_due`` returns True for their transmission type."""
         self._sample_load_cells()
         for i in range(TPDO_COUNT):
             can_id = self.objects[0x1800 + i, 1]
@@ -243,7 +239,7 @@ class AmplifierNode:
         self.objects.readings = [float(readings[i]) for i in self.cells]
 
     def _answer_sdo_request(self, data: bytes) -> None:
-        """Answer a request for an object (SDO request).
+        """Answer a request to the SDO server.
 
         Objects have up to four bytes and are transferred in one frame.
         """
@@ -256,7 +252,7 @@ class AmplifierNode:
             )
 
     def _execute_sdo_request(self, data: bytes, key: tuple[int, int]) -> bytes:
-        """Execute a request for an object (SDO request).
+        """Execute an SDO request.
 
         Returns:
             Payload of the SDO reply.
@@ -268,8 +264,8 @@ class AmplifierNode:
             self._sample_load_cells()
             raw = self.objects.read(key)
             return bytes((0x43 | (4 - len(raw)) << 2,)) + data[1:4] + raw.ljust(4, b"\0")
-        # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame).
-        # Bit 0 is set if the request gives the size.
+        # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame),
+        # bit 0 if the request gives the size.
         if data[0] >> 5 != 1 or data[0] & 3 != 3:
             raise SdoAbort(UNKNOWN_COMMAND)
         if 0x1000 <= key[0] < 0x1C00 and self.nmt != PRE_OPERATIONAL and key != (0x1017, 0):

@@ -116,10 +116,7 @@ class AmplifierObjects:
             self._add_object((0x6132, channel), 1, 2)
 
     def _add_object(self, key: ObjectKey, size: int, value: int, fixed: bool = False) -> None:
-        """Add an object to the object dictionary.
-
-        A host can read a fixed object, but cannot write it.
-        """
+        """Add an object to the dictionary. A fixed object is read-only for hosts."""
         self._sizes[key] = size
         self._values[key] = value
         if fixed:
@@ -130,7 +127,7 @@ class AmplifierObjects:
         return self._values[key]
 
     def __setitem__(self, key: ObjectKey, value: int) -> None:
-        """Set the value of an object from inside the amplifier."""
+        """Set an object from inside the amplifier."""
         self._values[key] = value
 
     def read(self, key: ObjectKey) -> bytes:
@@ -150,7 +147,7 @@ class AmplifierObjects:
         return self._values[key].to_bytes(self._sizes[key], "little")
 
     def write(self, key: ObjectKey, value_bytes: bytes) -> None:
-        """Write the bytes that a frame contains to an object.
+        """Write the bytes of a received frame to an object.
 
         Raises:
             SdoAbort: the object does not exist, is read-only or has another length, or the mapping
@@ -167,7 +164,7 @@ class AmplifierObjects:
         self._values[key] = value
 
     def _check_mapping(self, key: ObjectKey, value: int) -> None:
-        """Check that a new mapping value is possible, and that the TPDO with this mapping is switched off."""
+        """Check that a new mapping value is possible, and that the TPDO of the mapping is off."""
         index, sub = key
         if not self[index - 0x200, 1] & PDO_OFF_BIT:
             raise SdoAbort(WRONG_STATE)
@@ -200,8 +197,8 @@ class AmplifierObjects:
         status = self._channel_status(channel)
         if index == 0x6150:
             return bytes((status,))
-        # The unit in which the amplifier is delivered is assumed to be 1/100 N. Therefore a host
-        # that does not set the unit reads wrong tensions.
+        # The unit as delivered is assumed to be 1/100 N. A host that does not set the unit
+        # therefore reads wrong tensions.
         unit = 1.0 if self[0x6131, channel] == NEWTON_UNIT else 100.0
         value = math.nan if status else self.readings[channel - 1] * unit
         if index == FLOAT_VALUE_INDEX:

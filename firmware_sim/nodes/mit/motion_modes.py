@@ -1,7 +1,7 @@
-"""Position-velocity mode, velocity mode and force-position mode of a Damiao motor.
+"""Position-velocity, velocity and force-position mode of a Damiao motor.
 
 Frames (little-endian). The motor follows the commands of a mode only if register 10 selects this
-mode.
+mode:
 
     0x100 + ESC_ID  float32 position [rad], float32 largest speed [rad/s]
     0x200 + ESC_ID  float32 velocity [rad/s]
@@ -30,14 +30,14 @@ NEVER_NS = (1 << 63) - 1
 
 
 class MotionModes:
-    """The motion modes of a motor, with setpoint and controllers.
+    """The motion modes of a motor: setpoint and controllers.
 
     Attributes:
         due_ns: time of the next update of the setpoint [ns].
     """
 
     def __init__(self, node: Any) -> None:
-        """Use the registers and the rotor of a motor, see ``node.MitNode``."""
+        """Use the registers and the rotor of a motor (``node.MitNode``)."""
         self._node = node
         self._setpoint = MotionSetpoint()
         self._cascade = CascadeController(node.motor)
@@ -49,7 +49,7 @@ class MotionModes:
         self.due_ns = NEVER_NS
 
     def follow_velocity(self, velocity: float) -> None:
-        """Store the target velocity that a frame contains [rad/s]."""
+        """Take the target velocity [rad/s] from a frame."""
         self._set_target(
             assumed_gains(self._node.motor.inertia, 0.0),
             self._node.direction * velocity,
@@ -58,13 +58,13 @@ class MotionModes:
         )
 
     def follow_position(self, position: float, speed: float) -> None:
-        """Store the target position [rad] and the largest speed [rad/s] that a frame contains."""
+        """Take the target position [rad] and the largest speed [rad/s] from a frame."""
         self._set_target(
             assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, 1.0
         )
 
     def follow_force_position(self, position: float, speed: float, fraction: float) -> None:
-        """Store target position [rad], largest speed [rad/s] and fraction of the largest current from a frame."""
+        """Take target position [rad], largest speed [rad/s] and fraction of the largest current from a frame."""
         self._set_target(
             assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, fraction
         )
@@ -73,16 +73,16 @@ class MotionModes:
         return float(self._node.direction * (position - self._node.offset))
 
     def _set_target(self, gains: LoopGains, target: float, speed: float, fraction: float) -> None:
-        """Store a target for the spool, with gains, largest speed and fraction of the largest torque."""
+        """Store a target at the spool with gains, largest speed and fraction of the largest torque."""
         self._gains = gains
         self._target = target
         self._speed = speed
         self._fraction = fraction
 
     def start(self, t_ns: int) -> None:
-        """Follow the target from a given time on [ns].
+        """Follow the target from a time [ns] on.
 
-        If no target was followed before, the ramps start from the present motion of the motor.
+        If no target was followed before, the ramps start from the present motion.
         """
         if not self._running:
             self._running = True
@@ -98,7 +98,7 @@ class MotionModes:
         self.due_ns = NEVER_NS
 
     def advance(self, t_ns: int) -> None:
-        """If an update is due at the present time [ns], update the setpoint and the servo."""
+        """Update the setpoint and the servo if the update is due at the present time [ns]."""
         if not self._running or t_ns < self.due_ns:
             return
         step_s = (t_ns - self._updated_ns) * 1e-9
@@ -118,7 +118,7 @@ class MotionModes:
             elif step_s:
                 self._setpoint.ramp(target, rise, fall, step_s)
         elif node.mode == reg.MODE_FORCE or rise == fall == math.inf:
-            # In this mode, the controllers limit the speed, and the setpoint does not.
+            # In this mode, the controllers limit the speed, and not the setpoint.
             self._setpoint.jump(self._target)
         elif step_s:
             self._setpoint.trapezoid(self._target, speed, rise, fall, step_s)

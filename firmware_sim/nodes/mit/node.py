@@ -1,16 +1,16 @@
-"""A motor with the firmware of a Damiao drive. The drive sends frames only as answers.
+"""A motor with the firmware of a Damiao drive. The drive sends only answers.
 
 Source: fact sheet mit_damiao.
 
-Choices of this simulation where the fact sheet has only an assumption:
+Choices where the fact sheet has only an assumption:
 
-- Commands to ESC_ID restart the watchdog, but requests for registers do not. The manual only says
-  "no CAN commands within the interval". Therefore the option ``watchdog`` can select another
-  behaviour from ``WATCHDOG_BEHAVIOURS``.
-- The special command FE (set zero) has an effect only while the motor is disabled.
-- A command for a mode that CTRL_MODE does not select is answered, but has no effect.
-- The position and velocity modes use cascaded controllers with fixed gains, see ``motion_modes``.
-- In the feedback, positions beyond PMAX are replaced by PMAX.
+- Commands to ESC_ID feed the watchdog, but register requests do not. The manual only says "no CAN
+  commands within the interval". Therefore the option ``watchdog`` can select another behaviour of
+  ``WATCHDOG_BEHAVIOURS``.
+- The special command FE (set zero) acts only while the motor is disabled.
+- A command for another mode than the mode in CTRL_MODE is answered, but has no effect.
+- Position and velocity modes use cascaded controllers with fixed gains, see ``motion_modes``.
+- Positions beyond PMAX are saturated in the feedback.
 - Requests for unknown registers are not answered.
 
 Register request to 0x7FF (8 bytes):
@@ -20,7 +20,7 @@ Register request to 0x7FF (8 bytes):
     byte 3     register
     byte 4..7  value, uint32 or float32, low byte first
 
-The reply from MST_ID has the same layout. A special command has seven bytes FF, followed by FC
+The reply from MST_ID has the same layout. A special command has seven bytes of FF, and then FC
 (enable), FD (disable), FE (set zero) or FB (clear error).
 """
 
@@ -82,7 +82,7 @@ CLEAR_ANSWERS = {
 class FeedbackState(enum.IntEnum):
     """State nibble in the feedback.
 
-    All states above ENABLED are errors. In an error state, the motor makes no torque.
+    States above ENABLED are errors. In these states, the motor has no torque.
     """
 
     DISABLED = 0x0
@@ -106,15 +106,15 @@ class MitNode:
         registers: registers of the motor.
         offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         thermal: temperatures of the motor and its drive.
-        ids: identifiers of the frames that the node answers.
-        malformed: number of frames with an identifier of the node that the node could not decode.
+        ids: identifiers for the node to answer.
+        malformed: number of frames with the node's identifiers that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
-        watchdog_fed_ns: time of the last frame that restarted the watchdog [ns].
-        timeout_ns: timeout of the watchdog [ns], or 0 if the watchdog is off.
-        thermal_ns: time of the last update of the temperatures [ns]. It is negative before the
+        watchdog_fed_ns: time of the last frame that fed the watchdog [ns].
+        timeout_ns: timeout of the watchdog [ns], 0 if the watchdog is off.
+        thermal_ns: time of the last update of the temperatures [ns], negative before the
             first update.
-        node_id: identifier of commands to the motor, register 8.
-        reply_id: identifier of the motor's answers, register 7.
+        node_id: identifier of commands, register 8.
+        reply_id: identifier of answers, register 7.
         position_range: largest position in frames, register 21 [rad].
         velocity_range: largest velocity in frames, register 22 [rad/s].
         mode: control mode, register 10.
@@ -150,7 +150,7 @@ class MitNode:
         self._update_derived()
 
     def _temperatures(self, torque_constant: float) -> DriveTemperatures:
-        """Create the temperatures of a drive, all at the temperature of the surroundings."""
+        """Create the temperatures of a drive, all at ambient temperature."""
         return DriveTemperatures(torque_constant)
 
     @property
@@ -159,7 +159,7 @@ class MitNode:
         return (self.node_id,)
 
     def _update_derived(self) -> None:
-        """Update those attributes that follow from registers."""
+        """Update the attributes derived from registers."""
         self.node_id = int(self.registers[reg.ESC_ID])
         self.reply_id = int(self.registers[reg.MST_ID])
         self._mode_ids = {self.node_id + offset for offset in (0x100, 0x200, 0x300)}
@@ -170,7 +170,7 @@ class MitNode:
         self.timeout_ns = int(self.registers[reg.TIMEOUT]) * WATCHDOG_UNIT_NS
         mode = int(self.registers[reg.CTRL_MODE])
         if mode != self.mode:
-            # A setpoint is valid only in the mode in which a host has sent it.
+            # A setpoint is valid only in the mode in which it was sent.
             self._release_motor()
         self.mode = mode
 
@@ -178,7 +178,7 @@ class MitNode:
         """Process a frame, and answer in the same frame format.
 
         Returns:
-            The answers, or None if the frame is not meant for this motor.
+            The answers. None if the frame is not for this motor.
         """
         can_id, data, flags, bus, _ = frame
         if can_id == self.node_id:
@@ -211,11 +211,11 @@ class MitNode:
         return [Frame(self.reply_id, answer, flags, bus, t_ns)]
 
     def _process_command(self, data: bytes, t_ns: int) -> bytes | None:
-        """Process a frame to ESC_ID, and return the payload of the answer, or None if the frame is malformed."""
+        """Process a frame to ESC_ID and return the payload of the answer, None if the frame is malformed."""
         if len(data) != 8:
             return None
-        # The last byte of the payload is compared first. It differs in most commands. So the other
-        # seven bytes are rarely compared.
+        # The last byte is compared first. The last byte differs in most commands, so the comparison
+        # of the other seven bytes is rarely made.
         if data[7] >= _CLEAR_COMMAND and data[7] != 0xFF and data[:7] == _SPECIAL_COMMAND_START:
             return self._process_special_command(data, t_ns)
         self.watchdog_fed_ns = t_ns
@@ -227,7 +227,7 @@ class MitNode:
         """Process a command of the position-velocity (1), velocity (2) or force-position mode (3).
 
         Returns:
-            Payload of the feedback, or None if the command is malformed.
+            Payload of the feedback, None if the command is malformed.
         """
         layout = _MOTION_STRUCTS[kind]
         if len(data) < layout.size:
@@ -253,7 +253,7 @@ class MitNode:
         return self.feedback()
 
     def _process_special_command(self, data: bytes, t_ns: int) -> bytes | None:
-        """Execute a special command, and return the payload of the answer, or None if the command is malformed."""
+        """Execute a special command and return the payload of the answer, None if the command is malformed."""
         if len(data) != 8 or data[:7] != _SPECIAL_COMMAND_START:
             return None
         self.watchdog_fed_ns = t_ns
@@ -298,8 +298,7 @@ class MitNode:
     def trip(self, state: FeedbackState) -> None:
         """Enter an error state.
 
-        The motor makes torque again only after the error has been cleared and the motor has been
-        enabled.
+        The motor makes torque again only after the error was cleared and the motor was enabled.
         """
         self._release_motor()
         self.state = state
@@ -313,7 +312,7 @@ class MitNode:
         )
 
     def _process_register_request(self, data: bytes) -> bytes | None:
-        """Execute a register request, and return the payload of the reply, or None if the request is malformed."""
+        """Execute a register request and return the payload of the reply, None if the request is malformed."""
         operation = data[2]
         register = data[3]
         if operation == _REFRESH_REQUEST:
@@ -333,7 +332,7 @@ class MitNode:
         return head + data[3:4] + self.registers.read(register)
 
     def _update_measured_registers(self) -> None:
-        """Update those registers that contain measured values."""
+        """Update the registers that hold measured values."""
         position = self.direction * self.motor.encoder() + self.offset
         self.registers.show(reg.MOTOR_POSITION, position)
         self.registers.show(reg.OUTPUT_POSITION, position)
@@ -341,7 +340,7 @@ class MitNode:
         self.registers.show(reg.T_MOTOR, self.thermal.winding)
 
     def power_cycle(self) -> None:
-        """Restart the motor. It is then disabled, and has the saved registers."""
+        """Restart the motor, disabled and with the saved registers."""
         self.registers.power_cycle()
         self._release_motor()
         self.state = FeedbackState.DISABLED
@@ -351,7 +350,7 @@ class MitNode:
         """Restore the saved registers, but keep the state of the motor.
 
         Args:
-            torque_max: new value of TMAX [N m], or 0 for the saved value.
+            torque_max: new value of TMAX [N m], 0 for the saved value.
         """
         self.registers.power_cycle()
         if torque_max:
@@ -373,7 +372,7 @@ class MitNode:
         self._schedule()
 
     def _schedule(self) -> None:
-        """Set the time at which the motor must work next, also for its motion mode.
+        """Schedule the next wake of the motor, also for its motion mode.
 
         Compiled code does not handle motion modes.
         """
@@ -381,7 +380,7 @@ class MitNode:
         self.wake_ns = min(self.wake_ns, self._motion_modes.due_ns)
 
     def _update_thermal(self, t_ns: int) -> None:
-        """Advance the temperatures. If the winding is too hot, enter an error state."""
+        """Advance the temperatures, and trip on over-temperature of the winding."""
         if self.thermal_ns >= 0:
             self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0
@@ -394,15 +393,12 @@ class MitNode:
 
 
 class MitNodeRow(MitStruct, MitNode):
-    """A node whose numbers are in a row of an array, so that compiled kernels can use them."""
+    """A node whose numbers are kept in a row of an array, for compiled kernels."""
 
     layout = MitStruct
 
     def prepare(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Set the row of the node to the state after power-up.
-
-        The class ``MitNode`` explains the arguments.
-        """
+        """Initialize the row of the node. See ``MitNode``."""
         MitNode.__init__(self, spec, motor, offset)
         self.motor_number = motor.number
 

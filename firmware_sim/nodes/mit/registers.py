@@ -1,4 +1,4 @@
-"""Registers of a Damiao motor: numbers (uint32 or float32) in working memory, with a copy in flash memory.
+"""Registers of a Damiao motor: numbers (uint32 or float32) in RAM, with a copy in flash.
 
 Source: fact sheet mit_damiao.
 """
@@ -79,11 +79,11 @@ MODE_MIT, MODE_POSITION, MODE_VELOCITY, MODE_FORCE = range(1, 5)
 class MitRegisters:
     """The registers of one motor.
 
-    A value that is written has an effect at once. If it is not saved, it is lost at power-off.
+    A value that is written acts at once, but is lost at power-off unless it is saved.
     """
 
     def __init__(self, spec: MotorSpec) -> None:
-        """Set the registers to the values of a commissioned motor whose watchdog (register TIMEOUT) is off."""
+        """Initialize the registers as in a commissioned motor whose watchdog (register TIMEOUT) is off."""
         self._values: dict[int, float] = _factory_values(spec)
         self._flash = self._values.copy()
 
@@ -109,16 +109,16 @@ class MitRegisters:
         )
 
     def write(self, register: int, value_bytes: bytes) -> None:
-        """Write the four bytes that a frame contains to a register.
+        """Write the four bytes of a received frame to a register.
 
-        If the register is read-only or the value is impossible, nothing changes.
+        Read-only registers and impossible values are ignored.
         """
         value = float(struct.unpack("<I" if register in _UINT_REGISTERS else "<f", value_bytes)[0])
         if register not in _READ_ONLY_REGISTERS and _is_value_possible(register, value):
             self._values[register] = value
 
     def save(self) -> None:
-        """Copy the registers from the working memory to the flash memory."""
+        """Copy the registers from RAM to flash."""
         self._flash = self._values.copy()
 
     def power_cycle(self) -> None:
@@ -134,7 +134,7 @@ def _is_value_possible(register: int, value: float) -> bool:
         return 0 <= value < 0x7FF
     if register == DECELERATION:
         return -math.inf < value < 0.0
-    # Register 35 contains the code of the bit rate.
+    # Register 35 holds the code of the bit rate.
     if register == 35:
         return value <= 11
     return math.isfinite(value) and (value > 0 or register not in _POSITIVE_REGISTERS)
@@ -142,7 +142,7 @@ def _is_value_possible(register: int, value: float) -> bool:
 
 def _factory_values(spec: MotorSpec) -> dict[int, float]:
     """Return the register values of a commissioned motor."""
-    # The default serial number consists of the ASCII text "SIM" and the node number.
+    # The default serial number is the ASCII text "SIM" and the node number.
     serial = 0x5349_4D00 + spec.node_id if spec.serial is None else spec.serial
     values: dict[int, float] = dict.fromkeys(
         (*range(24, 29), *range(31, 35), *range(50, 56), 4, 5, 18, 19), 0.0

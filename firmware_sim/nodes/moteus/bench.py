@@ -1,6 +1,6 @@
-"""Moteus controllers with the settings that the maker has delivered.
+"""Moteus controllers as delivered.
 
-The data of the motor and the free shaft are assumed, for a motor like mj5208.
+The data of motor and free shaft are assumptions, for a motor like mj5208.
 """
 
 from firmware_sim.bus.frame import EXTENDED_FLAG, FDF, Frame
@@ -14,17 +14,14 @@ STOP_PAYLOAD = b"\x01\x00\x00"
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
-    """Return a request that reads the mode of a moteus controller.
-
-    The controller answers to the sender with number 0.
-    """
+    """Return a request that reads the mode. The answer goes to the sender with number 0."""
     return EXTENDED_FLAG | 0x8000 | node_id, b"\x11\x00"
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace a command of mode 0 by one of mode 13 without bounds.
+    """Replace the command of mode 0 by mode 13 without bounds.
 
-    In mode 13 without bounds, the drive makes no torque, but its power stage stays on.
+    In mode 13, the drive then makes no torque, but keeps the power stage on.
     """
     return (
         frame._replace(data=b"\x01\x00\x0d" + frame.data[3:])
@@ -34,7 +31,7 @@ def _corrupt_command(frame: Frame) -> Frame:
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
-    """In the reply to a read request, replace the torque limit by 1 N m."""
+    """Replace the torque limit by 1 N m in the reply to a read request."""
     return (
         frame._replace(data=TORQUE_LIMIT_HEAD + b"\0\0\x80\x3f" + frame.data[6:])
         if _is_limit(frame)

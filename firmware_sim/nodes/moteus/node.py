@@ -1,22 +1,21 @@
 """A motor with a moteus controller. Source: docs/facts/moteus.md.
 
-The drive executes one subframe of a frame after the other. If a frame writes the mode, all
-registers that it writes take effect at the end of the frame. The drive builds the reply before
-that. Therefore the reply contains the mode that the drive had before the frame. If a subframe is
-unknown, the drive ignores the rest of the frame.
+The drive executes a frame subframe by subframe. If the frame writes the mode, all written registers
+take effect at the end of the frame. The reply is built before that. The reply therefore contains
+the mode that the drive had before the frame. An unknown subframe ends the execution of its frame.
 
 In position mode, the drive moves the commanded position with the commanded velocity until the next
 command. A command without a position keeps the present target.
 
-Choices of this simulation where the fact sheet has only an assumption:
+Choices where the fact sheet has only an assumption:
 
-- The drive needs 10 ms to prepare the power stage (modes 2, 3 and 4).
-- The drive is already calibrated, and has the gains of ``text_channel.FACTORY_CONFIGURATION``. The
+- The preparation of the power stage (modes 2, 3 and 4) takes 10 ms.
+- The drive is calibrated and has the gains of ``text_channel.FACTORY_CONFIGURATION``. The
   integrator of the drive is not simulated.
-- Limits of velocity, acceleration and slip have no effect in the simulation. The target moves as if
-  these limits were nan.
+- Limits of velocity, acceleration and slip have no effect. The target moves as if these limits were
+  nan.
 - Stop position, fixed current and the voltage modes are not simulated. A command with one of these
-  modes is refused, as an invalid value is.
+  modes is refused like an invalid value.
 - Beyond a position limit, the feedforward torque cannot push further in the direction of that
   limit.
 """
@@ -73,9 +72,9 @@ class MoteusNode:
 
     Attributes:
         mode: present mode of the controller.
-        fault: present fault code, or the code of a limit that is in effect.
+        fault: present fault code, or the code of a limit that acts.
         command: values of the command registers.
-        channel: text channel of the controller, which contains the configuration.
+        channel: text channel, which holds the configuration.
         thermal: temperatures of motor and drive.
         offset: angle in the frames of the drive when the spool angle theta is 0 [rad].
         ids: None, because the node answers many identifiers.
@@ -138,9 +137,9 @@ class MoteusNode:
         return [self._reply_frame(reply, number >> 8 & 0x7F, frame)]
 
     def _reply_frame(self, data: bytes, host: int, frame: Frame) -> Frame:
-        """Return the frame that contains a reply to a host.
+        """Return the frame of a reply to a host.
 
-        If the reply is too long for the format of the request, the frame has the format CAN FD.
+        A reply too long for the format of the request has the format CAN FD.
         """
         number = self.node_id << 8 | host
         can_id = number | EXTENDED_FLAG if number >= 0x800 else number
@@ -151,7 +150,7 @@ class MoteusNode:
         )
 
     def _execute_payload(self, data: bytes) -> bytes:
-        """Execute the subframes of a payload, and return the reply."""
+        """Execute the subframes of a payload and return the reply."""
         reader = mp.PayloadReader(data)
         out = b""
         try:
@@ -176,7 +175,7 @@ class MoteusNode:
         """Execute a subframe that writes or reads registers.
 
         Returns:
-            The bytes to add to the reply, or None if the rest of the frame is meant for another
+            The bytes to add to the reply. None if the rest of the frame is for another
             controller.
         """
         kind = subframe >> 2 & 3
@@ -199,7 +198,7 @@ class MoteusNode:
     def _read_registers(self, value_type: int, count: int, first: int) -> bytes:
         """Return the reply to a request that reads registers.
 
-        If a register has no value, the reply ends with an error for this register.
+        If a register has no value, the reply ends with an error at this register.
         """
         values = list[bytes]()
         error = b""
@@ -220,7 +219,7 @@ class MoteusNode:
         ) + error
 
     def _write_register(self, register: int, value_type: int, raw: bytes) -> int:
-        """Write a register, and return an error number, or 0 if there is no error."""
+        """Write a register, and return an error number, 0 without an error."""
         register = reg.SHADOW_REGISTERS.get(register, register)
         if register == reg.MODE:
             mode = mp.decode_register(raw, value_type, mp.UNSCALED_STEPS)
@@ -245,7 +244,7 @@ class MoteusNode:
         return 0
 
     def _set_position(self, turns: float, nearest: bool) -> None:
-        """Shift the reported position to a given value, or as near to it as possible by whole turns."""
+        """Shift the reported position to a value, or as near as possible to the value by whole turns."""
         if math.isfinite(turns):
             shift = turns - self._position
             self.offset += TURN_RAD * (round(shift) if nearest else shift)
@@ -253,7 +252,7 @@ class MoteusNode:
     def _read_register(self, register: int, value_type: int) -> bytes | None:
         """Return the bytes of a register.
 
-        If the register is unknown or cannot have this type, return None.
+        Return None if the register is unknown or cannot have the type.
         """
         register = reg.SHADOW_REGISTERS.get(register, register)
         if register in INT32_ONLY_REGISTERS:
@@ -276,13 +275,13 @@ class MoteusNode:
         )
 
     def _integer_register(self, register: int) -> int:
-        """Return the value of a register that can be read only as int32."""
+        """Return the value of a register that exists only as int32."""
         if 0x120 <= register <= 0x122:
             return self._serial >> 32 * (register - 0x120) & 0xFFFFFFFF
         if reg.UUID <= register < reg.UUID + 4:
             return self._uuid_word(register - reg.UUID)
-        # These registers contain the model number, the firmware version, the version of the
-        # register map, the node number, and the support of the UUID mask.
+        # These registers are model number, firmware version, version of the register map, node
+        # number and support of the UUID mask.
         fixed = {
             0x100: 3,
             0x101: FIRMWARE_VERSION,
@@ -308,10 +307,9 @@ class MoteusNode:
 
     @property
     def _fault_code(self) -> int:
-        """Return the fault code of the drive.
+        """Return the fault code.
 
-        In position mode, it may be the code of a limit that reduces the torque of the position
-        loop.
+        In position mode, it may be the code of a limit that acts on the torque of the loop.
         """
         motor = self.motor
         servo = motor.servo
@@ -323,7 +321,7 @@ class MoteusNode:
         return MAX_TORQUE_LIMITS if abs(torque + servo.torque) > servo.limit else 0
 
     def _measured_value(self, register: int) -> float:
-        """Return the value of a register that contains a measured value."""
+        """Return the measured value of a register."""
         motor = self.motor
         sign = self._direction
         torque = sign * motor.torque
@@ -354,10 +352,7 @@ class MoteusNode:
         return b"\x41" + mp.encode_varuint(channel) + mp.encode_varuint(len(part)) + part
 
     def _apply_mode(self, mode: int, t_ns: int) -> None:
-        """Change to the mode that a host has commanded.
-
-        Only a stop command ends the modes *fault* and *timeout*.
-        """
+        """Execute the commanded mode. Only a stop command ends the modes fault and timeout."""
         if mode == STOPPED:
             self._stop()
             return
@@ -374,7 +369,7 @@ class MoteusNode:
         self._schedule()
 
     def _stop(self) -> None:
-        """Switch the power stage off. If there is a fault, clear it."""
+        """Switch the power stage off, and clear the fault if one exists."""
         self.motor.servo.release()
         self._has_target = False
         self.mode = STOPPED
@@ -386,7 +381,7 @@ class MoteusNode:
         return self.channel.items[name]
 
     def _follow_mode(self) -> None:
-        """Set the servo according to the present mode and the command registers."""
+        """Set the servo as the present mode and command registers demand."""
         command = self.command
         kp = self._configuration_item("servo.pid_position.kp") / TURN_RAD
         kd = self._configuration_item("servo.pid_position.kd") / TURN_RAD
@@ -414,9 +409,9 @@ class MoteusNode:
         self._has_target = self.mode == POSITION
 
     def _violated_bound(self) -> float | None:
-        """In the mode *stay within*, return the bound that the position violates [turn].
+        """Return the bound of the mode *stay within* that the position violates [turn].
 
-        If the position violates no bound, return None.
+        Return None if it violates none.
         """
         lower = self.command[reg.LOWER_BOUND]
         upper = self.command[reg.UPPER_BOUND]
@@ -429,7 +424,7 @@ class MoteusNode:
     ) -> None:
         """Set gains and setpoints of the servo from values in turn, turn/s and N m.
 
-        A limit of NaN stands for the peak torque.
+        A limit of NaN is the peak torque.
         """
         servo = self.motor.servo
         sign = self._direction
@@ -452,9 +447,9 @@ class MoteusNode:
         servo.limit = largest
 
     def trip(self, fault: int) -> None:
-        """Enter the mode *fault* with a given code.
+        """Enter the mode fault with a code.
 
-        With the code TIMEOUT, enter the mode *timeout* without a fault code.
+        The code TIMEOUT enters the mode timeout, without a fault code.
         """
         self.motor.servo.release()
         self._has_target = False
@@ -463,18 +458,18 @@ class MoteusNode:
         self._schedule()
 
     def power_cycle(self) -> None:
-        """Restart in the mode *stopped*, with the stored configuration."""
+        """Restart in the mode stopped, with the stored configuration."""
         self._stop()
         self.command = dict(reg.REGISTER_DEFAULTS)
         self.channel.forget()
 
     def lose_settings(self) -> None:
-        """Restore the stored configuration, but keep the present mode."""
+        """Restore the stored configuration, but keep the mode."""
         self.channel.forget()
 
     @property
     def _timeout_ns(self) -> int:
-        """Return the time without a command after which the watchdog fires [ns], or 0 if the watchdog is off."""
+        """Return the time without a command after which the watchdog fires [ns], 0 if the watchdog is off."""
         seconds = self.command[reg.TIMEOUT]
         if seconds == 0.0:
             seconds = self._configuration_item("servo.default_timeout_s")
@@ -506,9 +501,9 @@ class MoteusNode:
         self._schedule()
 
     def _start_mode(self) -> None:
-        """After the preparation of the power stage, enter the commanded mode.
+        """Enter the commanded mode after the preparation.
 
-        In position mode, a position outside of the limits is a fault.
+        In position mode, a position outside of its limits is a fault.
         """
         position = self._position
         outside = position < self._configuration_item(
@@ -521,10 +516,7 @@ class MoteusNode:
         self._follow_mode()
 
     def _time_out(self) -> None:
-        """Enter the mode *timeout*.
-
-        An item of the configuration selects the effect of this mode.
-        """
+        """Enter the mode timeout. An item of the configuration selects the effect of this mode."""
         effect = int(self._configuration_item("servo.timeout_mode"))
         self.mode = effect if effect in (POSITION, ZERO_VELOCITY, BRAKE) else STOPPED
         if self.mode == STOPPED:
@@ -536,10 +528,7 @@ class MoteusNode:
         self.fault = 0
 
     def _update_thermal(self, t_ns: int) -> None:
-        """Advance the temperatures.
-
-        If the winding or the MOSFETs are too hot, enter the mode *fault*.
-        """
+        """Advance the temperatures, and trip on over-temperature of winding or MOSFETs."""
         if self._thermal_ns >= 0:
             self.thermal.advance((t_ns - self._thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0

@@ -2,8 +2,7 @@
 
 Commands and answers are lines of text. Source: docs/facts/moteus.md.
 
-If a configuration item is changed, the change is in the working memory until ``conf write`` stores
-it.
+A changed configuration item is only in the working memory until ``conf write`` stores it.
 """
 
 import math
@@ -39,8 +38,8 @@ class TextChannel:
 
     Attributes:
         items: configuration items in the working memory.
-        saved: configuration items that are stored permanently.
-        out: answers that the host has not read yet, as one text.
+        saved: configuration items in the permanent memory.
+        out: text of those answers that the host has not read yet.
     """
 
     def __init__(self, stop_drive: Callable[[], None]) -> None:
@@ -56,10 +55,7 @@ class TextChannel:
         self._line = b""
 
     def write(self, data: bytes) -> None:
-        """Execute the complete lines of a text.
-
-        If the last line is incomplete, keep it for the next call.
-        """
+        """Execute the complete lines of a text, and keep an incomplete last line."""
         *lines, self._line = (self._line + data).replace(b"\r", b"\n").split(b"\n")
         for line in lines:
             if line:
@@ -77,12 +73,12 @@ class TextChannel:
         return part
 
     def forget(self) -> None:
-        """Load the stored configuration, and empty the channel, as a restart does."""
+        """Load the stored configuration and empty the channel, as after a restart."""
         self.items = dict(self.saved)
         self.out = self._line = b""
 
     def _execute_command_line(self, words: list[str]) -> str:
-        """Execute a command line, and return the answer without its line end."""
+        """Execute a command line and return the answer without its line end."""
         match words:
             case ["conf", "get", name]:
                 return self._item_text(name) if name in self.items else "ERR error reading"

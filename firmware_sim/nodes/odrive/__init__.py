@@ -1,1 +1,1 @@
-"""Simulated drives that use ODrive's protocol CANSimple."""
+"""Simulated drives that speak ODrive's CANSimple protocol."""

@@ -1,7 +1,4 @@
-"""ODrives with the settings that the maker has delivered.
-
-The data of the free shaft and the endpoint numbers are assumed.
-"""
+"""ODrives as delivered. The data of the free shaft and the endpoint numbers are assumptions."""
 
 import struct
 from typing import Any
@@ -42,20 +39,20 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace the commands Estop and Set_Axis_State(IDLE) by a frame that no node receives."""
+    """Replace the commands Estop and Set_Axis_State(IDLE) by a frame for no node."""
     command = frame.can_id & 0x1F
     releases = command == 0x02 or (command == 0x07 and frame.data[:1] == b"\1")
     return UNADDRESSED_FRAME if releases else frame
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
-    """In the reply to a read request, replace the value of an endpoint by 1."""
+    """Replace the value of an endpoint by 1 in the reply to a read request."""
     matches = frame.can_id & 0x1F == 0x05 and len(frame.data) == 8
     return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame
 
 
 def _force_command(node: OdriveNode, frame: Frame) -> None:
-    """Follow the command Set_Input_Torque, whatever the state of the drive is."""
+    """Follow the command Set_Input_Torque in any state of the drive."""
     if frame.can_id == node.node_id << 5 | 0x0E and len(frame.data) >= 4:
         servo = node.motor.servo
         servo.limit = node.peak

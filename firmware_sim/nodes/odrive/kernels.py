@@ -1,4 +1,4 @@
-"""Kernels for the cyclic messages of an ODrive. The drive is an array row or a Python object.
+"""Kernels for the cyclic messages of an ODrive, which may be an array row or a Python object.
 
 Source: fact sheet odrive_cansimple.
 """
@@ -26,12 +26,10 @@ TURN_RAD = 2.0 * math.pi
 
 
 class OdriveStruct(ctypes.Structure):
-    """Memory of a simulated axis, for compiled kernels.
-
-    The class ``node.OdriveNode`` explains the fields.
+    """Memory of an axis for compiled kernels. See ``node.OdriveNode`` for the fields.
 
     ``motor_number`` is the row of the drive's rotor. ``bus`` is the index of the drive's bus in the
-    list of the hand's buses.
+    hand.
     """
 
     _fields_ = [
@@ -75,15 +73,13 @@ class OdriveStruct(ctypes.Structure):
 
 @kernel_helper
 def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
-    """Set a torque setpoint [N m at the shaft].
+    """Set a torque setpoint [N m at the shaft], and follow it at once in torque control without a ramp.
 
-    In torque control without a ramp, follow it at once.
-
-    The setpoint restarts the watchdog in every control mode.
+    The setpoint feeds the watchdog in every control mode.
     """
     node.watchdog_fed_ns = t_ns
     node.setpoint = torque
-    # In every other mode, the drive follows the setpoint when the mode is updated next, see
+    # In every other mode, the drive follows the setpoint at the next update of the mode, see
     # ``motion_modes``.
     if (
         node.state != CLOSED_LOOP
@@ -99,7 +95,7 @@ def follow_torque(node: Any, servo: Any, torque: float) -> None:
     """Follow a torque setpoint [N m at the shaft] within the limits of the drive."""
     limit = node.current_limit * node.torque_constant
     servo.limit = limit if limit < node.peak else node.peak
-    # The limits may be NaN. So the comparisons must be exactly those of Python's min(high, max(low,
+    # Limits may be NaN, so the comparisons are exactly those of Python's min(high, max(low,
     # torque)).
     torque = torque if torque > node.torque_min else node.torque_min
     torque = torque if torque < node.torque_max else node.torque_max
@@ -109,14 +105,14 @@ def follow_torque(node: Any, servo: Any, torque: float) -> None:
 
 @kernel_helper
 def limit_speed(node: Any, servo: Any) -> None:
-    """Set the speed limit of the servo, and the gain by which this limit becomes a torque.
+    """Set the speed limit of the servo, and the gain with which the limit acts.
 
-    The speed limit and this gain apply in every control mode of an ODrive.
+    Speed limit and gain act in every control mode of an ODrive.
 
     In torque control, the drive brakes if the speed is above the limit
     (``enable_torque_mode_vel_limit``, on by default). In velocity control, the drive limits the
-    setpoint of the velocity. In both cases, the torque is gain (limit - velocity). Source: ODrive
-    firmware 0.5.6, ``controller.cpp``, limitVel.
+    setpoint. In both cases, the torque is gain (limit - velocity). Source: ODrive firmware 0.5.6,
+    ``controller.cpp``, limitVel.
     """
     servo.speed_limit = node.velocity_limit * TURN_RAD / node.gear
     servo.speed_gain = node.velocity_gain / TURN_RAD * node.gear * node.gear
@@ -124,7 +120,7 @@ def limit_speed(node: Any, servo: Any) -> None:
 
 @kernel_helper
 def position_in_turns(node: Any, angle: float) -> float:
-    """Convert the measured spool angle [rad] to the position that the drive reports [turn]."""
+    """Convert the spool angle of the encoder [rad] to the position that the drive reports [turn]."""
     return float((node.direction * node.gear * angle + node.offset) / TURN_RAD)
 
 
@@ -146,7 +142,7 @@ def watchdog_expired(node: Any, t_ns: int) -> bool:
 
 @kernel_helper
 def schedule_wake(node: Any) -> None:
-    """Set the time at which the drive must work next, e.g. for temperatures, cyclic messages or the watchdog."""
+    """Schedule the next wake of a drive, for temperatures, cyclic messages, watchdog, calibration or motion."""
     wake_ns = min(node.thermal_ns + THERMAL_PERIOD_NS, node.heartbeat_due_ns, node.encoder_due_ns)
     if node.state == CLOSED_LOOP and node.timeout_ns > 0:
         wake_ns = min(wake_ns, node.watchdog_fed_ns + node.timeout_ns)
@@ -159,10 +155,10 @@ def schedule_wake(node: Any) -> None:
 
 @kernel_helper
 def next_due(due_ns: int, t_ns: int, period_ns: int) -> int:
-    """Return the time at which a cyclic message is due again after it has been sent [ns].
+    """Return the next due time of a cyclic message after it was sent [ns].
 
     Args:
-        due_ns: time at which the message that was sent was due [ns].
+        due_ns: time when the sent message was due [ns].
         t_ns: present time [ns].
         period_ns: period of the message [ns].
     """

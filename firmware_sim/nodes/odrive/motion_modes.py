@@ -3,16 +3,15 @@
     control mode 1 torque, 2 velocity, 3 position
     input mode   1 setpoint as received, 2 velocity ramp, 3 position filter, 5 trapezoid, 6 torque ramp
 
-The inputs are the values of the messages Set_Input_Pos, Set_Input_Vel and Set_Input_Torque. Each of
-these messages sets the inputs that it contains, in every mode. A mode uses only the inputs that it
-needs. Gains, filter, ramps and integrator are as in the ODrive firmware (MIT licence),
-controller.cpp. While the torque is limited, the integrator decays. In each step, the rest of the
-trapezoid is planned again. The result differs from trapTraj.cpp only if the target changes during
-the motion.
+The inputs are the values of Set_Input_Pos, Set_Input_Vel and Set_Input_Torque. Each of these
+messages sets its inputs in every mode. A mode uses only the inputs that it needs. Gains, filter,
+ramps and integrator are as in the ODrive firmware (MIT licence), controller.cpp. The integrator
+decays while the torque is limited. Each step plans the rest of the trapezoid again. The result
+differs from trapTraj.cpp only if the target changes on the way.
 
 Differences from the firmware: a speed above the limit is not an error, because the position
-controller limits the velocity demand. In input mode 0 (inactive), the axis keeps the last setpoint.
-The firmware refuses modes that are not listed above, and the simulation ignores them.
+controller limits the velocity demand. Input mode 0 (inactive) keeps the last setpoint. The firmware
+refuses modes without an entry above, and the simulation ignores them.
 """
 
 import math
@@ -58,7 +57,7 @@ VELOCITY_RAMP_RATE, TORQUE_RAMP_RATE, FILTER_BANDWIDTH = MOTION_ENDPOINTS
 
 
 class MotionSettings(NamedTuple):
-    """Settings that the messages 0x11 to 0x1B change. The defaults are those of the maker.
+    """Settings that the messages 0x11 to 0x1B change, with the vendor's defaults.
 
     Attributes:
         velocity_limit: velocity limit of trajectories [turn/s].
@@ -92,9 +91,9 @@ _MESSAGES_THAT_ALLOW_ZERO = {0x13, 0x1A, 0x1B}
 
 
 class MotionModes:
-    """The motion modes of one axis, with inputs, setpoints and controllers.
+    """The motion modes of one axis: inputs, setpoints and controllers.
 
-    Setpoints are given in turns of the shaft.
+    Setpoints are in turns of the shaft.
 
     Attributes:
         input_position: position of the last Set_Input_Pos [turn].
@@ -104,7 +103,7 @@ class MotionModes:
     """
 
     def __init__(self, node: Any) -> None:
-        """Use the settings and the rotor of an axis, see ``node.OdriveNode``."""
+        """Use the settings and the rotor of an axis (``node.OdriveNode``)."""
         self._node = node
         self.settings = MotionSettings()
         self.input_position = self.input_velocity = 0.0
@@ -116,7 +115,7 @@ class MotionModes:
         self._updated_ns = 0
 
     def set(self, command: int, values: tuple[float, ...]) -> None:
-        """Apply the settings that a message contains, if all its values are possible."""
+        """Apply the settings of a message, if all its values are possible."""
         lowest = 0.0 if command in _MESSAGES_THAT_ALLOW_ZERO else math.ulp(0.0)
         if all(lowest <= value < math.inf for value in values):
             self.settings = self.settings._replace(
@@ -124,10 +123,10 @@ class MotionModes:
             )
 
     def take(self, with_position: bool, position: float, velocity: float) -> None:
-        """Set the position input and the velocity input.
+        """Set position and velocity input.
 
         Args:
-            with_position: True if the message contains a position, which begins a new trajectory.
+            with_position: True if the message has a position, which begins a new trajectory.
             position: position input [turn].
             velocity: velocity input [turn/s].
         """
@@ -136,7 +135,7 @@ class MotionModes:
         self.done = self.done and not with_position
 
     def start(self, t_ns: int) -> None:
-        """Enter the axis state closed loop.
+        """Enter closed loop.
 
         All inputs start from the present position, zero velocity and zero torque.
         """
@@ -153,7 +152,7 @@ class MotionModes:
         self.advance(t_ns)
 
     def advance(self, t_ns: int, update_now: bool = False) -> None:
-        """If an update is due, update the setpoint and the servo.
+        """Update the setpoint and the servo if the update is due.
 
         Args:
             t_ns: present time [ns].
@@ -178,7 +177,7 @@ class MotionModes:
         self._regulate_servo(step_s)
 
     def _ramp_torque(self, step_s: float) -> None:
-        """If the input mode is the torque ramp, move the torque towards the torque input."""
+        """Move the torque towards the torque input, if the input mode is the torque ramp."""
         node = self._node
         if node.input_mode == TORQUE_RAMP:
             largest = node.endpoint_float(TORQUE_RAMP_RATE) * step_s
@@ -208,7 +207,7 @@ class MotionModes:
             self._torque = setpoint.acceleration * settings.inertia
 
     def _regulate_servo(self, step_s: float) -> None:
-        """Set the servo to the setpoint, after conversion from turns at the shaft to radians at the spool."""
+        """Set the servo to the setpoint, converted from turns at the shaft to radians at the spool."""
         node = self._node
         settings = self.settings
         scale = node.direction * TURN_RAD / node.gear
@@ -222,7 +221,7 @@ class MotionModes:
             position_gain, settings.velocity_gain * to_spool, settings.integral_gain * to_spool
         )
         # The drive has a torque limit for each direction. The servo has one limit for both
-        # directions. So the smaller of both limits is used.
+        # directions, so the smaller limit is used.
         torque_limit = max(0.0, min(node.torque_max, -node.torque_min)) * node.gear
         limit = min(node.peak, node.current_limit * node.torque_constant, torque_limit)
         speed = node.velocity_limit * TURN_RAD / node.gear

@@ -1,6 +1,6 @@
-"""RobStride motors with the settings that the maker has delivered.
+"""RobStride motors as delivered.
 
-The data of the free shaft are assumed. Source of the ranges: docs/facts/robstride.md.
+The data of the free shaft are assumptions. Source of the ranges: docs/facts/robstride.md.
 """
 
 from firmware_sim.bus.frame import EXTENDED_FLAG, Frame
@@ -30,7 +30,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace a stop command by a control command with zero torque, which leaves the motor enabled."""
+    """Replace a stop command by a control command without torque, which keeps the motor enabled."""
     number = frame.can_id & ~EXTENDED_FLAG
     if number >> 24 != 4 or frame.data[:1] != b"\0":
         return frame
@@ -39,13 +39,13 @@ def _corrupt_command(frame: Frame) -> Frame:
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
-    """In the reply to a read request, replace the torque limit by 1 N m."""
+    """Replace the torque limit by 1 N m in the reply to a read request."""
     matches = (frame.can_id & ~EXTENDED_FLAG) >> 24 == 0x11 and frame.data[:2] == b"\x0b\x70"
     return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame
 
 
 def _force_command(node: RobstrideNode, frame: Frame) -> None:
-    """Follow a control command, whatever the mode of the motor is."""
+    """Follow a control command in any mode of the motor."""
     number = frame.can_id & ~EXTENDED_FLAG
     if number >> 24 == 1 and number & 0xFF == node.node_id and len(frame.data) == 8:
         node.follow(number >> 8 & 0xFFFF, frame.data)

@@ -1,6 +1,6 @@
 """Simulated hands with each drive protocol, and runs that have reached each stage.
 
-Each scenario runs in a child process that starts as a copy of such a run.
+Each scenario runs in a process that branches off from such a run.
 """
 
 import json
@@ -63,7 +63,7 @@ def hand_with_protocol(name: str, protocol: str, motor_type: str | None = None) 
         motor_type: motor type of all drives, None for the default of the protocol.
 
     Raises:
-        ConfigError: the protocol has no motor type with this name.
+        ConfigError: the protocol has no such motor type.
     """
     hand = load_hand(name)
     options = options_with_motor_type(protocol, motor_type)
@@ -77,13 +77,13 @@ def with_drives(hand: Hand, protocol: str, options: Mapping[str, Any] | None = N
 
     The buses use CAN FD if the protocol needs CAN FD.
 
-    One bus may be too slow for the frames of the new drives, so that the control rate would be less
-    than ``MIN_CONTROL_RATE_HZ``. The motors of the hand are then distributed over more buses.
+    If the frames of the new drives would allow less than ``MIN_CONTROL_RATE_HZ`` on the only bus of
+    a hand, the motors of the hand are distributed over more buses.
 
     Args:
         hand: description of the hand.
         protocol: name of the protocol.
-        options: options of every drive, or None for the default options of the protocol.
+        options: options of every drive, None for those of the protocol.
     """
     traits = PROTOCOL_TRAITS[protocol]
     motors = tuple(
@@ -151,8 +151,8 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
         nonlocal free_ticks
         if stage == ARMING_STAGE:
             return bool(out.mode == HandMode.ARMING)
-        # A run has reached the grasp stage if at least one digit touches an object and a tendon has
-        # at least 16 N.
+        # A run has reached the grasp if at least one digit is in contact and a tendon has at least
+        # 16 N.
         free_ticks += out.phase == "free"
         free = free_ticks * simulation.period_ns > FREE_STAGE_DELAY_S * 1e9
         holds = (
@@ -171,7 +171,7 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
 
 
 class StagedRun(Protocol):
-    """Experiment that starts from a given stage of a run: a scenario of the fault matrix, or random faults."""
+    """Experiment that branches off from a run at a stage: a scenario of the fault matrix, or a random sequence."""
 
     @property
     def name(self) -> str:
@@ -182,7 +182,7 @@ class StagedRun(Protocol):
     def id(self) -> str:
         """Return the id of the experiment for reports.
 
-        The id of a scenario is the id of a row of the fault matrix.
+        A scenario has the id of a row of the fault matrix.
         """
         ...
 
@@ -205,7 +205,7 @@ def run_experiments(
     on_failure: Callable[[SimulatedRun, ScenarioResult], None],
     seed: int = 0,
 ) -> None:
-    """Simulate a run up to each stage, and run the experiments of this stage in copies of the simulation.
+    """Simulate a run up to each stage, and run the experiments that begin at this stage as branches of the run.
 
     See `run_in_branches` for the arguments.
     """
@@ -229,19 +229,18 @@ def run_in_branches(
     on_result: Callable[[ScenarioResult], None],
     on_failure: Callable[[SimulatedRun, ScenarioResult], None],
 ) -> None:
-    """Run experiments, each of them in a forked copy of this process.
+    """Run experiments, each in a forked copy of this process.
 
-    Each copy begins with the simulation in its present state. So this process simulates the run up
-    to the stage only once for all experiments.
+    Each copy begins with the present state of the simulation. So the run up to the stage is
+    simulated only once for all experiments.
 
     Args:
-        simulation: simulation at the stage of the experiments, which this function does not change.
+        simulation: simulation at the stage of the experiments. The simulation stays unchanged.
         experiments: experiments to run.
-        jobs: number of forked copies that run at the same time.
+        jobs: number of copies that run at the same time.
         run_experiment: function that runs an experiment in a copy and returns the result.
         on_result: function called in this process with each result.
-        on_failure: function called in the copy of a failed experiment, with the simulation and the
-            result.
+        on_failure: function called in the copy of a failed experiment, with simulation and result.
     """
     running: dict[int, tuple[int, T]] = {}
     waiting = list(experiments)
@@ -265,7 +264,7 @@ def run_in_branches(
 def _run_to_json(
     run_experiment: Callable[[], ScenarioResult], on_failure: Callable[[ScenarioResult], None]
 ) -> str:
-    """Run an experiment, call `on_failure` if the experiment has failed, and return the result as JSON."""
+    """Run an experiment, call `on_failure` if the result is not ok, and return the result as JSON."""
     result = run_experiment()
     if not result.ok:
         on_failure(result)
@@ -273,7 +272,7 @@ def _run_to_json(
 
 
 def _read_result(reading: int, experiment: StagedRun, status: int) -> ScenarioResult:
-    """Read the result of an experiment from the pipe of a forked copy that has ended with `status`."""
+    """Read the result of an experiment from the pipe of the copy that has ended with `status`."""
     with os.fdopen(reading) as pipe:
         text = pipe.read()
     if status or not text:

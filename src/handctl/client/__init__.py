@@ -1,7 +1,4 @@
-"""Python client that moves and observes a running hand.
-
-The guide ``docs/how-to/python.md`` explains it.
-"""
+"""Python client that moves and observes a running hand, explained in ``docs/how-to/python.md``."""
 
 from handctl.client.async_hand import AsyncHandClient, AsyncTargetStream, connect_async
 from handctl.client.fingertips import Fingertips, FingertipStream

@@ -1,6 +1,6 @@
-"""Conversion of goal positions of the fingertips, in the palm frame, to goal angles of the joints.
+"""Conversion of goals for the fingertips, in the palm frame, to goals for the joints.
 
-The inverse kinematics finds joint angles within the joint limits.
+Inverse kinematics finds joint angles within the joint limits.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,18 +24,17 @@ TipPositions = Mapping[str, Sequence[float] | NDArray[np.floating[Any]]] | NDArr
 class Fingertips:
     """Inverse kinematics of digits.
 
-    A search varies the joint angles until the fingertips are as close as possible to the given
-    positions.
+    To reach given positions of the fingertips, a search varies the joint angles.
 
-    Some digits cannot reach every position, for example a digit with one tendon for three joints.
-    The tip of such a digit comes as close to its goal as possible. Each search starts from the
-    joint angles of the previous result, so that a continuous motion has no jumps.
+    For example, a digit with one tendon for three joints cannot bring its tip to every position.
+    The tip of such a digit comes as close to the target as the joint limits allow. Each search for
+    joint angles starts from the previous result, so that a continuous motion has no jumps.
 
     Attributes:
         digits: names of the digits.
         joints: names of the joints of these digits, in order.
-        distances_m: (D,) distance between each fingertip and its goal that remained after the
-            latest search. Before the first search, the distance is NaN.
+        distances_m: (D,) distance between each fingertip and its target that remains after the
+            latest search. Before the first search, it is NaN.
     """
 
     def __init__(self, hand: Hand, digits: Sequence[str] | None = None) -> None:
@@ -43,13 +42,13 @@ class Fingertips:
 
         Args:
             hand: description of the hand.
-            digits: names of the digits. If this argument is None, all digits that are attached to
+            digits: names of the digits. If this argument is None, all digits that are mounted on
                 the palm are used.
 
         Raises:
-            ConfigError: the hand has no digit of this name, a name is given twice, or a digit is
-                attached to another digit. The tip of a digit that is attached to another digit
-                would move with that digit.
+            ConfigError: the hand has no such digit, a name is given twice, or a digit is mounted on
+                another digit. The tip of a digit that is mounted on another digit would move with
+                the other digit.
         """
         on_palm = [digit.name for digit in hand.digit if digit.mount_on is None]
         self.digits = tuple(on_palm if digits is None else digits)
@@ -80,8 +79,8 @@ class Fingertips:
         """Return the joint angles [deg] for positions of fingertips, by name of the joint, e.g. for ``hand.move``.
 
         Args:
-            positions: goal positions of the fingertips. If a mapping does not contain a digit, the
-                result has no angles for the joints of this digit.
+            positions: positions of the tips. If a mapping leaves out a digit, the result has no
+                angles for the joints of this digit.
 
         Raises:
             ConfigError: the positions have a wrong shape, a digit is unknown, or a position is not
@@ -98,7 +97,7 @@ class Fingertips:
         return angles
 
     def _positions_by_digit(self, positions: TipPositions) -> dict[int, NDArray[np.float64]]:
-        """Check goal positions of fingertips, and return the positions by the index of the digit."""
+        """Check positions of fingertips, and return them by index of the digit."""
         if isinstance(positions, Mapping):
             if unknown := [str(name) for name in positions if name not in self.digits]:
                 raise ConfigError(
@@ -124,10 +123,10 @@ class Fingertips:
 
 
 class FingertipStream(TargetStream):
-    """Open stream of fingertip positions. The method ``HandClient.stream`` returns it.
+    """Open stream of fingertip positions, as ``HandClient.stream`` returns it.
 
     The client computes joint angles from the positions. The controller receives joint angles, and
-    limits them as it does in every stream.
+    limits them in the same way as in every stream.
 
     Attributes:
         fingertips: inverse kinematics of the digits. The stream has an attribute ``distances_m``,
@@ -138,7 +137,7 @@ class FingertipStream(TargetStream):
         self, hand: StreamOwner, sender: TargetSender, goal: Mapping[str, Any], fingertips: Fingertips,
         horizon_s: float, time_scale: float,
     ) -> None:  # fmt: skip
-        """Create the client's end of the stream.
+        """Create the sending end of the stream.
 
         Args:
             hand: client of the hand.
@@ -146,9 +145,8 @@ class FingertipStream(TargetStream):
             goal: request with which the stream was opened. The stream moves the joints of
                 ``fingertips``.
             fingertips: inverse kinematics of the digits.
-            horizon_s: time from the sending of a target until the hand should reach this target
-                [s].
-            time_scale: time of the hand that passes during one second of real time [s].
+            horizon_s: time from the sending of a target until the hand should reach it [s].
+            time_scale: time of the hand that passes in a second of real time [s].
         """
         super().__init__(hand, sender, goal, "deg", horizon_s, time_scale)
         self.fingertips = fingertips
@@ -157,9 +155,9 @@ class FingertipStream(TargetStream):
         self.names = fingertips.digits
 
     def _ordered_values(self, values: Any) -> NDArray[np.float64]:
-        """Return the joint angles that belong to the given positions of fingertips [deg].
+        """Return the joint angles for positions of fingertips [deg].
 
-        If a mapping does not contain a digit, the angles of this digit stay as they are.
+        If a mapping leaves out digits, the angles of these digits stay as they are.
         """
         angles = self.fingertips.angles_deg(values)
         target = self._present_values() if self._last is None else self._last.copy()

@@ -1,8 +1,7 @@
-"""Client that moves a running hand, streams targets to the hand, and reads the hand's observations.
+"""Client that commands motions of a running hand, streams targets to it, and reads its observations.
 
 The controller of the hand is a separate process. The client sends the same requests as the commands
-of ``handctl``. The controller checks, limits and logs the requests of clients and commands in the
-same way.
+of ``handctl``. The controller checks, limits and logs the requests of both in the same way.
 """
 
 import itertools
@@ -100,27 +99,25 @@ def connect(
     crashes. Before its end, the controller relaxes and disarms the hand. If another process has
     started the controller, a lease protects the hand.
 
-    If the program that commands the hand is killed or suspended, it no longer renews the lease.
-    When the lease has expired, moving digits come to rest. After twice the time of the lease, the
-    hand relaxes.
+    When the program that commands the hand is killed or suspended, it no longer renews its lease.
+    After the time of the lease, moving digits come to rest. After twice this time, the hand
+    relaxes.
 
     Args:
-        hand: name of a packaged hand, or path of a hand file, for a new controller. On a real bus,
-            this argument is required. On other buses, the default is the packaged hand ``"jamia"``.
-            If a controller is already running, it must control a hand of this name.
-        bus: specification of the bus, as for the option ``--bus``. For a hand with several buses,
-            give the specifications of all buses. The first specification is that of the hand's
-            first bus.
+        hand: packaged hand or hand file for a new controller. On a real bus, this argument is
+            required. On other buses the default is ``"jamia"``. A controller that already runs must control a
+            hand of this name.
+        bus: bus as for the option ``--bus``. For a hand with several buses, give all buses. The
+            first bus of the hand comes first.
         arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real
             bus, ``"--yes"`` confirms that the hand may move. A controller that already runs has its
             own arguments, so only ``"--yes"`` is accepted then.
         lease_s: longest time without a renewal of the lease, in the time of the hand [s], from 0.2
-            to 3600. A thread of the client renews the lease. If it is None, there is no lease, and
-            the hand keeps its last goal without a time limit.
-        watchdog_s: longest time during which the program may neither call the client nor send a
-            target [s]. After this time, the client's thread no longer renews the lease. So a
-            program that hangs also loses its lease. If it is None, the program may be idle for any
-            time.
+            to 3600. A thread of the client renews the lease. If it is None, the hand keeps its last
+            goal without a time limit.
+        watchdog_s: longest time in which the program may neither call the client nor send a target
+            [s]. After this time, the thread no longer renews the lease. So a program that hangs
+            also loses its lease. If it is None, any time is allowed.
 
     Raises:
         ConfigError: the bus, the lease or the watchdog is invalid, or the bus is real and no hand
@@ -172,11 +169,11 @@ def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
 class HandClient:
     """Client of one hand.
 
-    Use the client as a context manager. Several threads of a program may share a client.
+    Use it as a context manager. Several threads of a program may share a client.
 
     At any time, only one client may move the hand. Any number of clients may observe the hand. The
-    first client that moves the hand keeps this right until this client closes, or until another
-    client calls ``take_over``.
+    first client that moves the hand keeps this right until it closes, or until another client calls
+    ``take_over``.
 
     If the client has started the controller, the hand is relaxed and disarmed when the client
     closes. If another process has started the controller, the hand stays armed. In this case, the
@@ -184,11 +181,11 @@ class HandClient:
 
     Attributes:
         bus: bus of the controller.
-        name: name of this client, which the controller knows. Other clients see this name in error
-            messages when the controller refuses their commands.
+        name: name of this client. Other clients see this name when the controller refuses their
+            commands.
         child: controller process, or None if another process has started the controller.
-        result: output of ``handctl run --json`` with entries such as ``log`` and ``failure``. The
-            output is available after the end of a run that this client has started.
+        result: output of ``handctl run --json``, e.g. ``log`` and ``failure``. The output is
+            available after the end of a run that this client has started.
     """
 
     def __init__(
@@ -201,9 +198,9 @@ class HandClient:
     ) -> None:
         """Create the client.
 
-        If ``command`` is given, the client starts a controller by executing this command. If
-        ``hand`` is given, the controller must control a hand of this name. Programs call
-        ``connect`` instead of this constructor.
+        If ``command`` is given, the client starts a controller with this command. If ``hand`` is given, the
+        controller must control a hand of this name. Programs call ``connect`` instead of this
+        constructor.
         """
         self.bus = bus
         self._expected_hand = hand
@@ -217,8 +214,7 @@ class HandClient:
             self._is_hand_off
         ) = False
         self._lock = threading.RLock()  # at any time, only one call may wait for a status line
-        # Only one call at a time may read the output of the controller.
-        self._output_lock = threading.RLock()
+        self._output_lock = threading.RLock()  # one call may read the output of the controller
         self._observations: ObservationReader | None = None
         self._description: Hand | None = None
         self._watcher = StatusWatcher(bus)
@@ -229,7 +225,7 @@ class HandClient:
             pipe = subprocess.PIPE
             self.child = subprocess.Popen(
                 command, stdin=pipe, stdout=pipe, stderr=self._stderr, start_new_session=True
-            )  # Ctrl-C reaches only this program, and this program then ends the controller
+            )  # Ctrl-C reaches only this program, which then ends the controller
 
     def __enter__(self) -> Self:
         """Wait until the hand accepts goals, and return the client.
@@ -237,17 +233,17 @@ class HandClient:
         A hand without a calibration is commissioned first.
 
         Raises:
-            ConfigError: the running controller controls another hand than the expected one.
-            DriveError: the controller does not start or accepts no goals. The error message comes
-                from the controller.
+            ConfigError: the running controller controls another hand than the program expects.
+            DriveError: the controller does not start or accepts no goals. The message comes from
+                the controller.
         """
         return self.open()
 
     def open(self) -> Self:
-        """Wait until the hand accepts goals, as the start of a ``with`` block does.
+        """Wait until the hand accepts goals, as the ``with`` statement does.
 
-        Notebooks, which cannot use a `with` block over several cells, need this method. This method
-        raises the same errors as the ``with`` statement. Call ``close`` at the end.
+        Notebooks need this method. This method raises the same errors as the ``with`` statement.
+        Call ``close`` at the end.
         """
         with ExitStack() as undo:
             undo.callback(self._end_command, False)
@@ -276,19 +272,19 @@ class HandClient:
         A digit that is already moving continues smoothly from its present speed.
 
         Args:
-            goals: goals as a mapping, e.g. ``hand.move({"index": 30})``. Goals in keyword arguments
-                are added to this mapping.
+            goals: goals as a mapping, e.g. ``hand.move({"index": 30})``. Keyword arguments add more
+                goals.
             duration_s: duration of the motion in the time of the hand [s].
             wait: True to return at the end of the motion, and False to return when the motion
                 begins.
-            angle_deg: target angle [deg] of a joint, or of all joints of a digit, by the name of
-                the joint or digit.
+            angle_deg: angle of a joint, or one angle for all joints of a digit, by name of the
+                joint or digit [deg].
 
         Raises:
             ConfigError: the controller has refused the goal, e.g. because of an unknown digit. The
                 previous goal stays valid.
             DriveError: the run has ended, or it ends during the motion, e.g. because of a fault, or
-                another client takes over during the motion. The error message contains the reason.
+                another client takes over during the motion. The message has the reason.
             BusError: the controller does not answer.
         """
         angles = _values_by_digit("move", goals, angle_deg)
@@ -311,14 +307,14 @@ class HandClient:
     ) -> None:
         """Hold a tension [N] in every tendon of a digit, as in ``hand.hold(index=12)``.
 
-        The method returns immediately, and does not wait until the tensions are reached. If no
-        goals are given, all moving digits stop where they are.
+        The method returns immediately. If no goals are given, all moving digits stop at their
+        present positions.
 
         Args:
-            goals: goals as a mapping, e.g. ``hand.hold({"index": 12})``. Goals in keyword arguments
-                are added to this mapping.
+            goals: goals as a mapping, e.g. ``hand.hold({"index": 12})``. Keyword arguments add
+                further goals.
             rate_N_per_s: rate at which each tension approaches its goal [N/s].
-            tension_N: tension of each digit [N], by the name of the digit.
+            tension_N: tension of each digit, by name of the digit [N].
 
         Raises:
             ConfigError, DriveError, BusError: see ``move``.
@@ -345,29 +341,27 @@ class HandClient:
         stiffness_N_m_per_rad: float | None = None,
         damping_ratio: float = 1.0,
     ) -> TargetStream:
-        """Open a stream of targets.
-
-        Use the returned stream as a context manager, see ``TargetStream``.
+        """Open a stream of targets. Use the result as a context manager, see ``TargetStream``.
 
         Args:
             rate_Hz: rate of the targets in the time of the hand [Hz], from 20 to the control rate.
-            space: kind of values in a target. In the space ``"joint"``, a target has one angle for
-                each joint. In the space ``"digit"``, a target has one angle for each digit, and all
-                joints of the digit get this angle. In the space ``"tension"``, a target has a
-                tension for each tendon [N]. In the space ``"tip_force"``, a target has a force for
-                each digit [N]. In the space ``"fingertip"``, a target has the position of each
-                fingertip in the palm frame, (D, 3) [m], see ``FingertipStream``.
+            space: meaning of the values of a target. In space ``"joint"``, a target has one angle
+                for each joint. In ``"digit"``, it has one angle for each digit, and all joints of
+                the digit get this angle. In ``"tension"``, a target has a tension for each tendon
+                [N], and in ``"tip_force"`` a force for each digit [N]. In ``"fingertip"``, a target
+                has the position of each fingertip in the palm frame, (D, 3) [m], see
+                ``FingertipStream``.
             names: joints, digits or tendons to which the values of a target belong, in order. If it
                 is None, a target has values for all joints, digits or tendons.
-            interpolation: motion between two successive target angles. With ``"linear"`` the speed
-                is constant, and with ``"minimum_jerk"`` the motion is smooth.
-            unit: unit of the target angles. For prismatic joints, ``"deg"`` means mm, and ``"rad"``
-                means m.
-            stiffness_N_m_per_rad: stiffness of the streamed joints when something pushes against
-                them, for impedance control. If it is None, the gains determine the stiffness. A
-                larger stiffness than that of the gains is not allowed.
-            damping_ratio: damping ratio of the streamed joints, from 0.5 to 2, where 1 stands for
-                the damping ratio of the gains.
+            interpolation: kind of motion between two successive target angles. ``"linear"`` has a
+                constant speed, and ``"minimum_jerk"`` is smooth.
+            unit: unit of the angles in a target. For prismatic joints, ``"deg"`` means mm, and
+                ``"rad"`` means m.
+            stiffness_N_m_per_rad: stiffness of the streamed joints against a push, for impedance
+                control. If it is None, the gains determine the stiffness. The stiffness that the
+                gains determine is also the largest allowed value.
+            damping_ratio: damping ratio of the streamed joints, as a multiple of the damping ratio
+                with the gains, from 0.5 to 2.
 
         Raises:
             ConfigError: the controller has refused the stream, e.g. because of a name or a rate, or
@@ -376,8 +370,7 @@ class HandClient:
         """
         if space not in get_args(StreamSpace):
             raise ConfigError(repr(space), "stream.space", " or ".join(get_args(StreamSpace)))
-        # A single text is refused, because each letter would count as a name.
-        if isinstance(names, str):
+        if isinstance(names, str):  # otherwise each letter would count as a name
             raise ConfigError(repr(names), "stream.names", f"a list, as in [{names!r}]")
         hand = self.description
         everything = {"joint": hand.joints, "tension": hand.tendon_names}.get(
@@ -419,8 +412,8 @@ class HandClient:
         Args:
             task: packaged task, e.g. ``"grasp"``, or a task file.
             wait: True to return when the hold phase begins, and False to return at once. If the
-                task has no hold phase, the method waits for the end of the task.
-            timeout_s: longest time to wait [s].
+                task has no hold phase, True waits for the end of the task.
+            timeout_s: longest wait [s].
 
         Raises:
             ConfigError: the task does not exist or does not suit the hand, or another client
@@ -450,7 +443,7 @@ class HandClient:
 
         Args:
             wait: True to return at the end of the task, and False to return at once.
-            timeout_s: longest time to wait [s].
+            timeout_s: longest wait [s].
 
         Raises:
             ConfigError: the hand is not in a hold phase, or another client commands the hand.
@@ -461,16 +454,13 @@ class HandClient:
             self.wait_for(phase="live", timeout_s=timeout_s)
 
     def end_stream(self, name: str) -> None:
-        """End the target stream that has the given name.
-
-        ``TargetStream.close`` calls this method.
-        """
+        """End the stream with a given name. ``TargetStream.close`` calls this method."""
         self._set_goal({"do": "stream_end", "stream": name})
 
     def take_over(self) -> None:
         """Take the right to move the hand from another client.
 
-        All digits come to rest. If the other client has an open stream, this stream ends.
+        All digits come to rest. A stream of the other client ends.
 
         Raises:
             DriveError, BusError: see ``move``.
@@ -495,10 +485,10 @@ class HandClient:
 
         Args:
             wait: True to wait for a tick that this client has not observed yet.
-            timeout_s: longest time to wait [s].
+            timeout_s: longest wait [s].
 
         Raises:
-            DriveError: the run has ended. The error message contains the reason.
+            DriveError: the run has ended. The message has the reason.
             BusError: no tick of the controller arrives within this time, or this client is closed.
         """
         self._note_call()
@@ -519,11 +509,10 @@ class HandClient:
     def observations(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> Iterator[Observation]:
         """Yield the observations of all ticks from now until the run ends, in order.
 
-        A program that falls more than a second behind misses ticks. If a program has missed ticks,
-        the tick number ``k`` increases by more than 1.
+        A program that is more than a second late misses ticks. If ticks were missed, ``k`` jumps.
 
         Args:
-            timeout_s: longest time to wait for the next tick [s].
+            timeout_s: longest wait for the next tick [s].
 
         Raises:
             BusError: no tick of the controller arrives in this time.
@@ -535,11 +524,11 @@ class HandClient:
                 yield seen
 
     def poll_observations(self, timeout_s: float) -> Iterator[Observation | None]:
-        """Yield the observation of each tick. If there is no new observation yet, yield None.
+        """Yield the observation of every tick, or None if there is no new observation.
 
         The iterator never waits.
 
-        The argument and the errors are those of ``observations``.
+        The argument and the errors are the same as in ``observations``.
         """
         reader = self._open_reader()
         reader.last_read_number = reader.written_count
@@ -562,15 +551,14 @@ class HandClient:
         phase: str | None = None,
         timeout_s: float = 10.0,
     ) -> Observation:
-        """Wait until digits are in contact or the hand is in a phase, and return the observation at that time.
+        """Wait until digits are in contact or the hand is in a phase, and return the observation of that tick.
 
-        If contacts and a phase are both given, the wait ends at a tick in which both conditions are
-        true.
+        If both contacts and a phase are given, the wait ends at a tick in which both are present.
 
         Args:
             contact: a digit, or several digits that must all be in contact.
             phase: name of the phase.
-            timeout_s: longest time to wait [s].
+            timeout_s: longest wait [s].
 
         Raises:
             ConfigError: the hand has no such digit, or neither contacts nor a phase are given.
@@ -597,7 +585,7 @@ class HandClient:
     def _open_reader(self) -> ObservationReader:
         """Return the reader of the observations in shared memory.
 
-        The first call opens the reader. So the first call must come before the run ends.
+        The first call opens the reader, and must come before the run ends.
         """
         if self._observations is not None:
             if not self._observations.run_ended:
@@ -609,7 +597,7 @@ class HandClient:
         return self._observations
 
     def _check_run_and_timeout(self, reader: ObservationReader, end: float) -> None:
-        """Raise an error if the run has ended, or if the end time ``end`` of a wait has passed."""
+        """Raise an error if the run has ended, or if the time ``end`` of a wait has passed."""
         if reader.run_ended:
             self._collect_result()
             self._check_not_ended()
@@ -626,7 +614,7 @@ class HandClient:
         ``observe`` is faster and returns more values.
 
         Args:
-            timeout_s: longest time to wait [s].
+            timeout_s: longest wait [s].
 
         Returns:
             Lists in the order of the hand file, with None for unknown values: ``q_rad`` by joint
@@ -638,7 +626,7 @@ class HandClient:
             client may), and ``events`` of this tick.
 
         Raises:
-            DriveError: the run has ended. The error message contains the reason.
+            DriveError: the run has ended. The message has the reason.
             BusError: the controller sends no status line in this time.
         """
         self._note_call()
@@ -659,9 +647,8 @@ class HandClient:
         """Wait until the hand is in a phase, and return the state of the hand.
 
         Args:
-            phase: name of the phase. The phase ``"live"`` is the one in which the hand accepts
-                goals.
-            timeout_s: longest time to wait [s].
+            phase: name of the phase. In the phase ``"live"``, the hand accepts goals.
+            timeout_s: longest wait [s].
 
         Raises:
             DriveError: the run has ended, or the timeout has passed.
@@ -685,8 +672,8 @@ class HandClient:
 
         Raises:
             UnconfirmedError: the controller has not confirmed the request.
-            PowerError: a drive did not confirm that it is disabled. In this case, switch off the
-                power of the drive.
+            PowerError: a drive did not confirm that it is disabled. In this case, remove the power
+                of the drive.
         """
         with self._lock:
             line, _ = send_with_confirmation(self._watcher, {"do": "stop"}, repeat=True)
@@ -696,17 +683,16 @@ class HandClient:
     def close(self) -> None:
         """Close the client, as the end of the ``with`` statement does.
 
-        The attribute ``result`` is available afterwards.
+        Afterwards ``result`` is available.
 
         Raises:
             DriveError: a fault ended the run.
-            PowerError: a drive did not confirm that it is disabled. In this case, switch off the
-                power of the drive.
+            PowerError: a drive did not confirm that it is disabled. Remove the power of the drive.
         """
         self._end_command(raise_error=True)
 
     def _set_goal(self, goal: dict[str, Any]) -> float:
-        """Send a goal, wait until the controller confirms it, and return the time of the tick that confirmed it [s]."""
+        """Send a goal, wait until the controller confirms it, and return the time of the confirming tick [s]."""
         self._wait_until_following(CONFIRMATION_TIMEOUT_S)
         if self._lease_s is not None:
             goal = {**goal, "lease_s": self._lease_s}
@@ -734,22 +720,19 @@ class HandClient:
             if self._lease_s is None or self._heartbeat is not None or self._closed:
                 return
             time_scale = 1.0
-            with suppress(BusError, DriveError):  # the run may have ended already
+            with suppress(BusError, DriveError):  # the run may have ended
                 time_scale = self._open_reader().description["time_scale"]
             self._heartbeat = Heartbeat(
                 self.bus, self.name, self._lease_s / BEATS_PER_LEASE / time_scale, self._watchdog_s
             )
 
     def _note_call(self) -> None:
-        """Store the time of this call. The watchdog uses it."""
+        """Store the time of this call for the watchdog."""
         if self._heartbeat is not None:
             self._heartbeat.note_call()
 
     def _wait_until_following(self, timeout_s: float) -> dict[str, Any]:
-        """Return the state of the hand while the hand follows goals.
-
-        If the hand no longer follows goals, raise an error.
-        """
+        """Return the state of the hand. Raise an error if the hand no longer follows goals."""
         line = self.state(timeout_s)
         if line["mode"] in SHUTDOWN_MODE_NAMES:
             self._collect_result()
@@ -758,10 +741,7 @@ class HandClient:
         return line
 
     def _wait_as_commander(self) -> float:
-        """Return the time of the next status line [s], if this client may command the hand.
-
-        If another client commands the hand, raise an error.
-        """
+        """Return the time of the next status line [s]. Raise an error if another client commands the hand."""
         line = self._wait_until_following(CONFIRMATION_TIMEOUT_S)
         if line["commander"] != self.name:
             other = line["commander"] or "another client"
@@ -790,14 +770,14 @@ class HandClient:
     def _end_command(self, raise_error: bool) -> None:
         """Stop the hand if this client has started the controller.
 
-        Otherwise give up the right to move the hand, which this client may have.
+        Otherwise give up the right of this client to move the hand.
 
-        If this method is called again, it has no effect.
+        Later calls of this method have no effect.
 
         Args:
-            raise_error: True to raise the error that ended the run. True to raise the error that
-                ended the run. While another exception is handled, it is False, and an error is
-                raised only if a drive may still make torque.
+            raise_error: True to raise the error that ended the run. The value is False while
+                another exception is handled. An error is then raised only if a drive may still make
+                torque.
         """
         if self._closed:
             return
@@ -812,7 +792,7 @@ class HandClient:
                     )
         finally:
             # Another thread may still read the shared memory or wait for a status line. The memory
-            # is unmapped after its last reader has ended.
+            # is unmapped when its last reader ends.
             self._observations = None
             with self._lock:
                 self._watcher.close()
@@ -826,14 +806,14 @@ class HandClient:
     def _collect_result(self) -> None:
         """End the controller by closing its standard input, and read the result of the run.
 
-        If another thread is already doing this, wait until that thread has read the result.
+        If another thread already does this, wait until the result is read.
         """
         with self._output_lock:
             if self.child is None or self.child.stdout is None or self.child.stdout.closed:
                 return
             out, _ = self.child.communicate()
             self._print_new_messages()
-            # if the process was killed, it leaves no output or incomplete output
+            # a process that was killed leaves no output, or incomplete output
             with suppress(ValueError):
                 self.result = json.loads(out)
 
@@ -841,8 +821,7 @@ class HandClient:
         """Return the exception for the error that ended the run."""
         code = self.child.returncode if self.child else 0
         killed = f"killed by signal {-code}" if code < 0 else ""
-        # If no failure ended the run, the last message of the controller is a notice that explains
-        # nothing.
+        # If no failure ended the run, its last message is a notice that explains nothing.
         message = self._last_message if code else ""
         reason = self.result.get("failure") or killed or message or "it was stopped"
         if code == ExitCode.REMOVE_POWER:
@@ -864,7 +843,7 @@ class HandClient:
 
 
 def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:
-    """Combine the goals of a mapping with those of keyword arguments, and return them by the name of the digit.
+    """Combine the values of a mapping and of keyword arguments, and return them by name of the digit.
 
     Raises:
         ConfigError: the goals are not a mapping, contain no digit, or contain a digit twice.
@@ -880,10 +859,9 @@ def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[s
 
 
 def _with_float_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert all numbers among the given values to float, whatever their type, and return all values.
+    """Convert all numbers among some values to float, whatever their type, and return all values.
 
-    Values that are not numbers stay unchanged, so that the error message of a later check can show
-    them.
+    Other values stay unchanged, so that the error message of a later check can show them.
     """
     converted = dict(values)
     for key, value in values.items():

@@ -1,4 +1,4 @@
-"""Load of each bus of a hand, if every frame takes the longest time that it can take."""
+"""Load of each bus of a hand, under the assumption that every frame takes its longest duration."""
 
 from dataclasses import dataclass, replace
 
@@ -17,14 +17,12 @@ class BusLoadRow:
     """Row of the bus-load table: all frames of one kind on a bus.
 
     Attributes:
-        what: name of the motor that sends the frames, or of the part of the sensor node that sends
-            them.
-        size: payload of each frame [bytes].
-        fd: True for CAN FD frames.
-        per_tick: number of these frames in every tick.
-        per_second: number of these frames per second, for frames whose rate does not depend on the
-            control rate.
-        frame_s: longest time that one of these frames can take [s].
+        what: name of the motor, or of the part of the sensor node, that sends the frames.
+        size: payload [bytes].
+        fd: True for CAN FD.
+        per_tick: number of frames in every tick.
+        per_second: number of frames per second whose rate does not depend on the control rate.
+        frame_s: longest duration of one frame [s].
     """
 
     what: str
@@ -51,22 +49,22 @@ class BusLoad:
 
     @property
     def tick_s(self) -> float:
-        """Return the time that all frames of one tick take on the bus [s]."""
+        """Return the bus time that the frames of one tick take [s]."""
         return sum(row.per_tick * row.frame_s for row in self.rows)
 
     @property
     def timed_fraction(self) -> float:
-        """Return the fraction of time that is taken by frames whose rate does not depend on the control rate."""
+        """Return the fraction of the bus time that frames take whose rate does not depend on the control rate."""
         return sum(row.per_second * row.frame_s for row in self.rows)
 
     def load_at(self, rate_hz: float) -> float:
-        """Return the load of the bus at a control rate [Hz], as a fraction of its capacity."""
+        """Return the bus load at a control rate [Hz], as a fraction."""
         return rate_hz * self.tick_s + self.timed_fraction
 
     def highest_rate_hz(self, load_limit: float) -> float:
         """Return the control rate [Hz] at which the bus load reaches ``load_limit``.
 
-        If no frame is sent in every tick, return infinity.
+        Return infinity if no tick has frames.
         """
         return (
             max(0.0, load_limit - self.timed_fraction) / self.tick_s
@@ -79,7 +77,7 @@ def bus_loads(hand: Hand) -> tuple[BusLoad, ...]:
     """Return the load of each bus of a hand.
 
     Raises:
-        ConfigError: a motor is set to CAN FD, although its bus has no data bit rate.
+        ConfigError: a motor is set to CAN FD, but its bus has no data bit rate.
     """
     drives = make_drives(hand)
     return tuple(_load_of_bus(hand, index, bus, drives) for index, bus in enumerate(hand.bus))
@@ -89,7 +87,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[BusLoadRow, ...]:
     """Return the rows of the bus-load table for the frames of a motor.
 
     Raises:
-        ConfigError: the motor uses CAN FD, although its bus does not.
+        ConfigError: the motor uses CAN FD, but its bus does not.
     """
     kinds = [(size, fd, 1.0, 0.0) for size, fd in drive.frames_per_tick]
     kinds += [(size, fd, 0.0, number) for size, fd, number in drive.background_frames]
@@ -111,7 +109,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[BusLoadRow, ...]:
 
 
 def sensor_rows(hand: Hand, bus: Bus) -> tuple[BusLoadRow, ...]:
-    """Return the rows of the bus-load table for the frames of the sensor node and for SYNC frames."""
+    """Return the rows of the bus-load table for the frames of the sensor node and for SYNC."""
     node = make_sensors(hand)
     if not node.ids:
         return ()
@@ -140,21 +138,19 @@ def _load_of_bus(hand: Hand, bus_index: int, bus: Bus, drives: tuple[Drive, ...]
 
 
 def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
-    """Distribute the motors over as few buses as possible at a control rate [Hz].
+    """Distribute the motors over the smallest sufficient number of buses at a control rate [Hz].
 
-    All buses have the bit rates of the first bus in the hand file. The load cells stay on the first
-    bus of the hand.
+    All buses get the bit rates of the first bus in the hand file. The load cells stay on the first
+    bus.
 
     Returns:
-        The names of the motors on each bus. If a single motor already overloads a bus, the list is
-        empty.
+        The names of the motors on each bus. The list is empty if a single motor overloads a bus.
     """
     first = hand.bus[0]
-    # The first bus also carries the SYNC frame and the load-cell frames. So it has less capacity
-    # for motors.
+    # The first bus also carries SYNC and the load-cell frames, so it has less capacity for motors.
     capacity = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).load_at(rate_hz)
-    # A CiA 402 drive sends its reply after a SYNC frame. Therefore each bus without the sensor
-    # node's SYNC frame needs a SYNC frame of its own.
+    # CiA 402 drives reply to a SYNC frame. A bus without the SYNC frame of the sensor node
+    # therefore needs another SYNC frame.
     has_sync = SYNC in make_sensors(hand).host_ids
     sync_load = rate_hz * frame_time_s(0, False, first.bitrate)
     buses = list[list[str]]([[]])
@@ -176,10 +172,10 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
 
 
 def with_more_buses(hand: Hand, rate_hz: float) -> Hand:
-    """Return a hand whose motors are distributed over as many buses as a control rate [Hz] requires.
+    """Return a hand whose motors are distributed over as many buses as a control rate [Hz] needs.
 
-    The load cells stay on the first bus of the hand. All buses have the bit rates of the first bus.
-    If a single motor already overloads a bus, the hand is returned unchanged.
+    The load cells stay on the first bus. All buses get the bit rates of the first bus. If one motor
+    alone overloads a bus, the hand is returned unchanged.
     """
     groups = split_motors_over_buses(hand, rate_hz)
     if not groups:

@@ -1,4 +1,4 @@
-"""Requested gains for which the controller is still being designed while the old controller runs."""
+"""Requested gains whose controller design is in progress while the controller runs."""
 
 from dataclasses import dataclass
 
@@ -7,11 +7,11 @@ from handctl.core.gains.gains import Gains
 
 @dataclass(frozen=True, slots=True)
 class PendingGains:
-    """Requested gains, with the state of the design.
+    """Requested gains with the progress of their design.
 
     Attributes:
         gains: all gains of the hand, including the requested changes.
-        step: number of control loops that are designed so far.
+        step: number of control loops designed so far.
     """
 
     gains: Gains

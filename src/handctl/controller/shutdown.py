@@ -1,4 +1,4 @@
-"""Shutdown after an exception in a tick: the disable command is repeated until every drive has confirmed it."""
+"""Shutdown after an exception in a tick: repeat the disable command until every drive confirms."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from handctl.drives.frame import Frame
 
 
 class ShutdownStep(NamedTuple):
-    """Result of one step of the shutdown.
+    """Result of a shutdown step.
 
     Attributes:
         state: state with the latest replies of the drives.
@@ -28,19 +28,18 @@ class ShutdownStep(NamedTuple):
 def shutdown_step(
     controller: Controller, state: ControllerState, t_ns: int, received: Sequence[Frame]
 ) -> ShutdownStep:
-    """Process the frames that were received, and send the disable command to every drive.
+    """Process received frames, and command every drive to disable.
 
     The host continues to send SYNC frames, because some drives reply to them.
 
     Args:
-        controller: controller whose drives are disabled.
+        controller: controller with the drives.
         state: state of the last complete tick, or of the last shutdown step.
         t_ns: time of the step [ns].
         received: frames received since the last step.
 
     Returns:
-        The next state, the frames to send, and the motors for which no drive has confirmed that it
-        is disabled.
+        The next state, the frames to send, and the motors that are not confirmed as disabled.
     """
     after = state.copy()
     after.set_run_integer(s.K, state.k + 1)
@@ -49,7 +48,8 @@ def shutdown_step(
         drive_state = after.drive(n)
         for frame in received:
             drive_state = drive.receive(drive_state, frame)
-        # A frame may be lost. So the disable command is repeated until it is confirmed.
+        # The function repeats the disable command until it is confirmed, because a frame may be
+        # lost.
         drive_state, new_frames = drive.advance(drive_state, t_ns, DriveTarget.DISABLE, 0.0)
         controller.store_drive_state(after, n, drive_state)
         frames += new_frames

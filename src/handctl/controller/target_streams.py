@@ -1,4 +1,4 @@
-"""Streams of targets in the controller's state: open a stream, apply each of its targets, close it."""
+"""Application of a stream of targets to the controller's state: open it, apply each target, close it."""
 
 import math
 
@@ -41,7 +41,7 @@ Setpoints also keep this margin below the largest tension, because the tension m
 
 
 def present_references(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
-    """Return the present motion reference of each digit, (3, n): position, rate and acceleration."""
+    """Return the present motion reference of each digit, (3, n): position, rate, and acceleration."""
     rows = state.layout.table(state.block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3]
     return tuple(rows[:, places] for places in model.digit_coordinates)
 
@@ -52,9 +52,9 @@ def present_setpoints(model: HandModel, state: ControllerState) -> tuple[Vector,
 
 
 def open_stream(model: HandModel, state: ControllerState, request: OpenStream) -> TickEvent:
-    """Open the stream of targets that a request describes.
+    """Open a stream.
 
-    Until the first target arrives, the digits of the stream keep their present reference.
+    Until the first target, the digits of the stream keep their present reference.
     """
     stream = plan_of_request(model, request)
     if isinstance(stream, str):
@@ -82,12 +82,12 @@ def open_stream(model: HandModel, state: ControllerState, request: OpenStream) -
 
 
 def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int, ...]) -> None:
-    """Start a stream of joint angles at the present motion reference of its digits."""
+    """Start a stream of joint angles at the present reference of its digits."""
     rows = state.layout.table(state.block, "coordinate")
     reference = present_references(model, state)
     for d in digits:
         if state.progress.goals[d].kind != GoalKind.MOTION:
-            # If a digit has no reference, its motion starts at rest from the present angles.
+            # If a digit has no reference, its motion starts at rest at the present angles.
             reference[d][0] = coordinates_by_excursion(model.digits[d], state.estimate)
             reference[d][1:] = 0.0
     rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.reach)
@@ -98,7 +98,7 @@ def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int,
 
 
 def close_stream(model: HandModel, state: ControllerState) -> None:
-    """Close the open stream, if there is one. The digits that follow this stream come to rest."""
+    """Close the open stream, if there is one. The digits of the stream come to rest."""
     if state.decisions.stream is None:
         return
     state.decide(stream=None, progress=bring_to_rest(model, state, only_streamed=True))
@@ -109,7 +109,7 @@ def close_stream(model: HandModel, state: ControllerState) -> None:
 def bring_to_rest(
     model: HandModel, state: ControllerState, only_streamed: bool = False
 ) -> ProgramProgress:
-    """Return the progress of the program with new goals, by which moving digits come to rest."""
+    """Return the progress of the program with new goals that bring moving digits to rest."""
     reach = tuple(digit.reach for digit in model.digits)
     setpoints = present_setpoints(model, state)
     return progress_at_rest(
@@ -125,17 +125,17 @@ def bring_to_rest(
 def apply_target(
     model: HandModel, state: ControllerState, target: StreamTarget | None, t_ns: int
 ) -> tuple[TickEvent, ...]:
-    """Apply a target of a stream, and begin the motion to this target.
+    """Apply a target of a stream, and begin the motion to the target.
 
     Args:
         model: model of the hand.
-        state: state of this tick, which is modified in place.
-        target: parsed target, or None if the target has a wrong form.
+        state: state of the tick, modified in place.
+        target: parsed target. None if the target is malformed.
         t_ns: time of the tick [ns].
 
     Returns:
-        An event when a stream's first clipped, ignored or refused target occurs. Later targets of
-        this kind are only counted in the state.
+        An event for the first target of a stream that is clipped, ignored or refused. The state
+        counts all clipped, ignored and refused targets.
     """
     stream = state.decisions.stream
     if (
@@ -143,7 +143,7 @@ def apply_target(
         or state.mode != HandMode.ACTIVE
         or (target is not None and target.stream != stream.name)
     ):
-        return ()  # the target belongs to another client, or to a stream that has ended
+        return ()  # the target belongs to a stream that has ended, or to another client
     if target is None or not is_plausible(stream, target.values):
         right = f"{len(stream.names)} finite numbers of {TARGET_UNIT_BY_SPACE[stream.space]}"
         return _count_target(
@@ -151,7 +151,7 @@ def apply_target(
         )
     sent_ns = min(target.sent_ns, t_ns)
     running = state.run_integer(s.STREAMING) == s.RUNNING_STREAM
-    # If several targets arrive in one tick, the time of the tick may be assigned to each of them.
+    # If several targets arrive in one tick, each of them may have the time of the tick.
     overtaken = target.number <= state.run_integer(
         s.STREAM_SEQUENCE
     ) or sent_ns < state.run_integer(s.STREAM_SENT_NS)
@@ -185,11 +185,11 @@ def _begin_ramp(
     sent_ns: int,
     t_ns: int,
 ) -> bool:
-    """Begin a linear change from the present tension setpoints to the values of a target.
+    """Begin a ramp from the present tension setpoints to a target.
 
-    Return True if the values were clipped.
+    Returns True if the target was clipped.
 
-    Arguments: The arguments are those of ``_begin_segment``.
+    Arguments: see ``_begin_segment``.
     """
     setpoint = state.tendon[s.SETPOINT]
     aim = target_tensions(model, stream, values, setpoint, state.estimate.q)
@@ -218,14 +218,14 @@ def _begin_segment(
     sent_ns: int,
     t_ns: int,
 ) -> bool:
-    """Begin the motion from the present reference to the values of a target.
+    """Begin the motion from the present reference to a target.
 
-    Return True if the values were clipped.
+    Returns True if the target was clipped.
 
     Args:
         model: model of the hand.
-        state: state of this tick, which is modified in place.
-        stream: stream to which the target belongs.
+        state: state of the tick, modified in place.
+        stream: stream of the target.
         values: (V,) values of the target.
         sent_ns: time at which the client sent the target [ns].
         t_ns: time of the tick [ns].
@@ -240,8 +240,8 @@ def _begin_segment(
             digit = model.digits[d]
             places = model.digit_coordinates[d]
             held[places] = nearest_holdable_posture(digit, held[places], model.floor[digit.tendons])
-    # The motion starts at the reference of the last tick. So the reference already moves in this
-    # tick.
+    # The segment of motion starts at the reference of the last tick, so the reference already moves
+    # in this tick.
     since = t_ns / 1e9 - model.period * (1 + state.run_integer(s.MISSED_TICKS))
     duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
     apart = (sent_ns - state.run_integer(s.STREAM_SENT_NS)) / 1e9
@@ -249,8 +249,8 @@ def _begin_segment(
         state.run_integer(s.STREAMING) == s.RUNNING_STREAM
         and apart <= MAX_TARGET_GAP_PERIODS * stream.period
     )
-    # The time between two targets that arrive together says nothing about the rate of the stream.
-    # Therefore this time counts as at least half a period of the stream.
+    # Two targets that arrive together do not show the rate of the stream. The time between them
+    # therefore counts as at least half a period.
     apart = max(apart, 0.5 * stream.period) if steady else math.inf
     return begin_segments(
         state.block, state.layout.places, aim, held, since, duration, apart,
@@ -261,9 +261,9 @@ def _begin_segment(
 def _count_target(
     state: ControllerState, counter_row: int, event_text: str = ""
 ) -> tuple[TickEvent, ...]:
-    """Add one to a counter of targets in the state.
+    """Count a target in one counter of the state.
 
-    If this is the first such target of the stream, return an event with the given text.
+    For the first such target of a stream, return an event with the text.
     """
     count = state.run_integer(counter_row) + 1
     state.set_run_integer(counter_row, count)
@@ -271,7 +271,7 @@ def _count_target(
 
 
 def stream_status(state: ControllerState) -> StreamStatus:
-    """Return the status of the target stream that is open."""
+    """Return the status of the open stream of targets."""
     if state.decisions.stream is None:
         return _NO_STREAM
     running = state.run_integer(s.STREAMING) == s.RUNNING_STREAM

@@ -1,7 +1,4 @@
-"""Telemetry of a tick, which is written to the log.
-
-The values are copied from fields of the state block.
-"""
+"""Telemetry of a tick for the log. The values are copied from fields of the state block."""
 
 import numpy as np
 
@@ -21,16 +18,16 @@ STATE_FIELD_OF = {
 
 
 class TelemetryGatherer:
-    """Callable object that copies the telemetry of a hand from the state block."""
+    """Function object that copies the telemetry of a hand from the state block."""
 
     def __init__(self, layout: BlockLayout) -> None:
-        """Compute the place of each telemetry number in the state block.
+        """Compute the index of each telemetry number in the state block.
 
         Args:
             layout: layout of the state block.
         """
-        # In this block, the value of each element is the index of the element. So the view of a
-        # field contains the indices of the field's elements.
+        # In this block, each element is its own index. The view of a field therefore contains the
+        # indices of the field.
         numbered = np.arange(layout.size, dtype=np.float64)
         parts = [layout.view(numbered, STATE_FIELD_OF.get(name, name)) for name in TELEMETRY_FIELDS]
         ends = np.cumsum([0, *map(len, parts)]).tolist()

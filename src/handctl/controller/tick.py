@@ -1,11 +1,10 @@
-"""One tick of the controller, as a pure function: from the received frames to the frames to send.
+"""One tick of the controller, as a pure function from received frames to frames to send.
 
-A ``TickIn`` contains all inputs of a tick, so that a tick from a log can be executed again. The
-control loop calls the four steps of a tick one by one. The step ``begin`` processes the received
-frames, ``decide`` applies requests and chooses the goals, ``command`` turns streamed targets and
-goals into frames, and ``conclude`` completes the output. So the loop can read requests and streamed
-targets as late as possible, and send the commands as early as possible. The function ``tick``
-executes all four steps.
+``TickIn`` contains all inputs, so that a logged tick can be executed again. The loop calls the
+four steps of a tick one by one: ``begin`` processes the received frames, ``decide`` applies requests
+and chooses the goals, ``command`` turns streamed targets and goals into frames, ``conclude``
+completes the output. In this way the loop reads requests and streamed targets as late as possible,
+and sends the commands as early as possible. The function ``tick`` executes all four steps.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact
@@ -14,9 +13,8 @@ decide    requests, safety, mode, program -> goals
 command   streamed targets, goals -> tension -> motor torque
 encode    motor torque -> frames
 
-Compiled functions (``core.tick_stages``) compute the numbers in the state block. The function
-``tick`` makes the decisions, and calls the compiled functions in order. A tick works on a copy of
-the controller's state.
+Compiled stages (``core.tick_stages``) compute the numbers in the state block. ``tick`` makes the
+decisions and calls the stages in order. A tick works on a copy of the state.
 """
 
 from dataclasses import dataclass, field, replace
@@ -87,21 +85,19 @@ SILENT = HandMode.SILENT
 
 @dataclass(frozen=True, slots=True)
 class DerivedConstants:
-    """Constants of a run that follow from the configuration of the controller.
+    """Constants of a run that follow from the configuration of its controller.
 
     Attributes:
         limits: thresholds of the safety monitor for the hand.
         layout: layout of the state block.
         constants: constants for the compiled code.
-        constant_args: block and layout of ``constants``, in the form in which compiled functions
-            take them.
-        wire: tables that describe the signals in the cyclic frames of the drives.
+        constant_args: block and places of ``constants``, the arguments of compiled functions.
+        wire: signal tables of the drives' cyclic frames.
         gather: function that copies the telemetry from the state block.
-        owners: index of the drive to which an identifier belongs, by bus and identifier.
-        amplifier_of: index of the CiA 404 amplifier to which an identifier belongs, by bus and
-            identifier.
-        sends_sync: True if the sensor node needs SYNC frames. On a bus without such SYNC frames,
-            the host sends SYNC after the command of a CiA 402 drive.
+        owners: index of the drive that owns an identifier, by bus and identifier.
+        amplifier_of: index of the CiA 404 amplifier, by bus and identifier.
+        sends_sync: True if the sensor node needs SYNC. On a bus without this SYNC frame, the host
+            sends SYNC after the command of a CiA 402 drive.
         sync_row: SYNC frame of the sensor node as a record.
     """
 
@@ -117,7 +113,7 @@ class DerivedConstants:
     sync_row: WordRows
 
     def with_constants(self, limits: SafetyLimits, constants: HandConstants) -> "DerivedConstants":
-        """Return a copy of these constants, with the limits and constants that belong to other gains."""
+        """Return a copy with the limits and constants of other gains."""
         args = (constants.block, constants.layout.places)
         return replace(self, limits=limits, constants=constants, constant_args=args)
 
@@ -129,7 +125,7 @@ class DerivedConstants:
         limits: SafetyLimits,
         constants: HandConstants,
     ) -> "DerivedConstants":
-        """Return the constants for a hand, the drives and sensors of the hand, and the safety thresholds."""
+        """Return the constants for a hand, its drives and sensors, and its thresholds."""
         layout = layout_of_state(model, len(sensors.ids))
         closes_position_loop = constants.layout.view(constants.block, "servo").astype(bool).tolist()
         return DerivedConstants(
@@ -156,26 +152,23 @@ class DerivedConstants:
 
 @dataclass(frozen=True, slots=True)
 class Controller:
-    """Constants of a run, from which ``tick`` computes each new state.
-
-    ``tick`` is a pure function of the controller, the state, and a ``TickIn``.
+    """Constants of a run. ``tick`` is a pure function of controller, state, and ``TickIn``.
 
     Attributes:
-        model: model of the hand, with the gains and the loops designed from them.
-        drives: drive of the motor that pulls each tendon, in the order of the tendons.
-        sensors: sensor node of the hand.
+        model: model of the hand, with gains and their designs.
+        drives: the motor of each tendon, in the order of the tendons.
+        sensors: the sensor node.
         program: program that sets the goals of the digits.
-        tare: (N,) tare of each load cell [N].
-        zero: (N,) zero angle of each motor [rad].
-        arm_at_once: True to arm the hand without a request, as soon as every node has replied.
-        identities: identities of the drives in the calibration, or an empty tuple if they are
-            unknown.
-        other_limits: thresholds of the safety monitor that replace the thresholds of the hand. If
-            it is None, the thresholds of the hand apply.
-        designs: cache of the controller designs for gains that are set during a run.
-        similar: controller that differs from this one only in its gains. If it is None, all tables
-            of constants are computed. Otherwise the tables of ``similar`` are used again, because a
-            change of gains during a run must be fast.
+        tare: (N,) load-cell tare [N].
+        zero: (N,) motor zero [rad].
+        arm_at_once: True to arm the hand as soon as every node has replied, without a request.
+        identities: identities of the drives in the calibration. It is empty if they are unknown.
+        other_limits: thresholds of the safety monitor that replace those of the hand. If it is
+            None, those of the hand apply.
+        designs: cache of the designs for gains set during a run.
+        similar: constants of a controller that differs from this one only in its gains. If it is
+            None, all tables are computed. The tables of ``similar`` are used again, because gains
+            change during a run.
         derived: constants that follow from the other attributes.
     """
 
@@ -212,7 +205,7 @@ class Controller:
         object.__setattr__(self, "derived", derived)
 
     def initial_state(self) -> ControllerState:
-        """Return the state before the first tick. It follows from the configuration alone."""
+        """Return the state before the first tick, which follows from the configuration alone."""
         drives = tuple(drive.initial_state() for drive in self.drives)
         decisions = ControllerDecisions(
             tuple(drive.with_values() for drive in drives),
@@ -246,7 +239,7 @@ class Controller:
             The state after the tick, and the output of the tick.
 
         Raises:
-            ValueError: a command cannot be encoded. In this case, the tick sends no command.
+            ValueError: a command cannot be encoded. In this case, no command is sent.
         """
         step = self.begin_tick(last_state, tick_input)
         step.decide(tick_input.requests)
@@ -254,11 +247,11 @@ class Controller:
         return step.conclude()
 
     def begin_tick(self, last_state: ControllerState, tick_input: TickIn) -> "TickInProgress":
-        """Process the received frames, and correct and predict the filter that estimates tensions.
+        """Process the received frames, and correct and predict the tension filter.
 
         Args:
             last_state: state after the previous tick.
-            tick_input: inputs of the tick. This function ignores the requests in the input.
+            tick_input: inputs of the tick. The requests in the input are ignored.
         """
         gains = last_state.decisions.gains
         controller = (
@@ -273,7 +266,7 @@ class Controller:
         return TickInProgress(controller, last_state, state, tick_input, signs)
 
     def _decide_goals(self, open_tick: "TickInProgress", requests: tuple[str, ...]) -> None:
-        """Apply requests, judge faults, faults, and choose mode and goals, see ``TickInProgress.decide``."""
+        """Apply requests, judge faults, and choose mode and goals, see ``TickInProgress.decide``."""
         before, state, entry = open_tick.before, open_tick.state, open_tick.entry
         operator, request_events = NO_REQUESTS
         if requests:
@@ -312,7 +305,7 @@ class Controller:
         open_tick.sent = self._encode_frames(state, entry.t_ns)
 
     def _conclude_tick(self, open_tick: "TickInProgress") -> tuple[ControllerState, TickOut]:
-        """Continue the design of requested gains, and complete the state and the output of the tick."""
+        """Design pending gains, and complete state and output, see ``TickInProgress.conclude``."""
         state = open_tick.state
         if open_tick.unchanged:
             open_tick.events += self._design_pending_gains(
@@ -343,9 +336,9 @@ class Controller:
         tick_input: TickIn,
         frames: Frames,
     ) -> tuple[str, ...]:
-        """Process received frames, and correct and predict the filter that estimates tensions.
+        """Process received frames, and correct and predict the tension filter.
 
-        Return the signs that a second controller uses the bus.
+        Return the signs of a second controller.
         """
         block = state.block
         places = self.derived.layout.places
@@ -369,14 +362,15 @@ class Controller:
     def _receive_frames(
         self, state: ControllerState, frames: Frames, fresh_ns: int
     ) -> tuple[str, ...]:
-        """Process the received frames of a tick.
+        """Process received frames.
 
         Args:
-            state: state of this tick, which is modified in place.
+            state: state of the tick, modified in place.
             frames: received frames.
-            fresh_ns: time before which no answer to the latest SYNC frame can arrive [ns].
+            fresh_ns: earliest arrival of an answer to the latest SYNC [ns].
 
-        Return, without repetition, the identifiers of received frames that only this host may send.
+        Return the identifiers of received frames that only this host may send, each identifier
+        once.
         """
         tables = self.derived.wire
         signs = list[str]()
@@ -392,8 +386,7 @@ class Controller:
             )  # fmt: skip
             if at >= len(rows):
                 return tuple(dict.fromkeys(signs))
-            # The kernel ``receive_frames`` has already counted error frames. So this frame is no
-            # error frame.
+            # ``receive_frames`` counts error frames, so this frame has no error flag.
             frame = frames[at]
             owner = self.derived.owners.get((frame.bus, frame.can_id))
             if owner is not None:
@@ -407,7 +400,7 @@ class Controller:
             at += 1
 
     def _groups_not_ready(self, amplifiers: tuple[AmplifierState, ...]) -> tuple[int, ...]:
-        """Return the frame groups of those amplifiers whose set-up is not complete.
+        """Return the groups of frames from amplifiers whose set-up is not complete.
 
         The values in these frames are not used.
         """
@@ -427,7 +420,7 @@ class Controller:
     def _advance_amplifiers(
         self, state: ControllerState, target: DriveTarget, t_ns: int
     ) -> tuple[Frame, ...]:
-        """Continue the set-up of the load-cell amplifiers, and return the frames to send."""
+        """Continue the set-up of the amplifiers, and return the frames to send."""
         states = list[AmplifierState]()
         out = list[Frame]()
         for amplifier, before in zip(
@@ -441,7 +434,7 @@ class Controller:
         return tuple(out)
 
     def store_drive_state(self, state: ControllerState, n: int, drive_state: DriveState) -> None:
-        """After the state machine of a drive has run, store its state in the state block and in the decisions."""
+        """Store the state of a drive in the state block and in the decisions, after its state machine has run."""
         before = state.decisions.drives[n]
         drive = self.drives[n]
         tick_stages.store_drive(
@@ -450,7 +443,7 @@ class Controller:
             int(drive.fault_cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
             drive.steady_status(drive_state), drive.due_ns(drive_state), int(drive_state.misread != before.misread),
         )  # fmt: skip
-        stripped = drive_state.with_values()  # the numbers of the drive are in the state block
+        stripped = drive_state.with_values()  # the values of the drive are in the state block
         if stripped != before:
             drives = state.decisions.drives
             state.decide(drives=(*drives[:n], stripped, *drives[n + 1 :]))
@@ -460,10 +453,10 @@ class Controller:
     def _count_refusals(
         self, state: ControllerState, request_events: tuple[TickEvent, ...]
     ) -> None:
-        """Count the refused requests, and the requests of wrong form within the last second.
+        """Count the refused requests, and the malformed requests within the last second.
 
-        A program may send a request only to find out whether a value is in range. So a refused
-        request is no fault. Only requests of wrong form show that a client is faulty.
+        A program may send a request only to test whether a value is in range, so a refused request
+        is no fault. Only malformed requests show that a client is faulty.
         """
         recent = state.decisions.refusals
         if request_events or recent:
@@ -482,10 +475,10 @@ class Controller:
         tick_input: TickIn,
         second_controller_signs: tuple[str, ...],
     ) -> tuple[SafetyAction, tuple[FaultFinding, ...]]:
-        """Detect the faults of the tick, latch them, and choose the reaction."""
+        """Detect faults, latch them, and choose the reaction."""
         state.set_run_integer(
             s.TARED, state.progress.phase != TARE_PHASE
-        )  # before a load cell has been tared, it may read any value
+        )  # before its tare, a load cell may read any value
         demanded, found = tick_stages.find_faults(
             state.block,
             self.derived.layout.places,
@@ -521,7 +514,7 @@ class Controller:
         return verdict.action, verdict.findings
 
     def _any_node_seen(self, state: ControllerState) -> bool:
-        """Return True if any node has ever answered, or if some motor may make torque."""
+        """Return True if any node has ever answered, or if a motor may make torque."""
         heard = any(phase != DrivePhase.SILENT for phase in state.phases) or bool(
             state.view("group_frames").any()
         )
@@ -530,9 +523,9 @@ class Controller:
     def _advance_program(
         self, state: ControllerState, action: SafetyAction
     ) -> tuple[TickEvent, ...]:
-        """Advance the program by one tick while the hand is active.
+        """Advance the program while the hand is active.
 
-        The time of the program stops while the safety monitor makes the hand hold its position.
+        The time of the program stops while the safety monitor holds the hand.
         """
         if state.mode != ACTIVE or action >= SafetyAction.HOLD:
             return ()
@@ -546,7 +539,7 @@ class Controller:
         return events
 
     def _write_progress(self, state: ControllerState, last_state: ControllerState | None) -> None:
-        """Write those goals into the state block that the program has changed."""
+        """Write the goals that the program has changed into the state block."""
         progress = state.progress
         old = last_state.progress if last_state else None
         if progress is old:
@@ -565,7 +558,7 @@ class Controller:
     def _compute_torques(self, state: ControllerState, action: SafetyAction, ticks: int) -> None:
         """Compute the motor torques of the tick.
 
-        The torques are 0 in all modes in which the hand is neither active nor relaxing.
+        The torques are 0 unless the hand is active or relaxing.
         """
         block = state.block
         places = self.derived.layout.places
@@ -588,14 +581,14 @@ class Controller:
     def _design_pending_gains(
         self, unchanged: ControllerState, state: ControllerState, action: SafetyAction, ticks: int
     ) -> tuple[TickEvent, ...]:
-        """Design the next control loop for the requested gains.
+        """Design the next loop of the pending gains.
 
-        When the design is complete, it is used from the next tick on.
+        A complete design is used from the next tick on.
 
         Args:
             unchanged: state before the motor torques were computed.
             state: state after the motor torques were computed.
-            action: reaction that the safety monitor demands.
+            action: reaction that safety demands.
             ticks: number of control periods since the last tick.
         """
         pending = state.decisions.pending
@@ -615,19 +608,19 @@ class Controller:
     # encode
 
     def _encode_frames(self, state: ControllerState, t_ns: int) -> Frames:
-        """Return the frames of the tick: first those that remove torque, then SYNC, then each drive's command."""
+        """Return the frames of the tick: cut frames first, then SYNC, then the command of each drive."""
         mode = state.mode
         if mode in (SILENT, DONE):
             return frames_as_records(hand_modes.shutdown_frames(self.drives, state))
         out = np.empty((self.derived.wire.max_frames, WORDS_PER_RECORD), dtype=np.uint64)
-        # A hand without sensors needs no SYNC frame. So row 0 is not sent.
+        # A hand without sensors has no SYNC, so row 0 is not sent.
         start = 0 if self.derived.sends_sync else 1
         if self.derived.sends_sync:
             counter = self.sensors.counter(state.k)
             out[0] = self.derived.sync_row
             out[0, PAYLOAD_WORD] = counter
             state.set_run_integer(s.SYNC_COUNTER, counter & 0xF)
-            # Before the set-up of an amplifier is complete, its answers are not used, and missing
+            # Until the set-up of an amplifier is complete, its answers are not used, and missing
             # answers do not count as lost.
             amplifiers = state.decisions.amplifiers
             if not amplifiers or all(one.phase == DrivePhase.READY for one in amplifiers):
@@ -654,15 +647,15 @@ class Controller:
         torque: Vector,
         t_ns: int,
     ) -> Frames:
-        """Write the commands of the drives into ``frame_words``, after the SYNC frame.
+        """Write the commands into ``frame_words``, after the SYNC frame.
 
-        If a drive is not in its steady state, the state machine of the drive runs.
+        A drive that is not steady runs its state machine.
 
         Args:
-            state: state of this tick, which is modified in place.
-            frame_words: memory for the frames, where row 0 is the SYNC frame.
-            start: first row to send: 0 to send the SYNC frame, or 1 to leave it out.
-            target: state into which every drive should go.
+            state: state of the tick, modified in place.
+            frame_words: memory for the frames, with SYNC in row 0.
+            start: first row to send: 0 with SYNC, 1 without.
+            target: requested state of the drives.
             torque: (N,) commanded torque [N m].
             t_ns: time of the tick [ns].
         """
@@ -701,20 +694,20 @@ class Controller:
 
 @dataclass(slots=True)
 class TickInProgress:
-    """A tick between its three steps.
+    """A tick in progress, between its steps.
 
     Attributes:
         controller: controller with the gains of the tick.
         before: state after the previous tick.
-        state: state of the tick. Each step modifies this state.
+        state: state of the tick. Each step modifies it.
         entry: inputs of the tick, without requests.
-        signs: signs that a second controller uses the bus.
+        signs: signs of a second controller.
         targets: targets of streams among the requests, which ``command`` applies.
         sent: frames to send, which ``command`` has computed.
         action: reaction that the safety monitor demands, which ``decide`` has determined.
         events: events of the tick so far.
-        unchanged: state before the motor torques were computed. It is kept only while the design of
-            other gains is in progress.
+        unchanged: state before the motor torques were computed. It is kept only while other gains
+            are pending.
     """
 
     controller: Controller
@@ -732,7 +725,7 @@ class TickInProgress:
         """Apply requests, judge faults, and choose the mode and the goals of the hand.
 
         Args:
-            requests: requests of operators and programs, in the order in which they arrived. The targets among
+            requests: requests of operators and programs, in the order of arrival. The targets among
                 them are applied in the next step.
         """
         others, self.targets = without_targets(requests) if requests else ((), ())
@@ -745,18 +738,18 @@ class TickInProgress:
             targets: further targets of streams, in the order of arrival.
 
         Raises:
-            ValueError: a command cannot be encoded. In this case, no command is sent.
+            ValueError: a command cannot be encoded. The command is not sent.
         """
         self.controller._command_drives(self, self.targets + targets)
         return self.sent
 
     def conclude(self) -> tuple[ControllerState, TickOut]:
-        """Return the state after the tick, and the output of the tick."""
+        """Return the state after the tick and the output of the tick."""
         return self.controller._conclude_tick(self)
 
 
 def send_torque_only(state: ControllerState, n: int) -> None:
-    """Store that the state machine of a drive has sent a torque command in place of a position command."""
+    """Note in the state that the state machine of a drive has sent a torque command instead of a position command."""
     servo = state.layout.table(state.block, "servo")
     servo[[s.SERVO_KP, s.SERVO_KD], n] = 0.0
     servo[s.SERVO_TORQUE, n] = state.tendon[s.TORQUE, n]
@@ -766,7 +759,7 @@ _ACTION_BY_NUMBER = {int(action): action for action in SafetyAction}
 
 
 def _fault_event(finding: FaultFinding) -> TickEvent:
-    """Return the event which reports a fault that has just become active."""
+    """Return the event that reports a fault that the safety monitor has found."""
     fault = finding.fault
     level = "error" if fault.action >= SafetyAction.RELAX else "warn"
     text = f"{fault.id} {fault.title}: {finding.instance} ({finding.value:g}): {fault.action.name}"

@@ -1,4 +1,4 @@
-"""Block with the constants of a hand, filled from its model, drives, sensors and limits."""
+"""Block of constants of a hand, filled from its model, drives, sensors and limits."""
 
 import functools
 import math
@@ -37,7 +37,7 @@ Smaller entries are rounding errors.
 
 
 def layout_of_constants(model: HandModel) -> BlockLayout:
-    """Return the layout of the block with the constants of a hand."""
+    """Return the layout of the block of constants for a hand."""
     return BlockLayout(CONSTANT_SCHEMA, {
         "tendon": model.tendon_count,
         "joint": len(model.hand.joints),
@@ -55,17 +55,16 @@ class HandConstants:
 
     Attributes:
         layout: layout of the block.
-        block: array with all constants. The array is read-only, unless a moment arm of the hand
-            varies with the joint angle.
+        block: block of constants. The block is read-only, unless a moment arm of the hand varies.
     """
 
     def __init__(self, model: HandModel, other_constants: Mapping[str, object]) -> None:
-        """Fill the block with the constants of a hand.
+        """Fill the block of constants.
 
         Args:
             model: model of the hand.
-            other_constants: constants that are not in the model, by field name: zeros of load cells
-                and encoders, thresholds, and constants of drives and sensors.
+            other_constants: constants that are not in the model, by field: tare, zero, thresholds,
+                and constants of drives and sensors.
         """
         self.layout = layout_of_constants(model)
         self.block: BlockArray = self.layout.initial.copy()
@@ -157,20 +156,18 @@ def _law_constants(model: HandModel) -> dict[str, object]:
 
 
 def servo_constants(model: HandModel) -> dict[str, Vector]:
-    """Return which drives close a position loop, and the stiffness and damping of these loops.
+    """Return which drives close a position loop themselves, and the stiffness and damping of these loops.
 
-    If the hand file gives no values, the position loops have the gains of the motion loop. If the
-    hand file gives only the stiffness, the position loops have the damping ratio of the motion
-    loop. At low control rates, the stiffness is less than in the hand file, see
-    ``servo_commands.MAX_PHASE_RAD``.
+    If the hand file gives no values, these loops have the gains of the motion loop. If the hand
+    file gives only the stiffness, the loops have the damping ratio of the motion loop. At low
+    control rates, the stiffness is smaller than in the hand file, see ``servo_commands.MAX_PHASE_RAD``.
     """
     space = model.space
     motors = [model.hand.motor_of(name) for name in model.hand.tendon_names]
     inertia = (space.motor_mass + space.load_mass) * space.spool**2
     stiffness = inertia * model.motion.stiffness
     damping = inertia * model.motion.damping
-    # NaN if the file gives none.
-    kp = np.array([motor.kp_N_m_per_rad for motor in motors], dtype=np.float64)
+    kp = np.array([motor.kp_N_m_per_rad for motor in motors], dtype=np.float64)  # NaN if absent
     kd = np.array([motor.kd_N_m_s_per_rad for motor in motors], dtype=np.float64)
     stiffest = inertia * (MAX_PHASE_RAD / model.period) ** 2
     kp = np.minimum(np.where(np.isnan(kp), stiffness, kp), stiffest)
@@ -185,7 +182,7 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
 def _has_exact_solution(digit: DigitModel) -> list[bool]:
     """Return True for each tendon of a digit that has as many tendons as coordinates.
 
-    In a digit with as many tendons as coordinates, the joint torques determine the tensions.
+    In such a digit, the joint torques determine the tensions.
     """
     tendons, coordinates = digit.reduced_moment_arms.shape
     return [tendons == coordinates] * tendons
@@ -229,8 +226,8 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
         "hand_varying": bool(model.hand.has_varying_arm.any()),
         "arm_polynomial": np.moveaxis(model.hand.arm_polynomials, 2, 0),
         "mean_balance": model.redundancy.balance,
-        # The two offsets are zero if the moment arms are constant. If the moment arms vary,
-        # ``estimation.varying_moment_arms`` writes the offsets in each tick.
+        # The two offsets are zero for constant moment arms. ``estimation.varying_moment_arms`` writes them in
+        # each tick for varying moment arms.
         "angle_offset": 0.0,
         "explained_offset": 0.0,
         "torque_to_tension": model.torque_to_tension,
@@ -275,7 +272,7 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
 
 
 def _joint_compliance(digit: DigitModel) -> Vector:
-    """Return the turn of joints per torque without a change of excursion, N (N^T K N)^-1 N^T (n, n) [rad/(N m)]."""
+    """Return the turn of joints per torque at constant excursions, N (N^T K N)^-1 N^T, (n, n) [rad/(N m)]."""
     free = null_space(digit.moment_arms)
     if not free.shape[1]:
         return np.zeros((digit.joint_count, digit.joint_count))
@@ -285,10 +282,10 @@ def _joint_compliance(digit: DigitModel) -> Vector:
 
 
 def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
-    """Return the assumed probability of each place of contact for each joint of a digit (places, n).
+    """Return the assumed probability of each place of contact, for each joint of a digit, (places, n).
 
-    The places of contact are the middle of each link, the tip, and a torque on all joints alike,
-    see ``posture``.
+    The places are the middle of each link, the tip, and a torque on all joints alike, see
+    ``posture``.
     """
     n = digit.joint_count
     weight = np.zeros((max(one.joint_count for one in digits) + 2, n))
@@ -298,7 +295,7 @@ def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
 
 @functools.lru_cache(maxsize=16)
 def filter_design_array(model: HandModel) -> NDArray[np.float64]:
-    """Return all numbers of the filter designs of a hand (N, KINDS, ELEMENTS)."""
+    """Return the elements of all filter designs of a hand, (N, KINDS, ELEMENTS)."""
     return np.array(
         [[_block_elements(block) for block in tendon] for tendon in model.filter.blocks]
     )
@@ -314,10 +311,10 @@ def _block_elements(block: FilterBlock) -> Vector:
 
 
 def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: float) -> Vector:
-    """Return the factors (8, N) of the low-pass filters of the residuals."""
+    """Return the fraction (8, N) of the distance to its input by which each low-passed residual moves in an update."""
     every = np.full((len(TIME_CONSTANTS_S), model.tendon_count), model.period)
-    every[2] = motor_period  # factor of COMMAND_DIFFERENCE
-    every[5] = joint_period  # factor of SLIP
+    every[2] = motor_period  # row COMMAND_DIFFERENCE
+    every[5] = joint_period  # row SLIP
     return np.asarray(1.0 - np.exp(-every / np.array(TIME_CONSTANTS_S)[:, None]))
 
 

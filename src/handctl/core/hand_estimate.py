@@ -1,7 +1,4 @@
-"""Estimate and measurements of a tick, in a form for programs.
-
-The estimate and the measurements are views of the state block.
-"""
+"""Estimate and measurements of a tick, for programs. Both are views of the state block."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +13,7 @@ QuantityTable = NDArray[np.float64]
 class HandEstimate:
     """Estimate of the hand's state at the present time.
 
-    Each property has the shape (N,), unless its docstring gives another shape.
+    Each property has the shape (N,) unless its docstring gives another shape.
 
     Attributes:
         tendon: table ``tendon`` of the state block.
@@ -51,7 +48,7 @@ class HandEstimate:
     def tension(self) -> Vector:
         """Return the tension of each tendon at its load cell [N].
 
-        The tension of a slack tendon is 0.
+        The value is 0 for a slack tendon.
         """
         return self.tendon[s.TENSION]
 
@@ -62,12 +59,12 @@ class HandEstimate:
 
     @property
     def travel(self) -> Vector:
-        """Return the tendon length that each spool has wound [m]."""
+        """Return the length of each tendon that is wound on its spool [m]."""
         return self.tendon[s.TRAVEL]
 
     @property
     def tendon_speed(self) -> Vector:
-        """Return the speed of each tendon at its spool [m/s]."""
+        """Return the rate of each tendon's travel [m/s]."""
         return self.tendon[s.SPEED]
 
     @property
@@ -89,35 +86,34 @@ class HandEstimate:
     def external_tension(self) -> Vector:
         """Return the load force on each tendon that the model does not explain [N].
 
-        A force that resists the closing of the digit is positive. Contact with an object causes a
-        positive force.
+        A force that resists closing is positive. Contact with an object causes such a force.
         """
         return self.tendon[s.EXTERNAL_TENSION]
 
     @property
     def stretch_offset(self) -> Vector:
-        """Return for each tendon the difference of travel and excursion at which its stretch begins [m]."""
+        """Return the difference of travel and excursion at which the stretch of each tendon begins [m]."""
         return self.tendon[s.STRETCH_OFFSET]
 
     @property
     def innovation(self) -> Vector:
-        """Return the load-cell reading of each tendon minus the expected reading [N].
+        """Return the load-cell reading minus its prediction [N].
 
-        If the reading is missing, the result is NaN.
+        The value is NaN if the reading is missing.
         """
         return self.tendon[s.INNOVATION]
 
     @property
     def nis(self) -> Vector:
-        """Return the normalised innovation squared (NIS) of the encoder and the load cell of each tendon.
+        """Return the normalised innovation squared of encoder and load cell.
 
-        If a reading is missing, the NIS is NaN.
+        The value is NaN if a reading is missing.
         """
         return self.tendon[s.NIS]
 
     @property
     def is_slack(self) -> NDArray[np.bool_]:
-        """Return True for each tendon that is slack."""
+        """Return for each tendon True if it is slack."""
         return np.asarray(self.regimes == SLACK_REGIME)
 
     @property
@@ -137,27 +133,26 @@ class HandEstimate:
 
     @property
     def contact_force(self) -> Vector:
-        """Return the contact forces at the tips of digits that close (D,) [N].
+        """Return the contact forces at the tips of closing digits (D,) [N].
 
-        Errors of the force that were found before the contact are subtracted.
-        """
+        Errors that were found before the contact are subtracted."""
         return self.digit[s.CONTACT_FORCE]
 
     @property
     def grip_opening(self) -> Vector:
-        """Return for each tendon how far its digit, which holds an object, was pushed open recently [m]."""
+        """Return how far the digits that hold an object were opened recently, along each tendon [m]."""
         return np.asarray(self.tendon[s.GRIP_TRAVEL_SLOW] - self.tendon[s.GRIP_TRAVEL_FAST])
 
     @property
     def grip_travel(self) -> Vector:
-        """Return the length on each spool minus the stretch of the tendon, averaged over 0.2 s [m]."""
+        """Return the length wound on each spool minus the stretch of the tendon, averaged over 0.2 s [m]."""
         return self.tendon[s.GRIP_TRAVEL_SLOW]
 
 
 class TickMeasurements:
-    """Measurements of a tick. If a measurement is missing, its value is NaN.
+    """Measurements of a tick. A missing measurement is NaN.
 
-    Each property has the shape (N,), unless its docstring gives another shape.
+    Each property is (N,) unless its docstring gives another shape.
     """
 
     __slots__ = ("joint", "tendon")
@@ -174,22 +169,22 @@ class TickMeasurements:
 
     @property
     def travel(self) -> Vector:
-        """Return the tendon length on each spool, as the motor encoders measure it [m]."""
+        """Return the tendon length wound on each spool, as the motor encoders measure it [m]."""
         return self.tendon[s.MEASURED_TRAVEL]
 
     @property
     def motor_position(self) -> Vector:
-        """Return the motor positions that the encoders measure, converted to the spool [rad]."""
+        """Return the positions that the motor encoders measure, converted to the spool [rad]."""
         return self.tendon[s.MEASURED_POSITION]
 
     @property
     def tension(self) -> Vector:
-        """Return the load-cell readings minus their zeros [N]."""
+        """Return the load-cell readings minus their tare [N]."""
         return self.tendon[s.MEASURED_TENSION]
 
     @property
     def excursion(self) -> Vector:
-        """Return the excursion of each tendon, computed from the readings of the joint encoders [m]."""
+        """Return the tendon excursions, computed from the readings of the joint encoders [m]."""
         return self.tendon[s.MEASURED_EXCURSION]
 
     @property

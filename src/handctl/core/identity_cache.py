@@ -1,6 +1,6 @@
-"""Caches for the results of a function.
+"""Caches for the values of a function.
 
-The caches find the result for an immutable object by the identity of this object.
+The caches find the value that belongs to an immutable object by the identity of this object.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,24 +12,24 @@ MAX_ENTRIES = 256
 
 
 class SequenceCache(Generic[T]):
-    """Results of a function for each item of a sequence.
+    """Values of a function for each item of a sequence.
 
-    In successive sequences, most items are the same objects. For an item that was already in the
-    last sequence, the cache returns the earlier result.
+    From one sequence to the next, most items are the same objects. For these objects, the cache
+    returns the values of the last call.
     """
 
     def __init__(self, function: Callable[[T], bytes]) -> None:
         """Create an empty cache.
 
         Args:
-            function: function that computes the result for an item.
+            function: function that computes the value of an item.
         """
         self._function = function
         self._items: Sequence[T] = ()
         self._values: list[bytes] = []
 
     def __call__(self, items: Sequence[T]) -> list[bytes]:
-        """Return the results of the function for all items of a sequence."""
+        """Return the value of the function for each item of a sequence."""
         function = self._function
         if len(items) == len(self._items):
             known = zip(items, self._items, self._values, strict=True)
@@ -43,27 +43,24 @@ class SequenceCache(Generic[T]):
 
 
 class IdentityCache(Generic[T]):
-    """Cache for the results of a function of one immutable object.
+    """Cache of the values of a function for immutable objects. An object is found by its identity.
 
-    The cache finds an object by its identity.
-
-    The equality of objects would not be sufficient: 1, 1.0 and True are equal, but have different
-    bytes.
+    The equality of objects would not suffice: 1, 1.0 and True are equal, but have different bytes.
     """
 
     def __init__(self, function: Callable[[T], bytes]) -> None:
         """Create an empty cache.
 
         Args:
-            function: function whose results are cached.
+            function: function whose values are cached.
         """
         self._function = function
         self._entries: dict[int, tuple[T, bytes]] = {}
 
     def __call__(self, key: T) -> bytes:
-        """Return the result of the function for an object.
+        """Return the value of the function for an object.
 
-        The result is computed only if the cache does not contain the object.
+        The value is computed only if the cache does not contain the object.
         """
         entry = self._entries.get(id(key))
         if entry is not None and entry[0] is key:

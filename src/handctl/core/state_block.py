@@ -1,24 +1,22 @@
-"""All quantities of the state block, each with its table, unit and meaning.
+"""Declaration of every quantity of the state block: table, unit and meaning.
 
-The state block contains the memory that a tick passes to the next tick.
+Each tick passes the block to the next tick.
 
-Each tick copies the block of the last tick and writes into the copy. The block contains the results
-of a tick (measurements, estimates, commands), and the memory for the next tick. The log, the viewer
-and the next tick therefore read the same numbers. ``state_tables`` returns the tables of the block
-by name, for compiled code. The module ``block_schema`` explains how code addresses a row of a
-table.
+A tick copies the block of the last tick and writes into the copy. The block contains the results of
+a tick (measurements, estimates, the command) as well as the memory for the next tick. The log, the
+viewer and the next tick therefore read the same numbers. ``state_tables`` returns the tables by
+name, for compiled code. The module ``block_schema`` explains how code addresses a row of a table.
 
-The following list contains the axes of the tables. The capital letter or number after the name of
-an axis is the length of the axis:
+The tables have these axes. The capital letter or number after a name is the length of the axis:
 
 - tendon, N. A motor has the same index as its tendon.
 - joint, J.
 - digit, D.
 - coordinate, C: the reduced coordinates of all digits.
-- node, N + 1: the motors first, and then all load cells as one node.
+- node, N + 1: the motors, and then the load cells as one node.
 - group, G: the frames in which the sensor node sends its readings.
 - instance: the places in which a fault can occur: motors, tendons, joints or nodes. The length of
-  this axis is the largest number of motors, tendons, joints or nodes.
+  this axis is the largest of these four numbers.
 - run, 1: numbers that exist once for the whole hand.
 - servo: N if any drive of the hand closes a position loop by itself, and 0 otherwise.
 """
@@ -47,8 +45,8 @@ STATE_SCHEMA = BlockSchema(*STATE_TABLES, optional="servo")
 _real = STATE_SCHEMA.real_field
 _whole = STATE_SCHEMA.integer_field
 
-# The following fields belong to the tension filter. The seven states of each tendon are declared
-# first, so that all states are one contiguous vector (7 N) for filterpy.
+# Tension filter. The seven states of each tendon are declared first, so that they form one
+# contiguous vector (7 N) for filterpy.
 TRAVEL = _real("travel", "tendon", "m",
     "length of tendon wound on the spool, predicted to the present")  # fmt: skip
 SPEED = _real("speed", "tendon", "m/s", "rate of the travel")
@@ -90,7 +88,7 @@ COVARIANCE_PROPAGATED = _whole("carried", "run", "",
 FILTER_STARTED = _whole("started", "run", "",
     "1 after the first reading of every encoder and load cell")  # fmt: skip
 
-# The following fields are the measurements of the tick. A missing measurement is NaN.
+# Measurements of this tick. A missing measurement is NaN.
 MEASURED_TRAVEL = _real("measured_travel", "tendon", "m",
     "length of tendon wound on the spool, by the motor encoder", initial=NAN)  # fmt: skip
 MEASURED_POSITION = _real("measured_position", "tendon", "rad",
@@ -114,7 +112,7 @@ REJECTED_JOINT_STEP = _real("joint_jump", "joint", "rad",
 PROGRAM_TARE = _real("program_tare", "tendon", "N",
     "load-cell tare that the program measured in this run")  # fmt: skip
 
-# The following fields are the estimates of the tick.
+# Estimates of this tick.
 TENSION = _real("tension", "tendon", "N", "tension at the load cell; 0 in slack")
 TENSION_SIGMA = _real("sigma", "tendon", "N", "standard deviation of the tension", initial=NAN)
 EXTERNAL_TENSION = _real("external", "tendon", "N",
@@ -141,8 +139,8 @@ CONTACT = _real("contact", "digit", "", "1 if the digit is in contact, else 0")
 PLANNED_CONTACT = _whole("planned_contact", "digit", "",
     "1 if the program knows that the digit touches an object")  # fmt: skip
 
-# The following fields describe the contact of digits that close, and the motion of the tendons
-# while the hand holds an object, see estimation.contact_force.
+# Contact of closing digits, and motion of the tendons while the hand holds an object, see
+# estimation.contact_force.
 CLOSING = _whole("closing", "digit", "", "1 while the program closes the digit until contact")
 SMOOTHED_TIP_FORCE = _real("felt", "digit", "N",
     "force at the tip of a closing digit, low-passed over 5 ms; 0 for other digits")  # fmt: skip
@@ -159,7 +157,7 @@ GRIP_TRAVEL_FAST = _real("grip_fast", "tendon", "m",
 GRIP_TRAVEL_SLOW = _real("grip_slow", "tendon", "m",
     "length wound on the spool less stretch, averaged over 0.2 s")  # fmt: skip
 
-# The following fields are the goals of the digits, for the control law.
+# Goals of the digits, for the control law.
 GOAL_KIND = _whole("goal_kind", "tendon", "", "type of control: 0 limp, 1 motion, 2 tension")
 TRAJECTORY_KIND = _whole("way_kind", "digit", "",
     "type of trajectory: 0 none, 1 minimum jerk, 2 sampled by the program, 3 streamed")  # fmt: skip
@@ -188,8 +186,8 @@ STIFFNESS_FRACTION = _real("stiffness_fraction", "tendon", "",
 DAMPING_FRACTION = _real("damping_fraction", "tendon", "",
     "fraction of the motion loop's damping that is used", initial=1.0)  # fmt: skip
 
-# The following fields describe the stream of targets from a client, see
-# ``control_law.streamed_motion``. Times of the stream are measured by the clock of the run.
+# Stream of targets from a client, see ``control_law.streamed_motion``. The times of the stream are
+# read from the clock of the run.
 STREAM_SEGMENT = _real("stream_segment", "coordinate", "rad .. rad/s5",
     "coefficients of the polynomial from the reference to the target", rows=6)  # fmt: skip
 STREAM_TARGET = _real("stream_target", "coordinate", "rad",
@@ -219,7 +217,7 @@ STREAM_REFUSED = _whole("stream_refused", "run", "",
 STREAM_LIMITED = _whole("stream_limited", "run", "",
     "number of coordinates that speed or acceleration limits hold back in this tick")  # fmt: skip
 
-# The following fields belong to the control law.
+# Control law.
 SETPOINT = _real("setpoint", "tendon", "N", "present setpoint of the tension loop")
 REQUIRED_TENSION = _real("load", "tendon", "N",
     "tension at the joints that the trajectory requires")  # fmt: skip
@@ -237,7 +235,7 @@ FRICTION_STATE = _real("friction_state", "tendon", "",
 TRIMMED = _whole("trimmed", "run", "", "1 while a trim is not yet zero")
 HOLDING = _whole("holding", "run", "", "1 while safety holds the hand")
 
-# The following fields are the commands of the tick.
+# Command of this tick.
 TORQUE = _real("torque", "tendon", "N m", "commanded motor torque, at the spool")
 TENSION_GOAL = _real("tension_goal", "tendon", "N",
     "commanded tension; NaN without a tension command", initial=NAN)  # fmt: skip
@@ -247,7 +245,7 @@ Q_GOAL = _real("q_goal", "joint", "rad",
 DQ_GOAL = _real("dq_goal", "joint", "rad/s",
     "commanded joint rate; NaN for a digit in the tension loop", initial=NAN)  # fmt: skip
 
-# The following fields are the commands to drives that close the position loop by themselves, see
+# Command of this tick to each drive that closes the position loop by itself, see
 # ``control_law.servo_commands``.
 SERVO_POSITION = _real("servo_position", "servo", "rad",
     "position that the drive approaches, at the spool")  # fmt: skip
@@ -267,8 +265,8 @@ SERVO_SHARE = _real("servo_share", "servo", "", "fraction of recent ticks with k
 SERVO_REPORT = _real("servo_report", "servo", "N",
     "motor force that the drive should report in this tick", initial=NAN)  # fmt: skip
 
-# The following fields are values that the drives sent in cyclic frames. The progress of configuring
-# each drive is stored in ``ControllerState.drives``.
+# Values of the drives, from their cyclic frames. The state of each drive's set-up is in
+# ``ControllerState.drives``.
 POSITION = _real("position", "tendon", "rad",
     "motor position, at the spool; NaN before any feedback", initial=NAN)  # fmt: skip
 VELOCITY = _real("velocity", "tendon", "rad/s",
@@ -297,7 +295,7 @@ MALFORMED_NOW = _whole("misread_now", "node", "",
 DUPLICATES = _whole("twice", "node", "",
     "excess replies of this tick: 0 none, 1 with equal bytes, 2 with other bytes")  # fmt: skip
 
-# Only the log uses the following numbers.
+# Numbers that only the log uses.
 MOTOR_AGE = _real("motor_age", "tendon", "s", "age of the latest feedback", initial=NAN)
 DRIVE_PHASE = _real("drive_phase", "tendon", "",
     "phase of the drive, drives.contract.Phase, as a real number")  # fmt: skip
@@ -306,7 +304,7 @@ MOTOR_VELOCITY = _real("motor_velocity", "tendon", "rad/s",
 MOTOR_TORQUE = _real("motor_torque", "tendon", "N m",
     "motor torque of this tick; NaN without feedback", initial=NAN)  # fmt: skip
 
-# The following fields belong to the sensor node.
+# Sensor node.
 CELL_READING = _real("cell", "tendon", "N", "latest load-cell reading, before the tare")
 CELL_FRESH = _whole("cell_fresh", "tendon", "", "1 if the load cell was read in this tick")
 JOINT_FRESH = _whole("joint_fresh", "joint", "", "1 if the joint encoder was read in this tick")
@@ -326,8 +324,7 @@ TENSION_FRAMES = _whole("tension_frames", "run", "",
 STALE_NOW = _whole("stale_now", "run", "",
     "1 if a sensor frame of this tick answered an older SYNC, 2 if after a fresh frame, else 0")  # fmt: skip
 
-# The following fields are the memory of the fault detectors. ``reset_monitor`` resets all fields
-# from here to _MONITOR_END.
+# Memory of the fault detectors. ``reset_monitor`` resets the fields from here to _MONITOR_END.
 _MONITOR_FIRST = {table: STATE_SCHEMA.rows(table) for table in STATE_TABLES}
 ACCEPTED_POSITION = _real("accepted", "tendon", "rad",
     "latest motor position that the outlier test accepted", initial=NAN)  # fmt: skip
@@ -412,7 +409,7 @@ REPORT_ON_TIME = _real("report_on_time", "tendon", "",
     "number of ticks in a row in which the motor replied in time")  # fmt: skip
 _MONITOR_END = {table: STATE_SCHEMA.rows(table) for table in STATE_TABLES}
 
-# ``reset_monitor`` does not reset the following memory of the fault detectors.
+# Memory of the fault detectors that ``reset_monitor`` does not reset.
 LOST_REPLIES = _whole("lost", "node", "",
     "ticks without a reply, one bit each: the last 50, and the 50 before", rows=2)  # fmt: skip
 MALFORMED = _whole("misshapen", "node", "",
@@ -431,7 +428,7 @@ RECHECK_TRIES = _whole("recheck_tries", "tendon", "",
 FAULT_TICKS = _whole("fault_ticks", "instance", "",
     "number of ticks in a row in which each fault is present", rows=64)  # fmt: skip
 
-# The fault detectors use the following facts about the tick.
+# Facts of this tick that the fault detectors judge.
 T_NS = _whole("t_ns", "run", "ns", "time of the tick")
 LATE_NS = _whole("late_ns", "run", "ns", "delay of the start of the tick")
 MISSED_TICKS = _whole("missed", "run", "", "number of ticks skipped before this tick")
@@ -444,7 +441,7 @@ CONSISTENCY_CHANGED = _whole("changed", "run", "", "1 if DOUBTFUL or BLOCKED cha
 TARED = _whole("tared", "run", "", "1 if the load cells' zero is known", initial=1)
 NEW_FAULTS = _whole("found_now", "run", "", "number of faults that became active in this tick")
 
-# The following fields describe the whole run.
+# State of the whole run.
 K = _whole("k", "run", "", "number of the last tick; -1 before the first", initial=-1)
 MODE = _whole("mode", "run", "", "mode of the hand, core.tick_types.HandMode")
 MODE_SINCE = _real("mode_since", "run", "s", "time at which the mode began")
@@ -458,7 +455,7 @@ CLEARING = _whole("clearing", "run", "",
 class StateTables(NamedTuple):
     """Tables of a state block, each with the shape (rows, length of the axis).
 
-    Only the tables ``run`` and ``run_int`` have the shape (rows,).
+    Only ``run`` and ``run_int`` have the shape (rows,).
     """
 
     tendon: NDArray[np.float64]
@@ -516,7 +513,7 @@ RUN_INT_FIRST, RUN_INT_END = _MONITOR_FIRST["run_int"], _MONITOR_END["run_int"]
 
 @kernel_helper
 def reset_monitor(x: StateTables, initial: StateTables) -> None:
-    """Reset the memory of those fault detectors that work while the motors may make torque."""
+    """Reset the memory of the fault detectors that work while torque is permitted."""
     for n in range(x.tendon.shape[1]):
         for row in range(TENDON_FIRST, TENDON_END):
             x.tendon[row, n] = initial.tendon[row, n]

@@ -1,15 +1,15 @@
-"""Interface of every motor drive protocol, which consists of a codec and a state machine.
+"""Interface of every motor drive protocol: codec and state machine.
 
-All functions of the interface get the time as an argument.
+Functions get the time as an argument.
 
-Each protocol is one class. Each object of a protocol class is the immutable description of one
-motor on one bus. All values of a drive that change are in an immutable ``DriveState``. In each
-tick, the controller calls ``receive`` of each drive for every received frame. The controller then
-calls ``advance`` of each drive once, with the requested state of the drive. While a drive is
-enabled and its state machine has nothing to do, compiled code in ``core.wire.cyclic_frames``
-exchanges the frames of the drive, by the tables of ``cyclic_messages`` and ``rechecks``. The
-controller calls ``advance`` again if the status of the feedback is not ``steady_status``, or at the
-time ``due_ns``. No function of this module reads a clock or a socket.
+Each protocol is one class. Each object of the class is the immutable description of one motor on
+one bus. All changing values are in an immutable ``DriveState``. In each tick the controller calls
+``receive`` of each drive for every received frame. The controller then calls ``advance`` of each
+drive once, with the requested drive state. While a drive is enabled and its state machine has
+nothing to do, compiled code in ``core.wire.cyclic_frames`` does this work, from the tables of
+``cyclic_messages`` and ``rechecks``. The controller calls ``advance`` again if the status of the
+feedback is not ``steady_status``, or when the time ``due_ns`` comes. No function here reads a clock
+or a socket.
 """
 
 import enum
@@ -35,7 +35,7 @@ FIRST_RECHECK = RecheckCursor()
 class DriveTarget(enum.IntEnum):
     """Drive state that the controller requests.
 
-    In each tick, the drive goes one step towards the requested state.
+    In each tick, the drive goes one step towards this state.
     """
 
     LISTEN = 0
@@ -55,7 +55,7 @@ class DriveTarget(enum.IntEnum):
 
 
 class DrivePhase(enum.IntEnum):
-    """Phase of a drive, from the first silence to the state in which it makes torque."""
+    """Progress of a drive from silence to torque."""
 
     SILENT = 0
     """The drive has sent no frame yet, or none for longer than the timeout."""
@@ -73,7 +73,7 @@ class DrivePhase(enum.IntEnum):
 
 
 class DriveFaultCause(enum.IntEnum):
-    """Cause of a drive fault. Each protocol converts its own error codes to these eight causes."""
+    """Cause of a drive fault. Each protocol maps its own error codes to these eight causes."""
 
     OTHER = 0
     """The protocol documents the error, but none of the other causes fits."""
@@ -105,23 +105,23 @@ class DriveProperty(enum.Enum):
 
 
 class DriveState(NamedTuple):
-    """State of one drive. All values refer to the spool, and positive values wind the tendon.
+    """State of one drive. Values are at the spool, with the hand's sign: positive values wind the tendon.
 
     Attributes:
-        phase: phase of the drive, from silence to the state in which it makes torque.
+        phase: progress from silence to torque.
         position: position [rad], NaN before the first feedback.
         velocity: velocity [rad/s].
         torque: torque that the drive measures or estimates [N m].
         temperature: temperature of the hottest sensor of the drive [degC], NaN for a drive without
             a sensor.
-        feedback_t_ns: reception time of the latest feedback [ns], or -1 before the first one.
+        feedback_t_ns: reception time of the latest feedback [ns], -1 before the first.
         feedback_count: number of feedback frames since the start.
-        recheck: position in the list of settings that are read again while the drive is enabled.
-        error: error code of the drive, or 0 without an error.
-        error_text: error of the drive in words, or an empty text without an error.
-        misread: number of frames that had an identifier of the drive but an invalid payload.
-        private: internal values of the protocol, such as an open request or the end of a waiting
-            time. Code outside the protocol does not read these internal values.
+        recheck: position in the repeated read-back of the enabled drive.
+        error: error code of the drive, 0 without an error.
+        error_text: the error of the drive in words, empty without an error.
+        misread: number of frames that had one of the drive's identifiers but an invalid payload.
+        private: internal state of the protocol, such as an open request, deadlines, or ranges.
+            Callers do not read it.
     """
 
     phase: DrivePhase = DrivePhase.SILENT
@@ -162,9 +162,9 @@ class DriveState(NamedTuple):
 def is_confirmed_off(state: DriveState) -> bool:
     """Return True if a drive with target DISABLE has reported that it makes no torque.
 
-    The phases SILENT and CONFIGURING confirm nothing, because no report of the drive led to these
-    phases. The phase FAULT is a confirmation only after a call of ``advance`` with the target
-    DISABLE. If a drive in fault may still make torque, this call changes its phase to ENABLED.
+    SILENT and CONFIGURING are no confirmation, because no report of the drive led to these phases.
+    The phase FAULT is a confirmation only after a call of ``advance`` with DISABLE. This call
+    changes the phase of a drive in fault that may still make torque to ENABLED.
     """
     return state.phase in (DrivePhase.READY, DrivePhase.FAULT)
 
@@ -174,29 +174,28 @@ class Drive(Protocol):
 
     Attributes:
         name: name of the motor in the hand file.
-        bus: index of the bus to which the drive is connected.
-        command_limit: largest command at the spool: a torque [N m], or in the modes of
-            ``drive_modes`` a position [rad] or velocity [rad/s].
-        frames_per_tick: largest number of frames in one tick, in both directions, as (payload
-            bytes, CAN FD?). The bus load is computed from these frames.
+        bus: index of the bus of the drive.
+        command_limit: largest command at the spool, in the unit of the drive's mode: a torque [N m], or
+            in the modes of ``drive_modes`` a position [rad] or velocity [rad/s].
+        frames_per_tick: all frames that one tick can have at most, in both directions, as (payload
+            bytes, CAN FD?). The bus load is computed from them.
         background_frames: frames whose rate is not the control rate, as (payload bytes, CAN FD?,
             frames per second).
-        has_extended_ids: True if the frames have 29-bit identifiers. Frames with 29-bit identifiers
-            take longer on the bus.
-        host_ids: identifiers of frames that a host sends to the drive. If the controller receives a
-            frame with such an identifier, another host has sent the frame.
-        node_ids: identifiers of frames that the drive sends.
+        has_extended_ids: True if the frames have 29-bit identifiers. Such frames take longer on the
+            bus.
+        host_ids: identifiers of frames from a host to the drive. If such a frame is received,
+            another host has sent it.
+        node_ids: identifiers of frames from the drive.
         unverified_protections: protections of the drive that handctl cannot verify, shown to the
             operator before arming.
         unchecked_properties: reason for each property that handctl cannot check on this drive. The
             reason names the missing option, or what the protocol lacks.
-        one_reply_per_command: True if the drive sends exactly one feedback frame per command. If
-            there is an additional frame, it is a duplicate, or comes from a second drive with the
-            same number.
+        one_reply_per_command: True if the drive sends exactly one feedback frame per command. An
+            additional frame is then a duplicate, or comes from a second drive with the same number.
         position_step: resolution of the measured position [rad at the spool], 0 if unknown.
         cyclic_messages: signal tables of the frames that a tick exchanges with the enabled drive.
-        rechecks: settings that are read again while the drive is enabled, each with one request and
-            one reply. The tuple is empty if the state machine itself reads the settings again.
+        rechecks: settings that are read again while the drive is enabled, each with one request
+            and one reply. Empty if the state machine itself does the repeated read-back.
         feedback_period_s: period of the drive's unrequested feedback [s], 0 if every tick requests
             feedback.
     """
@@ -277,17 +276,17 @@ class Drive(Protocol):
         ...
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status of the feedback while the state machine has nothing to do, or NO_STEADY_STATUS.
+        """Return the status in the feedback at which the state machine has nothing to do, or NO_STEADY_STATUS.
 
-        As long as the feedback has this status, only its measured values change, and torque
-        commands may continue.
+        As long as the feedback has this status, only its values change, and torque commands may
+        continue.
         """
         ...
 
     def due_ns(self, state: DriveState) -> int:
         """Return the time at which ``advance`` must be called even if the status does not change [ns].
 
-        The time ignores the requests of ``rechecks``, because compiled code sends these requests.
+        The repeated read-back of ``rechecks`` does not count, because compiled code does it.
         """
         ...
 
@@ -338,14 +337,14 @@ class Drive(Protocol):
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the state and the frames that clear the drive's latched error.
 
-        The drive stays disabled after its error is cleared.
+        The drive stays disabled.
         """
         ...
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return the frames to send to the drive at the regular end of a run.
 
-        After these frames, the drive accepts that the host sends nothing more.
+        After these frames the drive accepts that the host sends nothing more.
 
         The result is empty if the drive may still make torque.
         """

@@ -24,16 +24,15 @@ class DiscoveredNode:
     """Node discovered on a bus, with the data reported by the node.
 
     Attributes:
-        protocol: protocol of the node, by its name in the hand file.
+        protocol: name of the protocol in the hand file.
         node_id: node number.
         firmware: firmware version, empty if not reported.
         serial: serial number, empty if not reported.
         state: state of the node in words, empty if not reported.
         error: error of the node in words, empty if not reported.
-        settings: values for the keys of a ``[[motor]]`` section, by key. Most of these values are
-            read from the drive.
-        options: values for the keys of ``[motor.options]``, by key. Most of these values are read
-            from the drive.
+        settings: values for the keys of a ``[[motor]]`` section, by key. Most are read from the
+            drive.
+        options: values for the keys of ``[motor.options]``, by key. Most are read from the drive.
         notes: warnings for the operator.
         origins: source of each value in ``settings`` and ``options`` that was not read from the
             drive, by key.
@@ -66,17 +65,17 @@ def have_two_drives_answered(answers: Mapping[int, Sequence[bytes]], serial: int
     requests twice by mistake.
 
     Args:
-        answers: received answers to each request of the scan, by request, for example by register
-            number. The scan sends each of these requests once.
-        serial: key in ``answers`` of the request for the serial number. Two drives never answer the
-            request for the serial number equally.
+        answers: received answers to each request, by request (for example by register number). Each
+            request was sent once.
+        serial: key in ``answers`` of the request for the serial number. Two drives never give equal
+            answers to this request.
     """
     serials = set(answers.get(serial, ()))
     return len(serials) > 1 or sum(len(payloads) > 1 for payloads in answers.values()) > 1
 
 
 def unchanged_node(node: DiscoveredNode) -> DiscoveredNode:
-    """Return the node unchanged, for protocols in which a missing answer has no meaning."""
+    """Return the node unchanged, for protocols that draw no conclusion from a missing answer."""
     return node
 
 
@@ -94,10 +93,10 @@ class ProtocolDiscovery(NamedTuple):
         command_ids: function returning the identifiers of frames that a node obeys as commands.
         other_host_frames: function returning those received frames that only another host can have
             sent.
-        ping: function returning a request to one node. The request does not move the motor.
+        ping: function returning a request to one node. The request causes no motion.
         is_ping_reply: function returning True if a frame is the answer of a node to ``ping``.
-        unasked: function that corrects the data of a node if the scan has only listened, without
-            requests. Without requests, a missing answer has no meaning.
+        unasked: function that corrects a node if the scan has only listened. A missing answer then
+            means nothing.
     """
 
     probe_frames: Callable[[int, ReceivedFrames], tuple[Frame, ...]]

@@ -49,9 +49,7 @@ LENGTH_BIT = 56
 
 
 class Frames(Sequence[Frame]):
-    """Sequence of frames stored as records.
-
-    A ``Frames`` sequence equals any other sequence with equal frames.
+    """Sequence of frames stored as records. Such a sequence equals any sequence with equal frames.
 
     Attributes:
         records: (n,) frames of type ``FRAME_RECORD_DTYPE``.

@@ -39,8 +39,8 @@ class ProtocolEntry(NamedTuple):
         discovery: discovery functions of the protocol. None if drives of the protocol answer only
             commands.
         options: options of the protocol in the hand file, by key.
-        make_mode: function constructing a drive in a position or velocity mode. The value is None
-            if the protocol supports only torque commands.
+        make_mode: function constructing a drive in a position or velocity mode. None if the
+            protocol only supports torque.
     """
 
     make: Callable[[MotorDescription, int], Drive]
@@ -110,13 +110,13 @@ def make_drive(motor: MotorDescription, bus: int) -> Drive:
 def make_mode_drive(
     motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
 ) -> Drive:
-    """Return the drive object for a motor description, in the given mode.
+    """Return the drive for a motor description, in the given mode.
 
     Args:
         motor: description of the motor.
         bus: index of the bus.
-        mode: quantity that the drive controls in this mode.
-        limits: largest speed and acceleration. In torque mode, the limits are not used.
+        mode: quantity that the drive controls.
+        limits: largest speed and acceleration. They are not used in torque mode.
 
     Raises:
         ConfigError: the protocol or an option is unknown, or handctl does not support this mode of

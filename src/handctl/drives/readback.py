@@ -63,7 +63,7 @@ class ReadbackCursor(NamedTuple):
 
     @property
     def waiting(self) -> bool:
-        """Return True if a request has been sent, but no answer has arrived yet."""
+        """Return True if a request has been sent and has no answer yet."""
         return self.sent_ns >= 0
 
     def next_setting(self) -> "ReadbackCursor":
@@ -71,10 +71,7 @@ class ReadbackCursor(NamedTuple):
         return ReadbackCursor(self.step + 1)
 
     def after_write(self) -> "ReadbackCursor":
-        """Return the cursor after a write request.
-
-        The next request then reads the setting that was written.
-        """
+        """Return the cursor after a write request. The next request then reads the setting back."""
         return ReadbackCursor(self.step, written=self.written + 1)
 
 
@@ -123,7 +120,7 @@ def on_wrong_value(
         writes: largest number of times that the setting is written.
 
     Returns:
-        The new position in the read-back, and the problem in words (empty if there is no problem).
+        the new cursor, and the problem in words, empty without a problem.
     """
     if cursor.written < writes:
         return ReadbackCursor(cursor.step, writing=True, written=cursor.written), ""
@@ -146,7 +143,7 @@ class RecheckCursor(NamedTuple):
 
     @property
     def waiting(self) -> bool:
-        """Return True if a request has been sent, but no answer has arrived yet."""
+        """Return True if a request has no answer yet."""
         return self.tries > 0
 
 
@@ -157,8 +154,8 @@ class SettingRecheck(NamedTuple):
         name: name of the setting.
         request: frame of the request.
         reply: frame of the reply with the required value, with at most 8 bytes of payload.
-        key_bytes: first byte of the payload that identifies the reply to this request, and the byte
-            after the last. A reply to another request differs in these bytes.
+        key_bytes: first byte of the payload that identifies the reply to this request, and the
+            byte after the last. Another reply differs in these bytes.
         compared_bytes: first byte of the payload that is compared, and the byte after the last.
     """
 
@@ -179,7 +176,7 @@ def next_recheck(
 ) -> tuple[RecheckCursor, str]:
     """Return the position after a read-back request to an enabled drive, and the problem in words.
 
-    The text of the problem is empty if no problem has occurred.
+    The problem is empty if all is right.
 
     Args:
         check: position in the repeated read-back.

@@ -1,8 +1,7 @@
 """Steps that the state machines of several protocols share: fault, repeated read-back, enable and disable.
 
-Each protocol has its own progress, a named tuple in ``DriveState.private``. A function of this
-module uses only those fields of ``EnablingProgress`` that its docstring names, and returns the next
-state of the drive.
+Each protocol has its own progress, a named tuple in ``DriveState.private``. A function here uses
+only those fields of ``EnablingProgress`` that its text names, and returns the next drive state.
 """
 
 from typing import Any, Protocol, Self
@@ -22,7 +21,7 @@ class EnablingProgress(Protocol):
     """Fields of a progress that the functions of this module use.
 
     Attributes:
-        cursor: position in the list of settings that the host reads back.
+        cursor: position in the list of settings to read back.
         configured: True if all settings have their required values.
         enabled_by_other: True if the drive may make torque without a command of this host.
         enable_sent: True from the enable command until the drive reports that it is off.
@@ -78,7 +77,7 @@ def request_recheck(
     Args:
         state: state of the drive.
         drive: drive whose settings are read again.
-        error_code: error code that is set if the drive does not answer the request for a setting.
+        error_code: error code of a setting that the drive does not answer.
         t_ns: time of the tick [ns].
     """
     # Most calls end here. The frames of the exchanges are built only for a request that is due.
@@ -103,7 +102,7 @@ def after_recheck_reply(
 
     Args:
         state: state of the drive.
-        error_code: error code that is set if the setting has a wrong value.
+        error_code: error code of a setting with a wrong value.
         setting_count: number of settings in the repeated read-back.
         is_equal: True if the setting has the required value.
         name: name of the setting.
@@ -120,7 +119,7 @@ def after_recheck_reply(
 def is_steady(state: DriveState) -> bool:
     """Return True if this host has enabled the drive, and does not disable it.
 
-    The function uses the fields ``enable_sent`` and ``disabling``.
+    Uses ``enable_sent`` and ``disabling``.
     """
     progress: EnablingProgress = state.private
     return state.phase == ENABLED and progress.enable_sent and not progress.disabling
@@ -129,7 +128,7 @@ def is_steady(state: DriveState) -> bool:
 def may_have_lost_power(state: DriveState, t_ns: int) -> bool:
     """Return True if a disabled drive has sent no frame for SILENCE_TIMEOUT_NS.
 
-    The function uses the fields ``enable_sent`` and ``ready_ns``.
+    Uses ``enable_sent`` and ``ready_ns``.
     """
     progress: EnablingProgress = state.private
     return (
@@ -142,7 +141,7 @@ def may_have_lost_power(state: DriveState, t_ns: int) -> bool:
 def after_configuration(state: DriveState, t_ns: int, serial: int) -> DriveState:
     """Return the state in phase READY of a drive whose settings have all been verified.
 
-    A serial number of 0 means that the serial number is unknown.
+    With serial number 0, the serial number is unknown.
     """
     progress: EnablingProgress = state.private
     ready = progress._replace(
@@ -152,10 +151,7 @@ def after_configuration(state: DriveState, t_ns: int, serial: int) -> DriveState
 
 
 def start_enabling(state: DriveState, node_id: int, t_ns: int) -> DriveState:
-    """Return the state of a drive to which an enable command is sent.
-
-    The function uses the field ``enable_sent``.
-    """
+    """Return the state of a drive to which an enable command is sent. Uses ``enable_sent``."""
     progress: EnablingProgress = state.private
     if progress.enable_sent:
         return state
@@ -166,8 +162,8 @@ def start_enabling(state: DriveState, node_id: int, t_ns: int) -> DriveState:
 def start_disabling(state: DriveState, t_ns: int) -> DriveState:
     """Return the state of a drive to which a disable command is sent.
 
-    A drive that may be enabled counts as enabled until its feedback reports that it is off. The
-    function uses the fields ``may_be_enabled``, ``disabling`` and ``disabling_ns``.
+    A drive that may be enabled counts as enabled until its feedback reports that it is off. Uses
+    ``may_be_enabled``, ``disabling`` and ``disabling_ns``.
     """
     progress: EnablingProgress = state.private
     phase = ENABLED if progress.may_be_enabled else state.phase
@@ -182,8 +178,7 @@ def state_when_off(
 ) -> DriveState:
     """Return the state after the drive has reported that it is off, without an error.
 
-    The function uses the fields ``enable_sent``, ``enabled_by_other``, ``clearing``, ``disabling``
-    and ``disabling_ns``.
+    Uses ``enable_sent``, ``enabled_by_other``, ``clearing``, ``disabling`` and ``disabling_ns``.
 
     Args:
         state: state of the drive, with the values of this feedback.
@@ -206,9 +201,7 @@ def state_when_off(
 
 
 def state_when_on(state: DriveState, error_code: int, text: str) -> DriveState:
-    """Return the state after the drive has reported that it is on.
-
-    The function uses the field ``enable_sent``.
+    """Return the state after the drive has reported that it is on. Uses ``enable_sent``.
 
     Args:
         state: state of the drive.
@@ -224,8 +217,7 @@ def state_when_on(state: DriveState, error_code: int, text: str) -> DriveState:
 def state_when_on_by_other(state: DriveState, error_code: int, text: str) -> DriveState:
     """Return the state of a drive that may make torque without a command of this host.
 
-    The function uses the fields ``enabled_by_other`` and ``disabling``. The arguments have the same
-    meaning as in ``state_when_on``.
+    Uses ``enabled_by_other`` and ``disabling``. Arguments as in ``state_when_on``.
     """
     progress: EnablingProgress = state.private
     on = state._replace(private=progress._replace(enabled_by_other=True))

@@ -1,4 +1,4 @@
-"""Environment ``handctl/Track-v0``: the joints of an empty hand shall follow a smooth random reference."""
+"""Environment ``handctl/Track-v0``: a hand without an object shall follow a smooth random reference with its joints."""
 
 import math
 from collections.abc import Mapping
@@ -33,10 +33,10 @@ REFERENCE_BLEND_S = 1.0
 class TrackEnv(HandEnv):
     """Environment in which each joint or digit follows a reference.
 
-    Each reference is the sum of two sine waves with random periods and phases.
+    A reference is the sum of two sines with random periods and phases.
 
-    The reward of a step is 1 / (1 + (e / 5 deg)^2). Here e is the root mean square of the true
-    tracking errors of all joints or digits. Only a fault ends an episode early.
+    The reward of a step is 1 / (1 + (e / 5 deg)^2). Here e is the RMS of the true tracking errors
+    of all joints or digits. Only a fault ends an episode early.
     """
 
     def __init__(
@@ -54,9 +54,8 @@ class TrackEnv(HandEnv):
 
         Args:
             hand, space, duration_s, perturb, speed_deg_s: as for ``HandEnv``.
-            span: lowest and highest value of the references, as fractions of the range of each
-                joint or digit. If digits can touch each other within these ranges, the span must be
-                smaller.
+            span: lowest and highest reference, as fractions of the range of each joint or digit. If
+                digits touch each other within their ranges, the span must be smaller.
             render_mode, picture_size_px: as for ``HandEnv``.
 
         Raises:
@@ -70,7 +69,7 @@ class TrackEnv(HandEnv):
         )
 
     def observation_parts(self) -> list[ObservationPart]:
-        """Return the parts of an observation: joint angles and rates, tensions, present and future references."""
+        """Return the parts of an observation: joint angles and rates, tensions, and the references now and later."""
         return [
             *self.body_observation_parts(),
             ObservationPart("reference_rad", self.names, -math.pi, math.pi),
@@ -98,12 +97,12 @@ class TrackEnv(HandEnv):
         return angles if self._space == "digit" else self._joints_of(angles)
 
     def extra_values(self, name: str) -> Any:
-        """Return the present references, or those after the horizon, as the named observation part requires [rad]."""
+        """Return the references [rad] of one part of the observation: those of now, or those after the horizon."""
         ahead = self.horizon_s if name == "reference_ahead_rad" else 0.0
         return self.units.si(self.reference_deg(self.t_s + ahead))
 
     def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return the reward for the true tracking error of a step, False (no step ends an episode), and the error."""
+        """Return the reward for the true tracking error of a step, False, and the error as information."""
         error = self.units.displayed(self.coordinates_of_joints(self.true_q)) - self.reference_deg(
             self.t_s
         )
@@ -113,7 +112,7 @@ class TrackEnv(HandEnv):
     def _limits_deg(self) -> tuple[Vector, Vector]:
         """Return the lowest and the highest value of each reference [deg].
 
-        Each reference belongs to a digit, or to a coordinate of one or more joints.
+        A reference belongs to a digit or to a coordinate of joints.
         """
         if self._space == "digit":
             return self.low_deg, self.high_deg
@@ -122,7 +121,7 @@ class TrackEnv(HandEnv):
 
     @property
     def _reference_units(self) -> DisplayUnits:
-        """Return the units of the references, which belong to digits or to coordinates of joints."""
+        """Return the units of the references, which are digits, or coordinates of joints."""
         if self._space == "digit":
             return self.units
         return DisplayUnits.of(
@@ -132,7 +131,7 @@ class TrackEnv(HandEnv):
     def _coordinates_of(self, q: Vector) -> Vector:
         """Return the values of the references at given joint angles (J,).
 
-        The unit of the angles does not change.
+        The unit stays the same.
         """
         if self._space == "digit":
             return self.coordinates_of_joints(q)
@@ -143,7 +142,7 @@ class TrackEnv(HandEnv):
     def _joints_of(self, coordinates: Vector) -> Vector:
         """Return the joint angles (J,) at given coordinates.
 
-        The unit of the angles does not change. Joints that share a coordinate have the same angle.
+        The unit stays the same. Joints that share a coordinate turn together.
         """
         rows = zip(self.model.digits, self.model.digit_coordinates, strict=True)
         return np.concatenate([digit.coupling @ coordinates[places] for digit, places in rows])

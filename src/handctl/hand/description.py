@@ -1,4 +1,4 @@
-"""Description of a hand: the validated, unchangeable content of its TOML file, and values that follow from it."""
+"""Description of a hand: the validated, unchangeable content of its TOML file, and quantities derived from it."""
 
 import hashlib
 import json
@@ -74,7 +74,7 @@ It has no channels, so its identifiers and noise have no effect.
 class Hand(Section):
     """Hand as its hand file describes it.
 
-    Lists are in the order of the hand file. The tendons are listed digit by digit.
+    Lists are in the order of the file. Tendons are listed digit by digit.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_by_name=False)
@@ -106,7 +106,7 @@ class Hand(Section):
     @model_validator(mode="before")
     @classmethod
     def _without_sensors(cls, given: Any) -> Any:
-        """If the content of a hand file has no section ``sensor_node``, add a sensor node without channels."""
+        """Add a sensor node without channels to the content of a hand file without a section ``sensor_node``."""
         if not isinstance(given, dict) or "sensor_node" in given:
             return given
         buses = given.get("bus")
@@ -116,19 +116,19 @@ class Hand(Section):
             or not isinstance(buses[0], dict)
             or "name" not in buses[0]
         ):
-            # If the buses are missing, pydantic reports this later. Any bus name is used here, so
-            # that the missing buses are not reported twice.
+            # pydantic reports the missing buses. The sensor node gets any name of a bus, so that it
+            # causes no second report.
             return given | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": "main"}}
         return given | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": buses[0]["name"]}}
 
     @cached_property
     def has_cell(self) -> NDArray[np.bool_]:
-        """Return (N,) True for each tendon that has a load cell."""
+        """Return True for each tendon with a load cell, (N,)."""
         return np.array([name in self.sensor_node.tendons for name in self.tendon_names])
 
     @cached_property
     def is_pair(self) -> NDArray[np.bool_]:
-        """Return (N,) True for each tendon that is a spool pair: two antagonistic tendons on one spool."""
+        """Return True for each tendon that is a spool pair: two antagonistic tendons on one spool, (N,)."""
         return np.array([tendon.pretension_N is not None for tendon in self.tendon])
 
     @cached_property
@@ -141,7 +141,7 @@ class Hand(Section):
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Return the joint names of all digits, each digit from the palm to the tip: ``index_j1``, ``index_j2``, .."""
+        """Return joint names, digit by digit from the palm outwards: ``index_j1``, ``index_j2``, .."""
         return tuple(joint for digit in self.digit for joint in digit.joints)
 
     @cached_property
@@ -172,24 +172,24 @@ class Hand(Section):
 
     @cached_property
     def is_prismatic(self) -> NDArray[np.bool_]:
-        """Return (J,) True for each prismatic joint."""
+        """Return True for each prismatic joint, (J,)."""
         return np.array([slides for digit in self.digit for slides in digit.is_prismatic])
 
     @cached_property
     def display_units(self) -> DisplayUnits:
-        """Return the units (J,) in which a user sees the positions of the joints."""
+        """Return the units in which a user sees the positions of the joints, (J,)."""
         return DisplayUnits.of(self.is_prismatic)
 
     def displayed_mean(self, digit: str) -> DisplayUnits:
-        """Return the unit (1,) in which a user sees the mean position of a digit's joints.
+        """Return the unit in which a user sees the mean position of a digit's joints, (1,).
 
-        If all joints of the digit are prismatic, the unit is mm.
+        It is mm if all joints of the digit are prismatic.
         """
         return DisplayUnits.of([self.is_prismatic[self.digit_joints[digit]].all()])
 
     @cached_property
     def joint_noise(self) -> NDArray[np.float64]:
-        """Return the standard deviation (J,) of one reading of each joint encoder [rad or m]."""
+        """Return the standard deviation of a sample of each joint's encoder, (J,) [rad or m]."""
         sliding = self.sensor_node.joint_noise_m
         return np.where(
             self.is_prismatic,
@@ -199,12 +199,12 @@ class Hand(Section):
 
     @cached_property
     def moment_arms(self) -> NDArray[np.float64]:
-        """Return the moment arms R of all tendons (N, J) [m], as a read-only array.
+        """Return the moment arms R, (N, J) [m], read-only.
 
-        With joint angles q, the excursion is R q. Tensions f exert the joint torques R^T f.
+        The excursion is R q, and tensions f exert the joint torque R^T f.
 
-        If a moment arm depends on the joint angle, R contains the mean over the range of the joint.
-        For a prismatic joint, R contains the excursion of the tendon per motion of the joint [m/m].
+        If a moment arm depends on the joint angle, R has its mean over the range of the joint. The
+        entry of a prismatic joint is the tendon's excursion per motion of the joint [m/m].
         """
         limits = self.joint_limits.T.tolist()
         arms = np.array([
@@ -226,11 +226,11 @@ class Hand(Section):
 
     @cached_property
     def carrier_arms(self) -> NDArray[np.float64]:
-        """Return the moment arms of each tendon about the joints of digits that carry its digit, (N, J) [m], read-only.
+        """Return the moment arms of each tendon about joints that carry its digit, (N, J) [m], read-only.
 
-        For example, the tendons of a finger also cross the wrist. If such a tendon does not run
-        through the axis of the wrist, its tension turns the wrist. A motion of the wrist then winds
-        or unwinds the tendon.
+        For example, the tendons of a finger pass the wrist. If such a tendon does not run through
+        the axis of the wrist, its tension turns the wrist, and a motion of the wrist winds or
+        unwinds the tendon.
         """
         arms = self.moment_arms - self.own_arms
         arms.setflags(write=False)
@@ -238,9 +238,9 @@ class Hand(Section):
 
     @cached_property
     def arm_polynomials(self) -> NDArray[np.float64]:
-        """Return the moment arms as polynomials of the joint angle, in a read-only array.
+        """Return the moment arms as polynomials of the joint angle, read-only.
 
-        The array (N, J, quantities.POLYNOMIAL_COEFFICIENTS) contains the coefficients for each
+        The array (N, J, quantities.POLYNOMIAL_COEFFICIENTS) contains the coefficients of each
         tendon at each joint.
         """
         rows = [
@@ -253,25 +253,25 @@ class Hand(Section):
 
     @cached_property
     def has_varying_arm(self) -> NDArray[np.bool_]:
-        """Return (N,) True for each tendon with at least one moment arm that depends on the joint angle."""
+        """Return True for each tendon with a moment arm that depends on the joint angle, (N,)."""
         return np.array(
             [any(map(is_arm_varying, tendon.moment_arm_m.values())) for tendon in self.tendon]
         )
 
     @cached_property
     def joint_limits(self) -> NDArray[np.float64]:
-        """Return the smallest and the largest position of each joint (2, J) [rad or m]."""
+        """Return the smallest and the largest position of each joint, (2, J) [rad or m]."""
         return np.concatenate([digit.joint_limits for digit in self.digit], axis=1)
 
     @cached_property
     def tendons_with_encoders(self) -> NDArray[np.bool_]:
-        """Return (N,) True for each tendon if all joints that it crosses in its own digit have encoders."""
+        """Return True for each tendon if all joints that it crosses in its own digit have encoders, (N,)."""
         measured = np.array([joint in self.sensor_node.joints for joint in self.joints])
         return np.asarray(~((self.own_arms != 0.0) & ~measured).any(axis=1))
 
     @cached_property
     def digit_joints(self) -> dict[str, slice]:
-        """Return, for each digit, the slice of ``joints`` that contains its joints."""
+        """Return the slice of ``joints`` that contains the joints of each digit."""
         return dict(
             zip(
                 self.digit_names,
@@ -282,9 +282,9 @@ class Hand(Section):
 
     @cached_property
     def base_joints(self) -> dict[str, int]:
-        """Return, for each digit, the index in ``joints`` of the joint whose link carries the digit.
+        """Return for each digit the index in ``joints`` of the joint whose link carries the digit.
 
-        If the palm carries the digit, the index is -1.
+        The palm has the index -1.
         """
         return {
             digit.name: -1 if digit.mount_on is None else self.digit_joints[digit.mount_on].stop - 1
@@ -297,10 +297,9 @@ class Hand(Section):
         return frozenset(digit.mount_on for digit in self.digit if digit.mount_on is not None)
 
     def carriers_of(self, digit: str) -> tuple[str, ...]:
-        """Return the names of the digits that carry a given digit, beginning with the one that carries it directly."""
+        """Return the names of the digits that carry a digit, beginning with the one directly before it."""
         carrier = self.digit_named(digit).mount_on
-        # In an invalid hand file, digits may carry each other in a circle. Later checks refuse such
-        # a file.
+        # Digits may still carry each other in a circle here. Later checks refuse such a hand file.
         found: list[str] = []
         while carrier in self.digit_names and carrier not in found:
             found.append(carrier)
@@ -310,7 +309,7 @@ class Hand(Section):
     def digit_of_tendon(self, tendon: Tendon) -> str | None:
         """Return the name of the digit that a tendon moves.
 
-        All other digits that this tendon crosses must carry the returned digit.
+        All other digits that the tendon crosses carry it.
 
         If there is no such digit, return None.
         """
@@ -321,34 +320,34 @@ class Hand(Section):
         return outermost[0] if outermost else None
 
     def base_link(self, digit: Digit) -> str:
-        """Return the name of the link that carries a digit, which is ``palm`` or the last link of another digit."""
+        """Return the name of the link that carries a digit: ``palm``, or the last link of another digit."""
         if digit.mount_on is None:
             return "palm"
         return f"{digit.mount_on}_link{len(self.digit_named(digit.mount_on).joints)}"
 
     @cached_property
     def digit_tendons(self) -> dict[str, slice]:
-        """Return, for each digit, the slice of ``tendon`` that contains its tendons."""
+        """Return the slice of ``tendon`` that contains the tendons of each digit."""
         moved = [self.digit_of_tendon(tendon) for tendon in self.tendon]
         counts = [moved.count(digit.name) for digit in self.digit]
         return dict(zip(self.digit_names, _consecutive_slices(counts), strict=True))
 
     @cached_property
     def motor_index(self) -> tuple[int, ...]:
-        """Return, for each tendon, the index of its motor in ``motor``."""
+        """Return the index in ``motor`` of the motor of each tendon."""
         return tuple(self.motor_names.index(tendon.motor) for tendon in self.tendon)
 
     def motor_of(self, tendon: str) -> Motor:
-        """Return the motor that pulls the tendon with the given name."""
+        """Return the motor of a tendon, by the tendon's name."""
         return self.motor[self.motor_index[self.tendon_names.index(tendon)]]
 
     def digit_named(self, name: str) -> Digit:
-        """Return the digit with the given name."""
+        """Return a digit by name."""
         return self.digit[self.digit_names.index(name)]
 
     @cached_property
     def content(self) -> dict[str, Any]:
-        """Return the content of the hand file as plain values, with all defaults filled in."""
+        """Return the content of the file as plain values, by the keys of the file, with defaults filled in."""
         content = self.model_dump(by_alias=True, mode="python")
         later = {
             "digit": DIGIT_KEYS_ADDED_LATER,
@@ -358,7 +357,7 @@ class Hand(Section):
         for kind, keys in later.items():
             for section in content[kind]:
                 for key in keys:
-                    # If a hand file does not contain this key, its identity must not change.
+                    # A hand file without the key keeps its identity.
                     if section[key] is None or section[key] in ((), {}):
                         del section[key]
         if content["sensor_node"]["joint_noise_m"] is None:
@@ -366,42 +365,41 @@ class Hand(Section):
         content["mount"] = {
             key: value for key, value in content["mount"].items() if value is not None
         }
-        # The content of a sensor node contains only the keys of the node's protocol. So the
-        # identity of a hand file from the time before sensor protocols existed does not change.
+        # The content of a sensor node has only the keys of its protocol. Thus a hand file from
+        # before sensor protocols existed keeps its identity.
         for key in HANDCTL_NODE_KEYS if self.sensor_node.is_cia404 else ("protocol", *CIA404_KEYS):
             del content["sensor_node"][key]
         return content
 
     def to_toml(self) -> str:
-        """Return the content of the hand file as TOML text, for the log of a run.
+        """Return the content of the file as TOML text, for the log.
 
-        From this text, ``load_hand`` reads a hand that is equal to this one.
+        ``load_hand`` reads an equal hand from this text.
         """
         return toml_text(self.content)
 
     @cached_property
     def identity(self) -> str:
-        """Return the SHA-256 hash, in hexadecimal, of the content on which calibrations and gains depend.
+        """Return the SHA-256 hash of the content that calibration and gains depend on, in hexadecimal.
 
-        Comments, the way in which numbers are written, and the order of keys do not change the
-        hash. The limits of streams, the meshes, and the keys of a drive's position loop are not
-        part of it, because neither calibrations nor gains depend on them.
+        Comments, spelling of numbers, and order of keys in the file have no effect on the hash. The
+        limits of streams, the meshes, and the keys of a drive's position loop are left out, because
+        no calibration and no gains depend on them.
         """
         content = {key: value for key, value in self.content.items() if key != "stream"}
         content["digit"] = [_without_keys(digit, MESH_KEYS) for digit in content["digit"]]
         content["motor"] = [_without_keys(motor, CONTROL_KEYS) for motor in content["motor"]]
         content["mount"] = _without_keys(content["mount"], PALM_MESH_KEYS)
-        # Because the keys are sorted and the separators are fixed, equal content becomes equal
-        # text.
+        # With sorted keys and fixed separators, equal content becomes an equal text.
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 def _without_keys(table: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
-    """Return a copy of a table without the given keys."""
+    """Return a table without the given keys."""
     return {key: value for key, value in table.items() if key not in keys}
 
 
 def _consecutive_slices(counts: list[int]) -> list[slice]:
-    """Return slices with the given lengths that follow one another."""
+    """Return consecutive slices of the given lengths."""
     return [slice(end - count, end) for count, end in zip(counts, accumulate(counts), strict=True)]

@@ -1,4 +1,4 @@
-"""Inverse kinematics: the joint angles of a digit at which its tip is at a given position."""
+"""Inverse kinematics: joint angles of a digit for a position of its tip."""
 
 import math
 from typing import NamedTuple
@@ -29,10 +29,10 @@ START_FRACTIONS = (0.5, 0.15, 0.85)
 
 
 class ClosestTip(NamedTuple):
-    """Posture at which the tip of a digit is as close to a point as the joint limits allow.
+    """Posture of a digit whose tip is as close to a point as the joint limits allow.
 
     Attributes:
-        coordinates: (n_c,) coordinates of the digit within the limits [rad].
+        coordinates: (n_c,) reduced coordinates within the limits [rad].
         distance: distance from the tip to the point [m].
     """
 
@@ -43,21 +43,21 @@ class ClosestTip(NamedTuple):
 def inverse_kinematics(
     digit: DigitModel, x: float, y: float, angle: float | None = None
 ) -> tuple[tuple[float, ...], ...]:
-    """Return joint angles at which the tip of a digit with two or three independent joints is at a point.
+    """Return joint angles that put the tip of a digit with two or three independent joints at a point.
 
-    All hinges of the digit must be parallel. The tip then moves in the x-y plane of the digit's
-    frame, and the solution is a formula. The joint limits are not taken into account.
+    The hinges must be parallel. With parallel hinges, the tip moves in the plane of x and y of the
+    digit's frame, and the solution has a closed form. Joint limits are not applied.
 
     Args:
         digit: model of the digit.
         x: position of the point along x of the digit's frame [m].
-        y: direction of the last link [rad]. It is required for three joints, and ignored for two.
+        y: position of the point along y of the digit's frame [m].
         angle: direction of the last link [rad], required for three joints, ignored for two.
 
     Returns:
-        the solutions within one turn. The solution with positive flexion of the second joint comes
-        first. There is no solution if the point is out of reach. There is none either if two equal
-        links fold back onto the base, because their direction is then arbitrary.
+        the solutions within one turn, first the one with positive flexion of the second joint.
+        There are no solutions if the point is out of reach, or if two equal links fold onto the
+        base, where their direction is free.
 
     Raises:
         ValueError: the digit has neither two nor three joints, its hinges are not parallel, or it
@@ -79,22 +79,21 @@ def inverse_kinematics(
 
 
 def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tuple[float, float]:
-    """Return the single coordinate theta of a coupled digit, q = B theta, at which the tip is closest to a point.
+    """Return the coordinate theta of a coupled digit, q = B theta, at which the tip is closest to a point.
 
-    The tip of such a digit moves on a curve. All intervals of the curve that contain a minimum of
-    the distance are found by a scan. The best of these minima and of the two ends of the curve is
-    the global minimum.
+    The tip moves on a curve. A scan finds all intervals that contain a minimum of the distance. The
+    closest point among these minima and the two ends of the curve is the global minimum.
 
     Args:
-        digit: model of a digit that has a single coordinate.
+        digit: model of a digit with one reduced coordinate.
         position: (3,) point in the palm frame [m].
 
     Returns:
-        theta [rad] within the joint limits, and the distance that remains between the tip and the
-        point [m].
+        theta [rad] within the joint limits, and the remaining distance from the tip to the point
+        [m].
 
     Raises:
-        ValueError: the digit has more than one coordinate.
+        ValueError: the digit has several coordinates.
     """
     if digit.coupling.shape[1] != 1:
         raise ValueError(f"{digit.name} has {digit.coupling.shape[1]} coordinates; needed: one")
@@ -122,7 +121,7 @@ def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tupl
 
 
 def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
-    """Return the range of a coupled digit's single coordinate that all joint limits allow [rad]."""
+    """Return the range of a coupled digit's single coordinate within all joint limits [rad]."""
     low, high = coordinate_range(digit.coupling, np.array([digit.joint_min, digit.joint_max]))[
         :, 0
     ].tolist()
@@ -130,7 +129,7 @@ def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
 
 
 def _is_planar(digit: DigitModel) -> bool:
-    """Return True if all hinges of a digit are parallel to the z axis of the digit's frame."""
+    """Return True if all hinges are parallel to the z axis of the digit's frame."""
     at_zero = (
         digit.table[body.FIXED_ROTATION_ROW : body.COSINE_ROTATION_ROW]
         + digit.table[body.COSINE_ROTATION_ROW : body.SINE_ROTATION_ROW]
@@ -148,14 +147,13 @@ def _is_planar(digit: DigitModel) -> bool:
 def _two_link_solutions(
     l1: float, l2: float, x: float, y: float
 ) -> tuple[tuple[float, float], ...]:
-    """Return the joint angles at which the end of two links is at a point.
+    """Return the joint angles with which two links reach a point.
 
-    There are two solutions, or one if the links are stretched or folded, or none if the point is
-    out of reach.
+    There are two solutions, one if the links are stretched or folded, and none if the point is out
+    of reach.
 
-    The angle between the links is the atan2 of (r - |l1 - l2|)(r + |l1 - l2|) and (l1 + l2 - r)(l1
-    + l2 + r). These products stay accurate near the stretched posture, where acos would lose half
-    of the digits.
+    The elbow angle comes from atan2 of (r - |l1 - l2|)(r + |l1 - l2|) and (l1 + l2 - r)(l1 + l2 +
+    r). The products keep their accuracy near the straight arm, where acos loses half the digits.
     """
     r = math.hypot(x, y)
     inner = (r - abs(l1 - l2)) * (r + abs(l1 - l2))
@@ -172,25 +170,25 @@ def _two_link_solutions(
 
 
 def _wrapped_angle(angle: float) -> float:
-    """Return the equivalent angle in the range from -pi to pi."""
+    """Return an equivalent angle within -pi .. pi."""
     return math.remainder(angle, 2.0 * math.pi)
 
 
 def closest_tip(
     digit: DigitModel, position: JointValues, start: JointValues | None = None
 ) -> ClosestTip:
-    """Return the coordinates within the joint limits at which the tip of a digit is closest to a point.
+    """Return the coordinates within the joint limits that bring the tip of a digit closest to a point.
 
-    The search makes Levenberg-Marquardt steps of those coordinates that are not at a limit
-    (projected Gauss-Newton). The search finds a local minimum. Therefore a motion has no jump if
-    each search starts at the previous posture. The digit may have any number of hinges with any
-    directions, either coupled or independent.
+    The search makes Levenberg-Marquardt steps of the coordinates that are not at a limit (projected
+    Gauss-Newton). The search finds a local minimum. Therefore a search that starts at the previous
+    posture of a motion does not jump. The hinges of the digit may have any number and direction,
+    and may be coupled or independent.
 
     Args:
         digit: model of a digit that is mounted on the palm.
         position: (3,) point in the palm frame [m].
         start: (n_c,) coordinates at which the search starts [rad]. If it is None, searches start at
-            several postures, and the best of their results is returned.
+            several postures, and the best result is returned.
 
     Source: Nocedal & Wright (2006), Numerical Optimization, 10.3 and 16.7.
     """
@@ -205,7 +203,7 @@ def closest_tip(
 
 
 def _local_minimum(digit: DigitModel, target: Array, start: Array) -> ClosestTip:
-    """Return the local minimum of the distance that a search finds when it starts at given coordinates."""
+    """Return the local minimum of the distance that a search from the start coordinates finds."""
     low, high = digit.reach
     theta = start.copy()
     gap = joint_points(digit, digit.coupling @ theta)[-1] - target

@@ -1,4 +1,4 @@
-"""Geometry and mass of a digit's links: joint axes, rotations, centres of mass and inertias."""
+"""Geometry and mass of a digit's links: joint axes, orientations, centres of mass, inertias, in each link's frame."""
 
 import math
 
@@ -14,32 +14,32 @@ GIMBAL_LOCK = 1e-9
 
 
 def joint_axes(digit: Digit) -> Array:
-    """Return the unit vectors (n, 3) along the joint axes, each in the frame of its link."""
+    """Return the unit vectors of the joints' axes in the links' frames, (n, 3)."""
     axes = np.array(digit.axes)
     return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))
 
 
 def joint_rotations(digit: Digit) -> Array:
-    """Return the rotation (n, 3, 3) from the frame of each link at joint angle zero to the frame before it.
+    """Return the rotation from each link's frame at angle zero to the frame before it, (n, 3, 3).
 
-    The frame before the first link is the frame of the mount.
+    The frame before the first link is that of the mount.
     """
     turns = digit.joint_rpy_deg or [(0.0, 0.0, 0.0)] * len(digit.link_length_m)
     return np.array([rotation_of_rpy(*np.radians(turn)) for turn in turns])
 
 
 def centre_of_mass(digit: Digit, i: int) -> Array:
-    """Return the centre of mass (3,) of link i in the frame of the link [m]."""
+    """Return the centre of mass of link i in the frame of the link, (3,) [m]."""
     com = digit.link_com_m[i]
     return np.array([com, 0.0, 0.0] if isinstance(com, float) else com)
 
 
 def link_inertia(digit: Digit, i: int) -> Array:
-    """Return the inertia (3, 3) of link i about its centre of mass, in the frame of the link [kg m2]."""
+    """Return the inertia of link i about its centre of mass, in the frame of the link, (3, 3) [kg m2]."""
     values = digit.link_inertia_kg_m2[i]
     if isinstance(values, float):
-        # The inertia about the long axis of the link is that of a round bar. The triangle
-        # inequality limits it to twice the inertia about an axis across the link.
+        # Along the link, the inertia is that of a round bar about its axis. The triangle inequality
+        # limits this inertia to twice the inertia across the link.
         along = min(digit.link_mass_kg[i] * digit.link_radius_m**2 / 2, 2 * values)
         return np.diag([along, values, values])
     xx, yy, zz, xy, xz, yz = values if len(values) == 6 else (*values, 0.0, 0.0, 0.0)
@@ -47,9 +47,9 @@ def link_inertia(digit: Digit, i: int) -> Array:
 
 
 def link_placement(digit: Digit, i: int) -> tuple[Array, Array]:
-    """Return the position (3,) [m] and the rotation (3, 3) of link i at joint angle zero, in the frame before it.
+    """Return position (3,) [m] and rotation (3, 3) of link i, at angle zero, in the frame of the link before.
 
-    The frame before the first link belongs to the palm, or to the link that carries the digit.
+    The frame before the first link is that of the palm, or of the link that carries the digit.
     """
     rotation = joint_rotations(digit)[i]
     if i > 0:
@@ -59,12 +59,10 @@ def link_placement(digit: Digit, i: int) -> tuple[Array, Array]:
 
 
 def rpy_of_rotation(rotation: Array) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw of a rotation (3, 3) [rad].
+    """Return roll, pitch and yaw [rad] of a rotation (3, 3), the inverse of ``rotation_of_rpy``.
 
-    This is the inverse of ``rotation_of_rpy``.
-
-    At a pitch of 90 degrees, only the sum or the difference of roll and yaw is defined. In this
-    case, the yaw is set to 0.
+    At a pitch of 90 degrees only the sum or difference of roll and yaw is defined. The yaw is then
+    set to 0.
     """
     horizontal = math.hypot(rotation[0, 0], rotation[1, 0])
     pitch = math.atan2(-rotation[2, 0], horizontal)
@@ -78,9 +76,9 @@ def rpy_of_rotation(rotation: Array) -> tuple[float, float, float]:
 
 
 def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> Array:
-    """Return the rotation (3, 3) for successive turns about the fixed axes x, y and z [rad].
+    """Return the rotation (3, 3) of a turn about the fixed axes x, y, z, one after the other [rad].
 
-    The result is the product Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
+    The result is Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
     """
     cr = math.cos(roll)
     sr = math.sin(roll)

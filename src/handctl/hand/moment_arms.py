@@ -1,10 +1,10 @@
-"""Moment arms of tendons at joints. A moment arm is constant, or a polynomial of the joint angle.
+"""Moment arms of tendons at joints: constant, or a polynomial of the joint angle.
 
-All moment arms are stored as polynomials r(q) of the same degree. The excursion of a tendon at a
-joint is the integral of r from 0 to q, which is exact. Outside of the range of the joint, the
-moment arm is that at the nearer limit. So a polynomial is evaluated only in the range for which it
-was given, and the excursion is monotonic for all angles. A table of measured moment arms is
-replaced by the least-squares polynomial of degree ``TABLE_DEGREE``.
+All arms are stored as polynomials r(q) of the same fixed degree. The excursion of a tendon at a
+joint is the exact integral of r from 0 to q. Outside of the joint's range, the arm is that at the
+nearer limit. Thus a polynomial is only evaluated in the range for which it was given, and the
+excursion is monotonic for all angles. A table of measured arms becomes the least-squares polynomial
+of degree ``TABLE_DEGREE``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,12 +23,12 @@ TABLE_DEGREE = 3
 
 
 def polynomial_of_arm(arm: MomentArm) -> Array:
-    """Return the coefficients (POLYNOMIAL_COEFFICIENTS,) of a moment arm as a polynomial of the angle in rad.
+    """Return the polynomial coefficients (POLYNOMIAL_COEFFICIENTS,) of a moment arm, for angles in rad.
 
     The constant term comes first.
 
     Args:
-        arm: valid moment arm from a hand file.
+        arm: valid moment arm of a hand file.
     """
     result = np.zeros(POLYNOMIAL_COEFFICIENTS)
     if not isinstance(arm, Mapping):
@@ -46,9 +46,9 @@ def polynomial_of_arm(arm: MomentArm) -> Array:
 
 
 def table_of_arm(arm: MomentArm) -> tuple[Array, Array]:
-    """Return the angles (k,) [rad] and the moment arms (k,) [m] of a table of moment arms.
+    """Return the angles [rad] and arms [m] of a table of moment arms, (k,) each.
 
-    For a moment arm without a table, k is 0.
+    k is 0 for an arm without a table.
     """
     if not isinstance(arm, Mapping) or "angle_deg" not in arm:
         return np.zeros(0), np.zeros(0)
@@ -56,9 +56,9 @@ def table_of_arm(arm: MomentArm) -> tuple[Array, Array]:
 
 
 def arm_table_residual(arm: MomentArm) -> float:
-    """Return the largest difference between a table of moment arms and the polynomial that replaces it [m].
+    """Return the largest difference between a table of moment arms and its polynomial [m].
 
-    For a moment arm without a table, the difference is 0.
+    The difference is 0 for an arm without a table.
     """
     angle, values = table_of_arm(arm)
     fitted = np.polynomial.polynomial.polyval(angle, polynomial_of_arm(arm))
@@ -71,7 +71,7 @@ def is_arm_varying(arm: MomentArm) -> bool:
 
 
 def arms_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
-    """Return the moment arms R (..., n_t, n) at given joint angles [m].
+    """Return the moment arms R at given joint angles, (..., n_t, n) [m].
 
     Args:
         polynomials: (n_t, n, POLYNOMIAL_COEFFICIENTS) moment arms as polynomials.
@@ -83,7 +83,7 @@ def arms_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
 
 
 def excursions_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
-    """Return the excursion (..., n_t, n) of each tendon at each joint [m].
+    """Return the excursion of each tendon at each joint, (..., n_t, n) [m].
 
     The excursion is the integral of the moment arm over the joint angle.
 
@@ -101,12 +101,10 @@ def excursions_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
 
 
 def mean_arm(arm: MomentArm, low: float, high: float) -> float:
-    """Return the mean of a moment arm over the range of the joint [m].
-
-    For a constant moment arm, the mean is the moment arm itself.
+    """Return the mean of a moment arm over the range of its joint [m]. A constant arm is its own mean.
 
     Args:
-        arm: valid moment arm from a hand file.
+        arm: valid moment arm of a hand file.
         low: smallest joint angle [rad].
         high: largest joint angle [rad].
     """
@@ -119,7 +117,7 @@ def mean_arm(arm: MomentArm, low: float, high: float) -> float:
 
 
 def _evaluate_polynomials(polynomials: Array, q: Array) -> Array:
-    """Evaluate polynomials (n_t, n, POLYNOMIAL_COEFFICIENTS) at angles (..., 1, n) by Horner's method."""
+    """Return the values of polynomials (n_t, n, POLYNOMIAL_COEFFICIENTS) at angles (..., 1, n) (Horner's method)."""
     value = np.zeros(np.broadcast_shapes(polynomials.shape[:2], q.shape))
     for order in range(POLYNOMIAL_COEFFICIENTS - 1, -1, -1):
         value = value * q + polynomials[..., order]

@@ -1,9 +1,9 @@
-"""Comparison between the force of a runaway drive and the strength of its tendon.
+"""Comparison of the force of a runaway drive with the strength of its tendon.
 
-A runaway drive makes its largest torque although nobody has commanded it. The tension is largest 5
-to 15 ms after the current has risen. In this time, no host can react. Therefore only the current
-limit inside the drive protects the tendon. If a constant force F accelerates a rotor from rest
-against an elastic tendon, the tension rises to 2 F before it falls again.
+A runaway drive makes its largest torque without a command. The tension reaches its peak 5 to 15 ms
+after the current rises, and no host can react in this time. Only the current limit inside the drive
+protects the tendon. If a constant force F accelerates a rotor from rest against an elastic tendon,
+the tension overshoots to 2 F.
 """
 
 from collections.abc import Iterable
@@ -26,19 +26,19 @@ The rotor starts at rest, and its elastic tendon is slack at first and has no da
 
 
 def runaway_tension(force: float) -> float:
-    """Return the largest tension if a drive runs away from rest with a constant ``force`` [N]."""
+    """Return the peak tension [N] when a drive runs away from rest with a constant ``force`` at the tendon [N]."""
     return RUNAWAY_OVERSHOOT * force
 
 
 def largest_safe_force(strength: float) -> float:
-    """Return the largest force of a drive at which a tendon of a given strength still has ``STRENGTH_MARGIN`` [N]."""
+    """Return the largest force of a drive [N] at which a tendon of this strength [N] has ``STRENGTH_MARGIN``."""
     return strength / (RUNAWAY_OVERSHOOT * STRENGTH_MARGIN)
 
 
 def strength_warnings(hand: Hand) -> tuple[str, ...]:
     """Return a line for each strength margin that is too small.
 
-    Tendons or joints with the same values are listed in one line.
+    Tendons or joints with equal values share a line.
     """
     named: list[tuple[str, str]] = []
     for tendon in hand.tendon:
@@ -67,7 +67,7 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
 
 
 def _runaway_text(key: str, force: float, strength: float, spool: float) -> str:
-    """Describe a runaway with a given force, and name the torque limit that the drive should have."""
+    """Describe a runaway with a given force, and the torque limit that the drive should have."""
     peak = runaway_tension(force)
     right = largest_safe_force(strength)
     factor = strength / peak
@@ -79,9 +79,9 @@ def _runaway_text(key: str, force: float, strength: float, spool: float) -> str:
 
 
 def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
-    """Yield the name, the torque during a runaway, and the rated torque of each joint of a digit [N m or N].
+    """Yield name, torque in a runaway, and rated torque [N m or N] of each joint of a digit.
 
-    If the digit has no rated torques, yield nothing.
+    For a digit without rated torques, yield nothing.
     """
     described = hand.digit_named(digit)
     rated = described.rated_loads

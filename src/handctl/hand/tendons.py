@@ -1,4 +1,4 @@
-"""Tendons: their elasticity, their friction on pulleys, and conversions between quantities of tendons and of joints."""
+"""Tendons: their elasticity, their friction on the pulleys, and maps between tendon quantities and joint quantities."""
 
 import math
 from dataclasses import dataclass
@@ -19,8 +19,8 @@ The factor avoids a jump when the motion reverses.
 class TendonElasticity:
     """Tension of a tendon as a function of its stretch.
 
-    The tension increases linearly up to a point that is called the knee. Beyond the knee, the
-    stiffness changes smoothly to a different value.
+    The tension is linear up to a knee. Beyond the knee, the stiffness changes smoothly to another
+    value.
 
     phi = k dl up to f_k. Beyond this tension, with x = dl - f_k / k, phi = f_k + k2 x + (k - k2) w
     (1 - exp(-x / w)). The tendon is slack at dl <= 0.
@@ -29,8 +29,8 @@ class TendonElasticity:
         stiffness: k, stiffness up to the knee [N/m].
         stiffness_beyond: k2, stiffness far beyond the knee [N/m].
         knee: f_k, tension at the knee [N].
-        knee_width: w, change of stretch over which the stiffness changes [m].
-        damping: c, tension per rate of change of the stretch [N s/m].
+        knee_width: w, stretch over which the stiffness changes [m].
+        damping: c, tension per rate of the stretch [N s/m].
     """
 
     stiffness: float
@@ -41,7 +41,7 @@ class TendonElasticity:
 
     @staticmethod
     def from_tendon(tendon: Tendon) -> "TendonElasticity":
-        """Return the elasticity of a tendon that a hand file describes."""
+        """Return the elasticity of a tendon of a hand file."""
         return TendonElasticity(
             stiffness=tendon.stiffness_N_per_m,
             stiffness_beyond=tendon.stiffness_beyond_ratio * tendon.stiffness_N_per_m,
@@ -58,22 +58,22 @@ class TendonElasticity:
         return self.knee + self._tension_above_knee(excess)
 
     def tension(self, stretch: float, stretch_rate: float) -> float:
-        """Return the tension including the damping [N].
+        """Return the tension with damping [N].
 
-        The tension of a slack tendon is 0. It is never negative.
+        The tension is 0 when the tendon is slack, and never below 0.
 
         Args:
             stretch: stretch of the tendon [m].
-            stretch_rate: rate of change of the stretch [m/s].
+            stretch_rate: rate of the stretch [m/s].
         """
         if stretch <= 0.0:
             return 0.0
         return max(0.0, self.elastic_tension(stretch) + self.damping * stretch_rate)
 
     def tangent_stiffness(self, stretch: float) -> float:
-        """Return the derivative of the elastic tension with respect to the stretch [N/m].
+        """Return the slope of the elastic tension over the stretch [N/m].
 
-        For a slack tendon, the derivative is 0.
+        The slope is 0 when the tendon is slack.
         """
         excess = stretch - self.knee / self.stiffness
         if stretch <= 0.0:
@@ -81,13 +81,13 @@ class TendonElasticity:
         return self.stiffness if excess <= 0.0 else self._slope(excess)
 
     def stretch(self, tension: float) -> float:
-        """Return the stretch at which the tendon has a given constant tension [m].
+        """Return the stretch [m] at a constant tension.
 
-        This function is the inverse of ``elastic_tension``.
+        The function is the inverse of ``elastic_tension``.
 
-        Beyond the knee, Newton's method is used. It starts from the stretch that a linear tendon
-        would have. Its steps approach the solution from one side, because the curvature has the
-        same sign everywhere.
+        Beyond the knee, Newton's method starts from the stretch of a linear tendon. The steps of
+        the method approach the solution from one side, because the curvature has the same sign
+        everywhere.
 
         Raises:
             ValueError: the tension is negative or not finite.
@@ -100,14 +100,14 @@ class TendonElasticity:
         for _ in range(NEWTON_STEPS):
             step = (tension - self.knee - self._tension_above_knee(excess)) / self._slope(excess)
             excess += step
-            # The step is smaller than float64 can represent.
+            # The step is smaller than the resolution of float64.
             if abs(step) <= 1e-15 * excess:
                 break
         return self.knee / self.stiffness + excess
 
     def _tension_above_knee(self, x: float) -> float:
-        """Return by how much the tension is above that at the knee [N], for the stretch x beyond the knee [m]."""
-        # The function expm1 is accurate even for x close to 0.
+        """Return the tension minus that at the knee [N], for the stretch x beyond the knee [m]."""
+        # expm1 is accurate for x near 0.
         softer = self.stiffness - self.stiffness_beyond
         return self.stiffness_beyond * x - softer * self.knee_width * math.expm1(
             -x / self.knee_width
@@ -125,12 +125,12 @@ NEWTON_STEPS = 100
 
 
 def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Array:
-    """Return the tension at each joint pulley divided by the load-cell tension: exp(-mu phi_i tanh(v / v0)).
+    """Return the ratio of tension at each joint pulley to tension at the load cell: exp(-mu phi_i tanh(v / v0)).
 
-    Here, phi_i is the wrap angle before the first joint, plus the angles of the crossed joints up
-    to joint i. While the spool winds the tendon up, friction reduces the tension towards the tip,
-    and the factors are below 1. While the spool pays out the tendon, the factors are above 1. If
-    the tendon is at rest, the factors are 1.
+    phi_i is the wrap angle before the first joint plus the angles of the crossed joints up to and
+    including joint i. While the spool winds the tendon, friction reduces the tension towards the
+    tip, and factors are below 1. While the spool pays out the tendon, the factors are above 1. At
+    rest they are 1.
     Source: capstan equation.
 
     Args:
@@ -139,9 +139,9 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
         speed: winding speed of each tendon (n_t,) [m/s].
 
     Returns:
-        Factors for each tendon and joint (n_t, n).
+        Factors by tendon and joint (n_t, n).
     """
-    # Only those hinges that a tendon crosses add to the wrap angle of the tendon.
+    # Only the hinges that a tendon crosses add to its wrap angle.
     wraps = (digit.moment_arms != 0.0) & ~digit.is_prismatic
     passed = np.cumsum(wraps * np.asarray(q), axis=1)
     exponent = digit.friction * np.tanh(np.divide(speed, CAPSTAN_FRICTION_SPEED_M_S))
@@ -149,15 +149,15 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
 
 
 def effective_moment_arms(digit: DigitModel, q: JointValues, speed: JointValues) -> Array:
-    """Return the moment arms R multiplied by the friction factors (n_t, n) [m].
+    """Return the moment arms R times the friction factors, (n_t, n) [m].
 
-    The transpose of this matrix, times the load-cell tensions, gives the joint torques.
+    The transpose of the result times the tensions at the load cells gives the joint torques.
     """
     return digit.arms_at(q) * pulley_factors(digit, q, speed)
 
 
 def excursions(digit: DigitModel, q: JointValues) -> Array:
-    """Return the excursion (n_t,) of each tendon at given joint angles [m].
+    """Return the excursion of each tendon at given joint angles, (n_t,) [m].
 
     The excursion is the integral of R over the joint angles.
     """
@@ -165,9 +165,9 @@ def excursions(digit: DigitModel, q: JointValues) -> Array:
 
 
 def reflected_inertia(digit: DigitModel) -> Array:
-    """Return the inertia (n_c, n_c) of the rotors, converted to the coordinates of the digit [kg m2].
+    """Return the inertia of the rotors in the reduced coordinates of the digit, (n_c, n_c) [kg m2].
 
-    The conversion assumes that the tendons are rigid. The result is (R B)^T (J_m / r_a^2) R B.
+    The tendons are taken as rigid. The result is (R B)^T (J_m / r_a^2) R B.
     """
     arms = digit.reduced_moment_arms
     return np.asarray(arms.T @ (digit.motor_mass[:, None] * arms))

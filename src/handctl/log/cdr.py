@@ -1,10 +1,10 @@
-"""Writer and reader for CDR, the encoding of ROS 2 messages, and templates for messages whose layout is constant.
+"""Writer and reader for CDR, the encoding of ROS 2 messages, and templates for messages with a constant layout.
 
-A message begins with four bytes, called the encapsulation: 0x00, 0x01 for little-endian plain CDR,
-and two option bytes. After these bytes, the fields of the message follow in order. A number of n
-bytes is stored at a multiple of n bytes after the encapsulation. A string consists of its length
-(uint32, including the closing NUL), its bytes, and the NUL. A sequence consists of its length
-(uint32) and its elements. An empty sequence consists only of its length.
+A message begins with the encapsulation (4 bytes: 0x00, 0x01 for little-endian plain CDR, two option
+bytes). The fields follow after it, in order. The position of a number of n bytes is a multiple of n
+bytes after the encapsulation. A string consists of its length (uint32, including the closing NUL),
+its bytes, and the NUL. A sequence consists of its length (uint32) and its elements. An empty
+sequence consists of its length alone.
 
 Source: OMG CORBA 3.0, section 15.3, as implemented by the packages rosbags and mcap-ros2-support.
 """
@@ -20,32 +20,29 @@ _INT64_STRUCT = struct.Struct("<q")
 
 
 class CdrWriter:
-    """Writer of the values of a CDR message.
-
-    The writer aligns each value, and appends the value to `data`.
-    """
+    """Writer of CDR values. The writer aligns each value, and appends it to `data`."""
 
     def __init__(self, start: int = 0) -> None:
         """Start an empty message, or an empty part of a message.
 
         Args:
-            start: offset in the body of the message at which this part starts [bytes]. If other
-                parts of the message come before this part, the offset is larger than 0.
+            start: offset in the message body at which the part starts [bytes]. If a part follows
+                other parts of a message, its offset is above 0.
         """
         self.data = bytearray()
         self._start = start
 
     def align(self, size: int) -> None:
         """Append zeros until the length of the message is a multiple of `size` bytes."""
-        # In Python, -n % size is the distance from n to the next multiple of size.
+        # In Python -n % size is the distance from n up to the next multiple of size.
         self.data += bytes(-(self._start + len(self.data)) % size)
 
     def put_number(self, code: str, value: float) -> None:
         """Append one number.
 
         Args:
-            code: format character of the module `struct`.
-            value: number to append.
+            code: `struct` format character.
+            value: the number.
         """
         self.align(struct.calcsize("<" + code))
         self.data += struct.pack("<" + code, value)
@@ -57,8 +54,7 @@ class CdrWriter:
     def put_string(self, value: str) -> None:
         """Append a string.
 
-        Lone surrogates in the string are replaced by escape sequences, because other CDR readers
-        cannot decode them.
+        Lone surrogates in the string are escaped, because other CDR readers cannot decode them.
         """
         raw = value.encode("utf-8", "backslashreplace")
         self.put_length(len(raw) + 1)
@@ -71,20 +67,20 @@ class CdrWriter:
             self.put_string(value)
 
     def finished_message(self) -> bytes:
-        """Return the whole message, including the four bytes of encapsulation."""
+        """Return the whole message, including its encapsulation header."""
         return ENCAPSULATION_HEADER + bytes(self.data)
 
 
 class CdrReader:
-    """Reader of the values of a CDR message. The reader also skips the padding between the values.
+    """Reader for the values of a CDR message. The reader also skips the padding between them.
 
     Raises:
-        ValueError: the message ends before the end of the value. Every method of this class can
+        ValueError: the message ends before the end of the value. Every method of the reader can
             raise this error.
     """
 
     def __init__(self, message: bytes) -> None:
-        """Begin to read a message, after the four bytes of encapsulation.
+        """Begin to read a message, after its encapsulation header.
 
         Raises:
             ValueError: the message is not little-endian plain CDR.
@@ -95,7 +91,7 @@ class CdrReader:
         self._at = 4
 
     def read_bytes(self, size: int) -> bytes:
-        """Return the next `size` bytes, without skipping padding."""
+        """Return the next `size` bytes, without alignment."""
         end = self._at + size
         if end > len(self._data):
             raise ValueError(f"message ends {end - len(self._data)} bytes early")
@@ -104,7 +100,7 @@ class CdrReader:
         return part
 
     def align(self, size: int) -> None:
-        """Skip the padding up to the next multiple of `size` bytes."""
+        """Skip padding up to the next multiple of `size` bytes."""
         self._at += -(self._at - 4) % size
 
     def read_length(self) -> int:
@@ -120,22 +116,22 @@ class CdrReader:
     def read_string(self) -> str:
         """Read a string."""
         size = self.read_length()
-        # The length counts the NUL at the end of the string. Some writers store an empty string
-        # with the length 0 and no NUL.
+        # The length includes the closing NUL. Some writers store an empty string with the length 0
+        # and without a NUL.
         return self.read_bytes(size)[: max(size - 1, 0)].decode()
 
 
 @dataclass(frozen=True, slots=True)
 class MessageTemplate:
-    """Encoded message whose layout never changes.
+    """Encoded message with a constant layout.
 
-    Only the fields that are listed here differ from message to message.
+    Only the listed fields differ from message to message.
 
     Attributes:
-        data: the message, with zeros in all fields that can change.
-        stamp_offsets: offsets of the 8-byte time stamps in the message.
-        fields: (offset, numpy format, number of values) of every field that can change, except the
-            time stamps, by the name of the field.
+        data: the message with zeros in all variable fields.
+        stamp_offsets: offsets of the 8-byte time stamps.
+        fields: (offset, numpy format, number of values) of every variable field except the time
+            stamps, by name.
     """
 
     data: bytes
@@ -144,7 +140,7 @@ class MessageTemplate:
 
 
 class TemplateWriter(CdrWriter):
-    """Writer of a template, which can append fields that differ from message to message."""
+    """Builder of a template: a CdrWriter that can also append variable fields."""
 
     def __init__(self) -> None:
         """Start with an empty message."""
@@ -153,23 +149,19 @@ class TemplateWriter(CdrWriter):
         self._fields: dict[str, tuple[int, str, int]] = {}
 
     def put_stamp(self) -> None:
-        """Append a time stamp (builtin_interfaces/Time), which differs from message to message."""
+        """Append a time stamp (builtin_interfaces/Time) as a variable field."""
         self.align(4)
-        # Offsets are counted from the start of the message. The encapsulation at the start has 4
-        # bytes.
+        # Offsets count from the start of the message. The encapsulation is 4 bytes long.
         self._stamp_offsets.append(len(self.data) + 4)
         self.data += bytes(8)
 
     def put_header(self, frame_id: str = "") -> None:
-        """Append a std_msgs/Header.
-
-        Its stamp differs from message to message, and its frame_id is constant.
-        """
+        """Append a std_msgs/Header, whose stamp is variable and whose frame_id is constant."""
         self.put_stamp()
         self.put_string(frame_id)
 
     def put_field(self, name: str, code: str, number: int = 1) -> None:
-        """Append a field of one or more numbers that differ from message to message.
+        """Append a variable field of one or more numbers.
 
         Args:
             name: name of the field.
@@ -183,16 +175,16 @@ class TemplateWriter(CdrWriter):
         self.data += bytes(size * number)
 
     def put_float_sequence(self, name: str, number: int) -> None:
-        """Append a float64 sequence with a constant length, whose values differ from message to message.
+        """Append a float64 sequence with a constant length as a variable field.
 
-        If the sequence is empty, only its length is added.
+        An empty sequence adds no variable field.
         """
         self.put_length(number)
         if number:
             self.put_field(name, "<f8", number)
 
     def finished_template(self) -> MessageTemplate:
-        """Return the template that has been built."""
+        """Return the finished template."""
         return MessageTemplate(
             self.finished_message(), tuple(self._stamp_offsets), dict(self._fields)
         )

@@ -1,11 +1,11 @@
 """Compact table of the chunks in a log that is being written.
 
-A log of one day has about 350,000 chunks. After the last chunk, an MCAP file must contain an index
-of all chunks. If this index consisted of records of the package mcap, it would need 2 KB of memory
-for each chunk, or 30 MB for each hour of a run. This table needs 64 bytes for each chunk. In most
-chunks, the message indexes are arranged in the same way. The table stores each such arrangement
-only once. Successive chunks have similar numbers. So full blocks of the table can be compressed to
-a third of their size.
+A log of one day has about 350,000 chunks. After the last chunk, an MCAP file must have an index of
+all chunks. In the form of records of the mcap package, this index would need 2 KB of memory for
+each chunk, or 30 MB for each hour of a run. This table needs 64 bytes for each chunk. Most chunks
+arrange their message indexes in the same way. The table stores each arrangement only once. Full
+blocks of the table are compressed to a third of their size, because successive chunks have similar
+numbers.
 """
 
 import struct
@@ -24,13 +24,13 @@ CHUNKS_PER_BLOCK = 512
 
 
 class ChunkEntry(NamedTuple):
-    """Position, size and times of one chunk of a log.
+    """Position, size, and times of one chunk.
 
     Attributes:
-        start, length: start and length of the chunk's record in the file [bytes].
-        packed_size, size: size of the messages with and without compression [bytes].
+        start, length: start and length of the record of the chunk in the file [bytes].
+        packed_size, size: compressed and uncompressed size of the messages [bytes].
         first_ns, last_ns: times of the first and last message [ns].
-        index_size: length of the message indexes that follow the chunk [bytes].
+        index_size: length of the message indexes after the chunk [bytes].
     """
 
     start: int
@@ -43,7 +43,7 @@ class ChunkEntry(NamedTuple):
 
 
 class ChunkTable:
-    """Table of all chunks that a file contains so far, in the order of the file."""
+    """Table of all chunks that have been written to a file so far, in the order of the file."""
 
     def __init__(self) -> None:
         """Start with an empty table."""
@@ -61,10 +61,10 @@ class ChunkTable:
         Args:
             chunk: position, size and times of the chunk.
             index_offsets: distance from the end of the chunk to the message index of each channel
-                [bytes], by the number of the channel.
+                [bytes], by channel.
         """
         layout = b"".join([_CHANNEL_STRUCT.pack(*item) for item in index_offsets.items()])
-        # `setdefault` gives a number to each arrangement, in the order of their first use.
+        # `setdefault` numbers the arrangements in the order of their first use.
         self._latest += _CHUNK_ROW_STRUCT.pack(
             *chunk, self._layouts.setdefault(layout, len(self._layouts))
         )
@@ -73,7 +73,7 @@ class ChunkTable:
             self._latest.clear()
 
     def chunk_indexes(self) -> Iterator[ChunkIndex]:
-        """Yield the MCAP record ChunkIndex of each chunk."""
+        """Yield the MCAP ChunkIndex record of each chunk."""
         layouts = [tuple(_CHANNEL_STRUCT.iter_unpack(layout)) for layout in self._layouts]
         for *fields, layout in self._stored_rows():
             chunk = ChunkEntry(*fields)

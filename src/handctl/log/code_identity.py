@@ -1,6 +1,7 @@
-"""Identity of the code of the controller: a hash over all of its source files.
+"""Identity of the control code: a hash over all its source files.
 
-A version number identifies only a release. The hash also identifies the code between two releases.
+A version number identifies a release. The hash also identifies each state of the code between two
+releases.
 """
 
 import functools
@@ -15,11 +16,11 @@ UNKNOWN_IDENTITY = "?"
 
 @functools.cache
 def code_identity() -> str:
-    """Return the first twelve hexadecimal digits of the SHA-256 hash over the source files of the control packages."""
+    """Return the first twelve hexadecimal digits of the SHA-256 hash over the sources of the control packages."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
-    # The paths are sorted and separated by NUL. So the hash depends only on names and contents, and
-    # not on the order in which the file system lists the files.
+    # Because the paths are sorted and separated by NUL, the hash depends only on names and
+    # contents, and not on the order in which the file system lists the files.
     for path in sorted(
         path for name in CONTROL_PACKAGES for path in (package / name).rglob("*.py")
     ):

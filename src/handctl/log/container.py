@@ -1,9 +1,8 @@
-"""Writer of files in the container format MCAP.
+"""Writer of MCAP container files.
 
-The writer receives messages in blocks, because one Python call for each message would take too
-long. The package mcap encodes records that are rare. This module encodes chunks and message indexes
-itself, because otherwise they would take most of the time. Chunks and message indexes have these
-layouts:
+The writer receives messages in blocks, because a Python call for each message would take too long.
+The mcap package encodes those records that are rare. This module encodes chunks and message indexes
+itself, because they take most of the time. Chunks and message indexes have these layouts:
 
 Chunk: opcode u8, length u64, first time u64 [ns], last time u64 [ns], uncompressed size u64, CRC-32
 u32, compression as a text (u32 length), compressed size u64, compressed records. MessageIndex:
@@ -56,13 +55,13 @@ _INDEX_ENTRY_DTYPE = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 
 class MessageBlock(NamedTuple):
-    """Block of consecutive Message records that belong to one channel.
+    """Block of consecutive Message records of one channel.
 
     Attributes:
         channel: id of the channel.
-        data: the records, as bytes. Each record begins with the layout `MESSAGE_STRUCT`.
+        data: the records. Each record begins with the layout `MESSAGE_STRUCT`.
         log_times: (n,) uint64, log time of each message [ns].
-        offsets: (n,) start of each record within the data [bytes].
+        offsets: (n,) start of each record in the data [bytes].
     """
 
     channel: int
@@ -81,9 +80,9 @@ def records_as_bytes(records: Iterable[McapRecord]) -> bytes:
 
 @dataclass(slots=True)
 class _SummarySection:
-    """Contents of the summary section, which comes at the end of a file.
+    """Contents of the summary section of a file.
 
-    They are collected while the file is written.
+    The contents are collected while the file is written.
     """
 
     schemas: list[McapRecord] = field(default_factory=list)
@@ -97,21 +96,22 @@ class _SummarySection:
 
 
 class McapContainer:
-    """MCAP file that is being written. The writer itself does not buffer data.
+    """MCAP file that is being written. The writer itself has no buffer.
 
     Attributes:
         complete_size: length of the file up to the end of the last complete record [bytes].
 
     Raises:
-        OSError: a write fails. Every method that writes to the file can raise this error. After
-            such an error, only `cut_incomplete_record` may still be called.
+        OSError: a write fails. Every method that writes can raise this error. After such an error,
+            only `cut_incomplete_record` may be called.
     """
 
     def __init__(self, descriptor: int) -> None:
         """Write the header of the MCAP file.
 
         Args:
-            descriptor: descriptor of a file that is open for writing and positioned at its start.
+            descriptor: descriptor of a file that is open for writing, positioned at the start of
+                the file.
         """
         self._fd = descriptor
         self._crc = 0
@@ -126,25 +126,25 @@ class McapContainer:
         return self._summary.message_counts.total()
 
     def _write_bytes(self, data: bytes) -> int:
-        """Write all bytes, and return the offset of the first of them in the file."""
+        """Write all bytes, and return the offset of the first byte in the file."""
         start = self._at
         view = memoryview(data)
         while view:
-            # A single call may write only a part of the bytes, for example if the disk is almost
-            # full.
+            # A single write call may write only a part of the bytes, for example on a nearly full
+            # disk.
             written = os.write(self._fd, view)
             self._at += written
             view = view[written:]
         self._crc = zlib.crc32(data, self._crc)
-        # The complete size increases only after the last byte of a record has been written.
-        # Therefore `cut_incomplete_record` can remove an incomplete record.
+        # The complete size grows only when the last byte of a record was written. Therefore
+        # `cut_incomplete_record` can remove an incomplete record.
         self.complete_size = self._at
         return start
 
     def cut_incomplete_record(self) -> None:
-        """Cut the file off after the last complete record.
+        """Cut the file after the last complete record.
 
-        This removes the incomplete record that a failed write has left.
+        This removes the remains of a failed write.
         """
         os.ftruncate(self._fd, self.complete_size)
         os.lseek(self._fd, self.complete_size, os.SEEK_SET)
@@ -181,7 +181,7 @@ class McapContainer:
     ) -> None:
         """Write a compressed chunk, and then its message indexes.
 
-        The chunk begins with the records of those schemas and channels that are new.
+        The chunk begins with the records of new schemas and channels.
         """
         head = records_as_bytes([*schemas, *channels])
         content = b"".join([head, *(block.data for block in blocks)])
@@ -204,11 +204,11 @@ class McapContainer:
         self._summary.last_log_time = max(last, self._summary.last_log_time)
 
     def finish(self) -> None:
-        """Write the summary section and the footer of the file."""
+        """Write the summary and the footer of the file."""
         self._write_bytes(records_as_bytes([DataEnd(self._crc)]))
         body, offset_start = self._summary_section(self._at)
-        # The CRC covers the summary section and three fields of the footer: opcode, length (20),
-        # and both offsets.
+        # The CRC covers the summary section, and those fields of the footer that come before the
+        # CRC: opcode, length 20, and both offsets.
         fields = struct.pack("<BQQQ", Opcode.FOOTER, 20, self._at, offset_start)
         footer = records_as_bytes(
             [Footer(self._at, offset_start, zlib.crc32(fields, zlib.crc32(body)))]
@@ -231,10 +231,10 @@ class McapContainer:
         )
 
     def _summary_section(self, start: int) -> tuple[bytes, int]:
-        """Return the summary section, and the offset of the SummaryOffset records in the file.
+        """Return the summary section, and the offset in the file of the SummaryOffset records.
 
         Args:
-            start: offset of the summary section in the file [bytes].
+            start: offset of the section in the file [bytes].
         """
         summary = self._summary
         body = b""
@@ -260,10 +260,10 @@ class McapContainer:
 
 
 def _message_indexes(blocks: Sequence[MessageBlock], base: int) -> tuple[bytes, dict[int, int]]:
-    """Return the message indexes that follow a chunk, and the offset of each channel's index, by channel id.
+    """Return the message indexes that follow a chunk, and the offset of the index of each channel, by channel id.
 
     Args:
-        blocks: messages of the chunk.
+        blocks: the messages of the chunk.
         base: start of the first message in the uncompressed chunk [bytes].
     """
     entries: dict[int, list[NDArray[np.void]]] = {}

@@ -1,6 +1,6 @@
-"""Definitions of the message types in a log, in the notation of ROS 2 interfaces.
+"""Definitions of the message types in a log, written as ROS 2 interface definitions.
 
-The names and fields of these types are part of the log format. So they must not change.
+The names and fields of these types are part of the log format, and must not change.
 
 Source of the fields: the ROS 2 interface packages common_interfaces, rcl_interfaces, geometry2,
 can_msgs, ros2_socketcan_msgs and pal_statistics_msgs. Only the types of `handctl_msgs` are defined
@@ -22,7 +22,7 @@ OTHER_PHASE_NUMBER = 255
 
 
 def _constant_lines(values: dict[str, int]) -> str:
-    """Return the definitions of the constants of a message type, one line for each constant."""
+    """Return the definitions of a message type's constants, one line for each constant."""
     return "".join(f"uint8 {name.upper()}={value}\n" for name, value in values.items())
 
 
@@ -110,18 +110,17 @@ _DEFINITION_SEPARATOR = "=" * 80 + "\n"
 
 
 def _collect_dependencies(name: str, types: dict[str, None]) -> None:
-    """Collect the message types that the definition of a message type uses.
+    """Collect the message types that a definition uses.
 
-    The search is depth-first, and each type is listed only once.
+    The search is depth-first, and the result has no duplicates.
 
     Args:
         name: name of the message type.
-        types: message types that have been collected so far, in order. This function adds further
-            types to this list.
+        types: the types collected so far, in order. This function adds further types to this list.
     """
     for line in MESSAGE_DEFINITIONS[name].splitlines():
         # In a line such as "uint8[<=64] data", the type stands before the bracket, and the name of
-        # the field after it.
+        # the field stands after it.
         field_type = line.split(" ")[0].split("[")[0]
         if field_type in MESSAGE_DEFINITIONS and field_type not in types:
             types[field_type] = None
@@ -129,7 +128,7 @@ def _collect_dependencies(name: str, types: dict[str, None]) -> None:
 
 
 def schema_text(name: str) -> str:
-    """Return the definitions of a message type and of all types that it uses, in the encoding ros2msg of MCAP.
+    """Return the definitions of a message type and of all types that it uses, in MCAP's ros2msg encoding.
 
     Args:
         name: message type, for example "sensor_msgs/JointState".

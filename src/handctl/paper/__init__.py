@@ -1,5 +1,4 @@
-"""Reproduction of the paper that describes the hand `jamia`.
+"""Reproduction of the paper about the hand `jamia`.
 
-The package repeats the equations, the numbers and the figures of the paper, and lists the errors of
-the paper.
+The package repeats the equations, numbers and figures of the paper, and lists its errors.
 """

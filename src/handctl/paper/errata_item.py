@@ -1,6 +1,6 @@
-"""Items of the errata, the list of errors in the paper.
+"""Items of the errata.
 
-Each item compares a statement that is printed in the paper with the correct statement.
+Each item compares a printed statement of the paper with the correct statement.
 """
 
 from dataclasses import dataclass
@@ -26,22 +26,20 @@ class ErrataVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ErrataItem:
-    """Row of the errata, about one statement of the paper.
+    """Row of the errata.
 
     Attributes:
-        id: unique identifier of the item. The words of an identifier are joined by dots, e.g.
-            `eq10.gravity`.
-        where: equation or section of the paper that contains the statement.
+        id: unique identifier. The words of an identifier are joined by dots, e.g. `eq10.gravity`.
+        where: equation or section of the paper with the statement.
         printed: the statement, as it is printed in the paper.
-        computed: exact value in full precision, or the correct expression, or None if nothing can
-            be calculated.
-        unit: unit of the exact value. It is empty for expressions and counts.
-        verdict: verdict on the statement, which follows from the printed and the exact value.
+        computed: exact value in full precision, corrected expression, or None if there is no value
+            to calculate.
+        unit: unit of the exact value, empty for expressions and counts.
+        verdict: verdict on the statement, derived from the printed and the exact value.
         why: explanation of the verdict for a reader of the paper.
-        evidence: kinds of evidence that support the verdict, e.g. `arithmetic`, `Lagrange`,
-            `dimensions`.
+        evidence: kinds of evidence for the verdict, e.g. `arithmetic`, `Lagrange`, `dimensions`.
         deviation: largest relative difference between the printed and the correct expression at
-            random states, or None if the item is about a number.
+            random states, or None for numbers.
     """
 
     id: str

@@ -1,7 +1,4 @@
-"""Sections of the page about the paper, in the order of the page.
-
-Each section has text, figures and errata items.
-"""
+"""Sections of the page about the paper, in order. Each has a text, figures and items."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -34,10 +31,9 @@ class PageSection:
         title: heading of the section.
         text: paragraphs of the section.
         figures: names of the figures in the section.
-        items: errata items of the section. Each item is one row of a table.
-        measured: True if the section shows results of simulated experiments.
-        table: table of numbers that precedes the items. The first row contains the titles of the
-            columns.
+        items: items of the section. Each is a row of the table.
+        measured: True if the section shows results of experiments.
+        table: table of numbers before the items. The first row contains the titles of the columns.
     """
 
     title: str
@@ -51,10 +47,10 @@ class PageSection:
 def page_sections(measured: Mapping[str, Any] | None) -> tuple[PageSection, ...]:
     """Return all sections of the page.
 
-    If there are no results of experiments, the sections about measurements are left out.
+    Without results of experiments, the sections about measurements are left out.
 
     Args:
-        measured: results of `experiments.run_experiments`, or None if there are none.
+        measured: results of `experiments.run_experiments`, or None.
     """
     fixed = (
         _hand_section(),
@@ -71,12 +67,12 @@ def page_sections(measured: Mapping[str, Any] | None) -> tuple[PageSection, ...]
 
 
 def page_items(measured: Mapping[str, Any] | None) -> list[ErrataItem]:
-    """Return all errata items of the page."""
+    """Return all items of the page."""
     return [item for section in page_sections(measured) for item in section.items]
 
 
 def count_by_verdict(rows: list[ErrataItem]) -> dict[str, int]:
-    """Return the number of errata items for each verdict."""
+    """Return the number of items for each verdict."""
     return {
         verdict.value: sum(item.verdict == verdict for item in rows) for verdict in ErrataVerdict
     }

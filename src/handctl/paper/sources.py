@@ -1,4 +1,4 @@
-"""The hand of the paper, and those numbers of the paper from which all its other numbers follow, as exact fractions."""
+"""The hand of the paper, and the numbers from which all other numbers of the paper follow, as exact fractions."""
 
 import math
 from fractions import Fraction
@@ -32,7 +32,7 @@ PAYLOAD_KG = "0.915"
 
 @cache
 def paper_hand() -> Hand:
-    """Return the packaged hand that has the lengths and radii of the paper."""
+    """Return the packaged hand whose lengths and radii are those of the paper."""
     return load_hand("jamia")
 
 
@@ -47,29 +47,29 @@ def paper_thumb() -> Digit:
 
 
 def exact_millimetres(lengths_m: tuple[float, ...]) -> tuple[Fraction, ...]:
-    """Convert lengths from a hand file to exact fractions [mm].
+    """Return lengths from a hand file as exact numbers [mm].
 
-    The conversion is exact, because a hand file contains decimal numbers.
+    The conversion is exact, because the file contains decimal numbers.
     """
     return tuple(1000 * Fraction(str(length)) for length in lengths_m)
 
 
 def levers_mm(digit: Digit) -> tuple[Fraction, ...]:
-    """Return the distance between the tip and each joint of a straight digit [mm].
+    """Return the distance of the tip from each joint of a straight digit [mm].
 
-    A force of 1 N at the tip causes a moment at the joint that has the same number [N mm].
+    This distance equals the joint's moment [N mm] for a force of 1 N at the tip.
     """
     lengths = exact_millimetres(digit.link_length_m)
     return tuple(sum(lengths[i:], Fraction(0)) for i in range(len(lengths)))
 
 
 def tension_per_newton(digit: Digit) -> Fraction:
-    """Return the tendon tension that balances joint 1 of a straight digit, per newton of force at the tip [N/N]."""
+    """Return the tension that balances joint 1 of a straight digit, for each newton of force at the tip [N/N]."""
     return levers_mm(digit)[0] / PULLEY_RADIUS_MM
 
 
 def tension_of_payload_kg(mass: int) -> Fraction:
-    """Return the tension in the tendon of each finger [N] with which three fingers hold a mass by friction [kg]."""
+    """Return the tension [N] in the tendon of each finger at which the friction of three fingers holds a mass [kg]."""
     return (
         mass
         * GRAVITY_M_PER_S2
@@ -79,15 +79,15 @@ def tension_of_payload_kg(mass: int) -> Fraction:
 
 
 def wire_diameter_mm(tension_n: Fraction | float) -> float:
-    """Return the diameter [mm] at which a tension causes the largest stress that is allowed for the wire."""
+    """Return the diameter at which a wire has the allowable stress, for a given tension [mm]."""
     return math.sqrt(4.0 * float(tension_n) / (math.pi * float(ALLOWABLE_STRESS_MPA)))
 
 
 def wire_stress_mpa(tension_n: Fraction | float, diameter_mm: float) -> float:
-    """Return the stress that a tension causes in a wire of a given diameter [MPa]."""
+    """Return the stress in a wire, for a given tension and diameter [MPa]."""
     return 4.0 * float(tension_n) / (math.pi * diameter_mm**2)
 
 
 def payload_kg(normal_n: Fraction) -> Fraction:
-    """Return the mass that the friction of one contact can hold at a given normal force [kg]."""
+    """Return the mass that the friction of a contact holds, for a given normal force [kg]."""
     return FRICTION_COEFFICIENT * normal_n / GRAVITY_M_PER_S2

@@ -1,22 +1,19 @@
-"""Program that commissions a hand.
+"""Program that commissions a hand: tares, motor zeros, and the proof that each motor pulls its own tendon.
 
-It measures tares and motor zero angles, and proves that each motor pulls its own tendon.
+One tendon after the other is pulled gently, while all other tendons are slack. Only the load cell
+of the pulled tendon may respond. The pull is too weak to move a digit against its springs, so the
+joint encoders are not tested.
 
-The program pulls one tendon after the other gently, while all other tendons are slack. Only the
-load cell of the tendon that is pulled may respond. The pull is too weak to move a digit against its
-springs. So joint encoders are not tested.
-
-A tendon without a load cell has no tare. For such a tendon, the force of the motor shows when the
-tendon becomes taut.
+A tendon without load cell has no tare. The force at its motor shows when the tendon becomes taut.
 
 In a digit without springs, a single tendon would move the digit. Therefore all tendons of such a
-digit first pull together, and press the joints against their lower limits. Then one tendon after
-the other pulls with a higher tension. The motor zero angles are corrected by the excursion at these
-limits, which is known or measured by joint encoders.
+digit first pull together, and press the digit on its lower joint limits. Then one tendon after the
+other is pulled more. The known excursion at these limits, or the excursion that joint encoders
+measure, is subtracted from the motor zeros.
 
-While many tendons are pulled one by one, the load cells drift. Therefore no motor makes torque for
-a short time before each pull. The load-cell readings in this time are the reference for the next
-pull. They also renew the tare of the tendon that is pulled next.
+Load cells drift while many tendons are pulled one by one. Therefore no motor makes torque for a
+moment before each pull. The readings without torque are the reference for the responses of all load
+cells. The same readings renew the tare of the tendon that is pulled next.
 """
 
 from collections.abc import Sequence
@@ -100,16 +97,15 @@ number of readings.
 
 @dataclass(frozen=True, slots=True)
 class CommissionProgram:
-    """Program with one step for all tares, and one step for each tendon.
+    """Program with a step for the tares and a step for each tendon.
 
-    Step 0 tares all load cells, and step i + 1 pulls tendon i. `ProgramProgress.record` is a table
-    with one row for each tendon: sum of the tare readings, number of these readings, motor zero
-    angle [rad], response [N], crosstalk [N], sum of the readings during the present pull, sum and
-    number of the readings just before this pull.
+    Step 0 tares all load cells, step i + 1 pulls tendon i. `ProgramProgress.record` is a table with a row
+    for each tendon: sum of tare samples, their number, motor zero [rad], response [N], crosstalk
+    [N], sum of samples during the present pull, sum and number of samples just before it.
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress at the start, with no torque and a table of zeros."""
+        """Return the progress at the start: no torque, and a table of zeros."""
         empty = (0.0,) * (COLUMN_COUNT * model.tendon_count)
         return replace(
             ProgramProgress.initial(len(model.digits), TARE_PHASE), since=-1.0, record=empty
@@ -123,7 +119,7 @@ class CommissionProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Advance the commissioning by one tick. The interface `Program` explains the arguments."""
+        """Advance commissioning by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
         if progress.since < 0.0:
@@ -152,10 +148,7 @@ class CommissionProgram:
         )
 
     def _check_tare(self, model: HandModel, progress: ProgramProgress) -> ProgressAndEvents | None:
-        """If a tare is near an end of the load cell's range, return a failed progress.
-
-        Otherwise return None.
-        """
+        """Return a failed progress if a tare is near an end of the load cell's range, or None if all are usable."""
         tare = _tares_of(_table_of(progress))
         worst = int(np.maximum(tare - TARE_MAX_N, TARE_MIN_N - tare).argmax())
         if TARE_MIN_N <= tare[worst] <= TARE_MAX_N:
@@ -169,11 +162,11 @@ class CommissionProgram:
     def _advance_rest(
         self, model: HandModel, progress: ProgramProgress, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
-        """Read all load cells without torque, renew the tare of the present tendon, and then pull this tendon.
+        """Read all load cells without torque, renew the tare of the present tendon, then pull this tendon.
 
-        A tare is renewed only if the tendon has never been taut, because friction may hold tension
-        in a tendon that was pulled before. In a digit without springs, the tares of all its tendons
-        are renewed together.
+        Only tares of tendons that were never taut are renewed, because friction may hold tension in
+        a tendon that was pulled before. The tare of the present tendon is renewed, or all tares of
+        a digit without springs.
         """
         tension = _known_tensions(model, measured)
         if t - progress.since < REST_SETTLING_S or np.isnan(tension).any():
@@ -183,11 +176,10 @@ class CommissionProgram:
         table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
         samples = table[i, REST_SAMPLES]
-        # The duration of the averaging is a number of readings. So it lasts longer if readings are
-        # missing.
+        # The averaging time is counted in samples, so that missing readings prolong it.
         if samples * model.period < REST_DURATION_S:
             return _with_table(progress, table), ()
-        # The new average has as much weight as all earlier readings together.
+        # The new average gets the weight of all earlier samples.
         fresh = (
             slice(i, i + 1)
             if model.redundancy.sprung[i]
@@ -210,13 +202,13 @@ class CommissionProgram:
     def _begin_hold(
         self, model: HandModel, progress: ProgramProgress, t: float, taut: bool
     ) -> ProgressAndEvents:
-        """With all tendons taut, press the joints of the present tendon's digit against their lower limits.
+        """Press the digit of the present tendon on its lower joint limits, with all tendons taut.
 
         Args:
             model: model of the hand.
             progress: progress so far.
             t: time [s].
-            taut: True if the tendons of the digit are already taut.
+            taut: True if the tendons of the digit are taut already.
         """
         i = progress.step - 1
         goals = _hold_goals(model, i, np.zeros(model.tendon_count))
@@ -243,14 +235,14 @@ class CommissionProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Wait until the pressed digit is at rest, read load cells and motor zero angles, then pull the tendon."""
+        """Wait until the held digit rests, read all load cells and the motor zeros, then pull the present tendon."""
         i = progress.step - 1
         own = model.digit_tendons[model.digit_of[i]]
         waiting = progress.touching[0]
         if waiting == 0:
             if not estimate.is_slack[own].any():
-                # From now on, the joints are pressed against their limits. So the filter must treat
-                # the digit as a digit in contact.
+                # From here on, the digit is pressed on its limits, so the filter must treat it as a
+                # digit in contact.
                 contact = tuple(d == model.digit_of[i] for d in range(len(model.digits)))
                 return replace(
                     progress, touching=(1, *progress.touching[1:]), since=t, contact=contact
@@ -304,7 +296,7 @@ class CommissionProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Pull the present tendon: wait until it is taut, let the tension settle, and measure the response."""
+        """Pull the present tendon: wait until it is taut, let it settle, and measure its response."""
         i = progress.step - 1
         waiting = progress.touching[0]
         if waiting == 0 and not estimate.is_slack[i]:
@@ -326,8 +318,7 @@ class CommissionProgram:
         table = _table_of(progress)
         table[:, PULL_SUM] += tension
         if model.redundancy.sprung[i]:
-            # The motor angle [rad] is the travel of the tendon [m] divided by the radius of the
-            # spool.
+            # The travel [m] divided by the spool's radius is the motor angle [rad].
             table[i, ZERO_COLUMN] += measured.travel[i] / model.space.spool[i]
         samples = progress.touching[0]
         if samples * model.period >= MEASUREMENT_DURATION_S:
@@ -341,7 +332,7 @@ class CommissionProgram:
     def _judge_response(
         self, model: HandModel, progress: ProgramProgress, i: int, t: float
     ) -> ProgressAndEvents:
-        """Accept the response that tendon i has shown, or end the commissioning with a failure."""
+        """Accept the measured response of tendon i, or refuse the hand."""
         answer, crosstalk = _table_of(progress)[i, [ANSWER_COLUMN, CROSSTALK_COLUMN]]
         if answer < MIN_ANSWER_FRACTION * PULL_TENSION_N:
             sensor = "load cell" if model.hand.has_cell[i] else "motor"
@@ -366,7 +357,7 @@ class CommissionProgram:
     def _next_tendon(
         self, model: HandModel, progress: ProgramProgress, t: float
     ) -> ProgressAndEvents:
-        """Release the present tendon. Then wait for the next tendon to be pulled, or finish."""
+        """Release the present tendon, then rest before the next tendon, or finish."""
         step = progress.step + 1
         same_digit = (
             1 < step <= model.tendon_count and model.digit_of[step - 1] == model.digit_of[step - 2]
@@ -390,7 +381,7 @@ class CommissionProgram:
     def _refuse_tendon(
         self, model: HandModel, progress: ProgramProgress, i: int, reason: str
     ) -> ProgressAndEvents:
-        """End the commissioning with a failure of tendon i."""
+        """End the program with a failure of tendon i."""
         name = model.hand.tendon_names[i]
         failed = replace(
             progress,
@@ -402,22 +393,22 @@ class CommissionProgram:
 
 
 def _tare_text(model: HandModel) -> str:
-    """Return the text of the event that reports the start of commissioning."""
+    """Return the text of the event with which commissioning begins."""
     if model.hand.has_cell.any():
         return "tare: all motors limp"
     return "no load cells to tare: all motors limp. Swapped tendons are not checked"
 
 
 def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) -> str:
-    """Return the text which says that the response to the pull of tendon i was accepted.
+    """Return the text of an accepted response to the pull of tendon i.
 
-    Only load cells can show that another tendon has responded. The text names the check of the
-    other tendons that was possible.
+    Only load cells can show that another tendon responds. A text about other tendons names the
+    check that was possible.
 
     Args:
         model: model of the hand.
         i: index of the tendon.
-        answer: response of the load cell of this tendon, or of its motor [N].
+        answer: response of the tendon's own load cell, or of its motor [N].
         crosstalk: largest response of any other load cell [N].
     """
     has_cell = model.hand.has_cell
@@ -428,9 +419,9 @@ def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) ->
 
 
 def _no_answer_text(model: HandModel, measured: TickMeasurements) -> str:
-    """Return the reason why the load cell of the pulled tendon does not respond.
+    """Return the reason why a tendon's load cell does not respond.
 
-    The reason may be that another load cell responds.
+    Another load cell may respond instead.
     """
     answers = np.nan_to_num(measured.tension)
     other = int(answers.argmax())
@@ -443,10 +434,7 @@ def _no_answer_text(model: HandModel, measured: TickMeasurements) -> str:
 
 
 def _pull_goal(tendons: slice, i: int) -> DigitGoal:
-    """Return the goal of a digit while tendon i is pulled.
-
-    If the tendon belongs to another digit, the goal is no torque.
-    """
+    """Return the goal of a digit while tendon i is pulled: no torque if the tendon belongs to another digit."""
     if not tendons.start <= i < tendons.stop:
         return DigitGoal()
     tension = np.zeros(tendons.stop - tendons.start)
@@ -457,9 +445,9 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
 def _known_tensions(
     model: HandModel, measured: TickMeasurements, estimate: HandEstimate | None = None
 ) -> Vector:
-    """Return the tensions (N,) in a tick [N]: readings of load cells, or estimates for tendons without a load cell.
+    """Return the tensions (N,) of a tick [N]: readings of load cells, and estimates of tendons without load cell.
 
-    If there is no estimate, a tendon without a load cell counts as slack.
+    If no estimate is given, a tendon without load cell counts as slack.
     """
     return np.where(
         model.hand.has_cell, measured.tension, 0.0 if estimate is None else estimate.tension
@@ -467,26 +455,24 @@ def _known_tensions(
 
 
 def _hold_phase(model: HandModel, i: int) -> str:
-    """Return the name of the phase in which all tendons of tendon i's digit pull together."""
+    """Return the name of the phase in which tendon i and all other tendons of its digit pull together."""
     return f"hold {model.hand.digit_names[model.digit_of[i]]}"
 
 
 def _hold_goals(model: HandModel, i: int, extra_tension: Vector) -> tuple[DigitGoal, ...]:
-    """Return goals that press the joints of tendon i's digit against their lower limits.
-
-    The motors of all other digits make no torque.
+    """Return goals that press the digit of tendon i on its lower limits. All other digits are without torque.
 
     Args:
         model: model of the hand.
         i: index of the tendon.
-        extra_tension: (N,) tension that is added to the tension which presses the digit [N].
+        extra_tension: (N,) additional tension [N].
     """
     held = model.digit_of[i]
     digit = model.digits[held]
     tendons = model.digit_tendons[held]
     arms = digit.at_angles(digit.joint_min).reduced_moment_arms
-    # A stronger pull of one tendon must not lift the digit off its limits. The torque of this pull
-    # is at most the pull times the largest moment arm of a closing tendon.
+    # A further pull must not lift the digit off its limits. The torque of a pull is at most the
+    # pull times the largest closing moment arm.
     press = PRESS_FACTOR * PULL_TENSION_N * np.maximum(arms, 0.0).max(axis=0)
     torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - press
     tension = tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
@@ -498,32 +484,32 @@ def _hold_goals(model: HandModel, i: int, extra_tension: Vector) -> tuple[DigitG
 
 
 def _table_of(progress: ProgramProgress) -> Vector:
-    """Return the table (N, COLUMNS) that the progress of a commissioning contains."""
+    """Return the table (N, COLUMNS) of a commissioning progress."""
     return np.array(progress.record).reshape(-1, COLUMN_COUNT)
 
 
 def _with_table(progress: ProgramProgress, table: Vector) -> ProgramProgress:
-    """Return a copy of a progress that contains another table."""
+    """Return a copy of a progress with another table."""
     return replace(progress, record=tuple(table.ravel().tolist()))
 
 
 def _tares_of(table: Vector) -> Vector:
-    """Return the tares (N,) that follow from a table of the commissioning [N]."""
+    """Return the tares (N,) of a table [N]."""
     return np.asarray(table[:, TARE_SUM] / np.maximum(table[:, TARE_SAMPLES], 1.0))
 
 
 def _with_new_tare(progress: ProgramProgress) -> ProgramProgress:
-    """Return a copy of a progress in which the tares of the table apply, beginning with the next reading."""
+    """Return a copy of a progress in which the tares of its table apply, from the next reading on."""
     return replace(progress, tare=tuple(_tares_of(_table_of(progress)).tolist()))
 
 
 def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
-    """Return the table with the results for tendon i, and with the sums set to zero."""
+    """Return the table with the results of tendon i, and with cleared sums."""
     rest = table[:, REST_SUM] / table[i, REST_SAMPLES]
     rise = table[:, PULL_SUM] / samples - rest
     if model.redundancy.sprung[i]:
-        # The pull stretches the tendon. So the motor turns beyond the position at which the tendon
-        # becomes taut.
+        # The pull stretches the tendon, so the motor turns further than to the position at which
+        # the tendon becomes taut.
         stretch = rise[i] / model.space.stiffness[i] / model.space.spool[i]
         table[i, ZERO_COLUMN] = (
             table[i, ZERO_COLUMN] / samples
@@ -532,8 +518,8 @@ def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vect
         )
     table[i, ANSWER_COLUMN] = rise[i]
     tendons = np.arange(model.tendon_count)
-    # Friction holds tension in a tendon that was pulled before. This tension falls without a
-    # command. So only an increase counts as crosstalk.
+    # Friction holds tension in a tendon that was pulled before. The tension that friction holds
+    # falls by itself, so only a rise counts as crosstalk.
     held = np.where(model.redundancy.sprung & (tendons < i), np.maximum(rest, 0.0), 0.0)
     others = model.hand.has_cell & (tendons != i)
     table[i, CROSSTALK_COLUMN] = np.maximum(rise, -rise - held)[others].max(initial=0.0)
@@ -542,13 +528,12 @@ def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vect
 
 
 def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]:
-    """Return a line about those motors that commissioning would refuse because they make torque when idle.
+    """Return a line about motors that commissioning would refuse, because they cannot be commanded to rest.
 
-    In some protocols, the number format of a torque command has no code for zero torque. An idle
-    motor then makes the torque of the code that is nearest to zero. Commissioning accepts such a
-    pull up to the fraction ``MAX_CROSSTALK_FRACTION`` of its own pull. In the simulation, with
-    spools of 5 mm, AK80-9 motors (0.88 N) are accepted. AK70-10 motors (1.2 N) and AK10-9 motors
-    (3.2 N) are refused.
+    The range of a torque command may have no code for zero torque. An idle motor then makes the
+    torque of the nearest code. Commissioning accepts this pull up to ``MAX_CROSSTALK_FRACTION`` of
+    its own pull. In simulation with spools of 5 mm, AK80-9 motors (0.88 N) pass, and AK70-10 motors
+    (1.2 N) and AK10-9 motors (3.2 N) do not.
 
     Args:
         hand: description of the hand.
@@ -572,7 +557,7 @@ def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]
 
 
 def _idle_torque(drive: Drive) -> float:
-    """Return the smallest absolute torque that a torque command can contain [N m at the spool]."""
+    """Return the absolute torque of the command that is nearest to zero [N m at the spool]."""
     signals = [
         signal
         for message in drive.cyclic_messages.commands
@@ -586,12 +571,12 @@ def _idle_torque(drive: Drive) -> float:
 
 
 def calibration_of_result(model: HandModel, progress: ProgramProgress, made: str) -> Calibration:
-    """Return the calibration that results from a finished commissioning.
+    """Return the calibration of a finished commissioning.
 
     Args:
         model: model of the hand.
-        progress: progress of a commissioning that has finished without a failure.
-        made: date and time of the calibration (ISO 8601, UTC).
+        progress: finished progress without failure.
+        made: date and time of the calibration, ISO 8601, UTC.
     """
     table = _table_of(progress)
     tare = _tares_of(table)

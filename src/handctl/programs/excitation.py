@@ -1,9 +1,7 @@
-"""Program that excites a hand for identification.
+"""Program that excites a hand for identification: one digit after the other, all other digits without torque.
 
-One digit moves at a time, and the motors of all other digits make no torque.
-
-The identification chooses the steps of the program. The name of each phase is `DIGIT STEP`, so that
-every tick of the log can be assigned to a step.
+The identification determines the steps. Each phase is named `DIGIT STEP`, so that every tick of the
+log can be assigned to a step.
 """
 
 from dataclasses import dataclass, replace
@@ -28,14 +26,12 @@ class ExciteStep(Document):
     """One step of the excitation, for one digit.
 
     - `limp`: no torque.
-    - `taut`: take up the slack of the tendons, with the tension `target` [N].
-    - `move`: move to `target` [rad] in the time `duration_s`.
-    - `chirp`: oscillate about `target` [rad] with `amplitude` [rad], at a frequency from `low_Hz`
-      to `high_Hz`.
+    - `taut`: take up slack, to `target` [N].
+    - `move`: move to `target` [rad] in `duration_s`.
+    - `chirp`: swing by `amplitude` [rad] about `target` [rad], from `low_Hz` to `high_Hz`.
     - `tension`: change the tension to `target` [N] at `rate` [N/s].
 
-    All coordinates or tendons of the digit have the same target. If `targets` is given, each has a
-    target of its own.
+    All coordinates or tendons of the digit have the same target, unless `targets` has one for each.
     """
 
     digit: str
@@ -61,12 +57,12 @@ class ExciteStep(Document):
 
 @dataclass(frozen=True, slots=True)
 class SwingTrajectory:
-    """Oscillation of all coordinates of a digit in phase, each about its own mean angle.
+    """Oscillation of all coordinates in phase, each about its own angle.
 
     Attributes:
         centre: (n,) mean angle of each coordinate [rad].
         amplitude: (n,) amplitude of each coordinate [rad].
-        chirp: oscillation of a single coordinate about 0 with amplitude 1.
+        chirp: oscillation of one coordinate about 0 with amplitude 1.
     """
 
     centre: Vector
@@ -87,16 +83,16 @@ class SwingTrajectory:
 
 @dataclass(frozen=True, slots=True)
 class ExciteProgram:
-    """Program that carries out the steps of an excitation one after the other.
+    """Program that carries out the steps of an excitation in order.
 
     Attributes:
-        steps: steps of the excitation for all digits.
+        steps: steps of all digits.
     """
 
     steps: tuple[ExciteStep, ...]
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the first step, in which no motor makes torque."""
+        """Return the progress before the first step: no torque."""
         return replace(ProgramProgress.initial(len(model.digits), "start"), step=-1)
 
     def advance(
@@ -107,7 +103,7 @@ class ExciteProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Advance the excitation by one tick. The interface `Program` explains the arguments."""
+        """Advance the excitation by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
         if progress.step < 0:
@@ -134,7 +130,7 @@ class ExciteProgram:
         t: float,
         step_index: int,
     ) -> ProgressAndEvents:
-        """Begin a step. After the last step, finish."""
+        """Enter a step, or finish after the last step."""
         goals = [DigitGoal()] * len(model.digits)
         if step_index == len(self.steps):
             done = replace(
@@ -154,7 +150,7 @@ class ExciteProgram:
         progress = replace(
             progress, step=step_index, since=t, phase=phase, goals=tuple(goals), contact=contact
         )
-        # Consecutive steps with the same name are a single phase in the log.
+        # Consecutive steps with the same name are one phase in the log.
         return progress, () if same_phase else (TickEvent("info", "phase", step.digit, phase),)
 
 

@@ -1,12 +1,9 @@
-"""Grip of an object during a hold: the stiffness of the grip, and the detection of slip.
+"""Grip of a hold: its stiffness, and the detection of slip. After slip, the tension is raised.
 
-If the object slips, the controller raises the tension.
-
-An object that slips pushes a digit open. The tension of the digit's tendon stays constant, but the
-tendon is pulled out. The excursion of the tendon (its travel minus its stretch) is known to a few
-micrometres. So a slip of a fraction of a millimetre is visible. A force along the axes of the
-hinges moves no joint (J^T F = 0). So neither tendons nor joint encoders show that a bar of constant
-thickness slides along these axes.
+If an object slips, it pushes a digit open. The tension stays constant, but the tendon pays out. The
+excursion of the tendon, travel minus stretch, is known to a few micrometres, so a fraction of a
+millimetre at the object is visible. A force along the hinges moves no joint (J^T F = 0). Therefore
+neither tendons nor joint encoders show when a bar of constant thickness slides along the hinges.
 """
 
 import math
@@ -43,17 +40,15 @@ The rate is high, because slip is faster than the closing of a grasp.
 
 
 class GripState(NamedTuple):
-    """State of the grip of an object during a hold.
-
-    Arrays have the shape (N,). They are NaN for the tendons of digits that do not hold.
+    """State of the grip during a hold. Arrays are (N,), and NaN for tendons of digits that do not hold.
 
     Attributes:
-        tension: tension targets when the hold begins [N].
-        anchor: excursion at which a stiff grip pulls with exactly these tensions [m]. It is NaN
-            until the grip has settled.
+        tension: tension targets at the beginning of the hold [N].
+        anchor: excursion at which a stiff grip pulls exactly these tensions [m], NaN until the
+            grip has settled.
         ready: time from which slip is detected [s].
-        raised: factor by which the tensions are multiplied at present.
-        limited: True after the event which reports that the tension cannot be raised further.
+        raised: present factor on the tensions.
+        limited: True after the event which reports that no more tension is allowed.
     """
 
     tension: Vector
@@ -66,7 +61,7 @@ class GripState(NamedTuple):
     def at_hold_start(
         model: HandModel, goals: tuple[DigitGoal, ...], estimate: HandEstimate, t: float
     ) -> "GripState":
-        """Return the grip at the beginning of a hold. The goals of the hold have just been set."""
+        """Return the grip at the beginning of a hold, for goals that have just been set."""
         tension = np.full(model.tendon_count, np.nan)
         settling_s = 0.0
         for tendons, goal in zip(model.digit_tendons, goals, strict=True):
@@ -81,13 +76,13 @@ class GripState(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class GripPlan:
-    """Stiffness and tension limit of the grip that a task requires.
+    """Grip that a task requires.
 
     Attributes:
-        stiffness: tension that is added per metre by which a tendon is pulled out [N/m]. If it is
-            0, the tensions stay constant.
-        limit: (N,) tension up to which the controller may raise the tension after slip [N], or NaN
-            for no increase. If all values are NaN, the controller only reports slip.
+        stiffness: additional tension per metre that a tendon is pulled out [N/m]. With 0, the
+            tensions stay constant.
+        limit: (N,) tension up to which slip may raise the tension [N], NaN without a rise. If all
+            are NaN, slip is reported only.
     """
 
     stiffness: float
@@ -95,7 +90,7 @@ class GripPlan:
 
 
 def grip_excursions(model: HandModel, estimate: HandEstimate) -> Vector:
-    """Return the excursion (N,) of each tendon up to a constant [m]: the wound length minus the stretch."""
+    """Return the excursions (N,) up to a constant [m]: the wound length minus the stretch of each tendon."""
     return np.asarray(estimate.travel - estimate.tension / model.space.stiffness)
 
 
@@ -124,10 +119,10 @@ def advance_grip(
     judged = t >= grip.ready
     settled = not math.isnan(grip.anchor[0])
     if judged and not settled:
-        # In the first tick after the settling, the position of a stiff grip is stored.
+        # The first tick after the settling determines the position of a stiff grip.
         grip = grip._replace(anchor=estimate.grip_travel.copy())
     if judged:
-        # A tendon that opens a digit is pulled out while the digit closes.
+        # A tendon that opens its digit pays out while the digit closes.
         opening = np.where(
             np.isnan(grip.tension), 0.0, model.redundancy.side * estimate.grip_opening
         )
@@ -141,7 +136,7 @@ def advance_grip(
 def _raise_after_slip(
     model: HandModel, grip: GripState, plan: GripPlan, opening: Vector, t: float
 ) -> tuple[GripState, tuple[TickEvent, ...]]:
-    """After slip, raise the tensions of a grip as far as the task allows."""
+    """Raise the tensions of a grip after slip, as far as the task allows."""
     worst = int(np.argmax(opening))
     digit = next(
         name
@@ -150,8 +145,8 @@ def _raise_after_slip(
     )
     grip = grip._replace(ready=t + RAISE_PAUSE_S)
     moved = f"{digit} is pushed open, {1e6 * opening[worst]:.0f} um of tendon"
-    # The tendon that is farthest below its limit determines the largest possible factor. All
-    # tensions are multiplied by the same factor.
+    # The largest factor is that of the tendon which is farthest below its limit. All tensions are
+    # raised by one factor.
     closing = model.redundancy.side > 0.0
     room = plan.limit[closing] / grip.tension[closing]
     max_factor = float(np.nanmax(np.append(room, 1.0)))
@@ -169,14 +164,11 @@ def _held_goals(
     goals: tuple[DigitGoal, ...],
     excursion: Vector,
 ) -> tuple[DigitGoal, ...]:
-    """Return the goals with the tensions that slip and stiffness require.
-
-    No tension is below the floor.
-    """
+    """Return the goals with the tensions that slip and stiffness require, but at least the floor."""
     limit = np.fmax(plan.limit, grip.tension)
     raised = np.where(model.redundancy.side > 0.0, grip.raised, 1.0)
     target = np.minimum(raised * grip.tension, limit) + plan.stiffness * (grip.anchor - excursion)
-    # A stiff grip may exceed the tension limit for slip, but not the tension ceiling of the hand.
+    # A stiff grip may exceed the limit for slip, up to the ceiling of the hand.
     target = np.clip(
         target,
         np.minimum(model.floor, grip.tension),

@@ -1,4 +1,4 @@
-"""Programs that get their goals from requests: a live session for `jog` or a client, and a single jog."""
+"""Programs that get their goals from requests: a live session with `jog` or a client, and a single jog."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -41,20 +41,20 @@ from handctl.programs.task_program import TaskProgram
 
 
 def preload_spline() -> None:
-    """Import the spline functions for the phase `follow` in advance, so that no tick has to import them.
+    """Import the spline for the phase `follow` in advance, so that no tick imports it.
 
-    The import takes 0.1 to 0.3 s. If the import happened within a tick of a run in real time, the
-    tick would be so late that the run ended.
+    The import takes 0.1 to 0.3 s. If a client's first task with such a phase caused the import
+    within a tick, a run in real time would end.
     """
     import scipy.interpolate  # noqa: F401
 
 
 @dataclass(frozen=True, slots=True)
 class LiveProgram:
-    """Program that takes up the slack of the tendons, and then executes requests until it is stopped."""
+    """Program that tightens the tendons, then waits for requests until a stop."""
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the hand is armed, in which no motor makes torque."""
+        """Return the progress until the hand is armed: no torque."""
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
@@ -65,7 +65,7 @@ class LiveProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Advance the session by one tick. The interface `Program` explains the arguments."""
+        """Advance the session by one tick. See `Program`."""
         if progress.task is not None:
             return _carry_out_task(model, progress, progress.task, estimate, measured, t)
         if progress.phase == "start":
@@ -98,19 +98,16 @@ def _carry_out_task(
     measured: TickMeasurements,
     t: float,
 ) -> ProgressAndEvents:
-    """Advance the task of a live session by one tick.
+    """Advance the task of a live session.
 
-    After the task has ended or failed, the session waits for requests again.
+    After the end or the failure of the task, the session waits for requests again.
     """
     progress, events = TaskProgram(task).advance(model, progress, estimate, measured, t)
     return (end_task(progress) if progress.finished else progress), events
 
 
 def end_task(progress: ProgramProgress) -> ProgramProgress:
-    """Return the progress of a live session without its task.
-
-    The digits keep the goals that they have.
-    """
+    """Return the progress of a live session without its task. Digits keep their goals."""
     return replace(
         progress, step=0, phase="live", finished=False, failure="", task=None, closing=(), grip=None,
         touching=(0,) * len(progress.touching),
@@ -120,11 +117,9 @@ def end_task(progress: ProgramProgress) -> ProgramProgress:
 def begin_task(
     model: HandModel, progress: ProgramProgress, task: Task, estimate: HandEstimate, t: float
 ) -> ProgressAndEvents:
-    """Begin a task.
+    """Begin a task. The first hold of the task lasts until ``release_task``, at most an hour.
 
-    The first hold phase of the task lasts until ``release_task`` is called, but at most an hour.
-
-    If the task does not suit the hand, or its first move is too fast, nothing changes.
+    A task that does not suit the hand, or whose first move is too fast, changes nothing.
     """
     try:
         check_task_for_hand(task, model.hand, "task", model.digits)
@@ -146,7 +141,7 @@ def begin_task(
 def _start_refusal(
     model: HandModel, first_move: MovePhase, estimate: HandEstimate
 ) -> TickEvent | None:
-    """Return an event if the first move of a task would be too fast from the present angles, and otherwise None."""
+    """Return an event if the first move is too fast from the present angles, or None if it is slow enough."""
     for d, name in enumerate(model.hand.digit_names):
         digit = model.digits[d]
         angle = end_angles(
@@ -163,7 +158,7 @@ def _start_refusal(
 
 
 def release_task(progress: ProgramProgress) -> ProgressAndEvents:
-    """End the hold phase of a task, so that the phases after it follow."""
+    """End the hold of a task, so that the phases after the hold follow."""
     phase = progress.task.phase[progress.step - 1] if progress.task else None
     if not isinstance(phase, HoldPhase):
         return progress, (
@@ -175,7 +170,7 @@ def release_task(progress: ProgramProgress) -> ProgressAndEvents:
 
 @dataclass(frozen=True, slots=True)
 class JogProgram:
-    """Program that pursues one goal for a limited time.
+    """Program with one goal for a limited time.
 
     Attributes:
         request: request with the goal.
@@ -186,7 +181,7 @@ class JogProgram:
     duration: float
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the hand is armed, in which no motor makes torque."""
+        """Return the progress until the hand is armed: no torque."""
         return LiveProgram().initial_progress(model)
 
     def advance(
@@ -197,12 +192,12 @@ class JogProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Advance the jog by one tick. The interface `Program` explains the arguments."""
+        """Advance the jog by one tick. See `Program`."""
         progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
         if progress.phase == "live":
             goals = progress.goals
             progress, goal_events = apply_goal(model, progress, self.request, estimate, t)
-            # If the request is refused, the goals do not change.
+            # A refused request does not change the goals.
             if progress.goals is goals:
                 return replace(
                     progress, finished=True, failure=goal_events[-1].text
@@ -221,21 +216,20 @@ def apply_goal(
     t: float,
     reference: tuple[Vector, ...] | None = None,
 ) -> ProgressAndEvents:
-    """Apply the goals that a request contains.
+    """Apply the goals of a request.
 
-    If the request names an unknown digit or joint, or if an angle, a speed or a tension is out of
-    range, nothing changes.
+    A request with an unknown digit or joint, an angle out of range, too high a speed or too much
+    tension changes nothing.
 
     Args:
         model: model of the hand.
         progress: progress with the present goals.
-        request: request of an operator or a client.
+        request: the request.
         estimate: estimate of this tick.
         t: time of the program [s].
-        reference: (3, n) position, rate and acceleration of the present motion reference, for each
-            digit. A digit that is moving starts its new move at this reference. Any other digit
-            starts its move at the estimated angles. If it is None, all moves start at the estimated
-            angles.
+        reference: for each digit, (3, n) position, rate and acceleration of the present reference.
+            A move of a moving digit starts at its reference. Any other move starts at the estimated
+            angles. If it is None, all moves start at the estimate.
     """
     names = model.hand.digit_names
     values = request.angle_deg if isinstance(request, MoveDigits) else request.tension_N
@@ -280,18 +274,18 @@ def apply_goal(
 def _end_of_move(
     model: HandModel, d: int, angles: Mapping[str, float], start: HandEstimate | Vector
 ) -> Vector | str | None:
-    """Return the coordinates that a digit has at the end of a move [deg].
+    """Return the coordinates at the end of a digit's move [deg].
 
     Args:
         model: model of the hand.
         d: index of the digit.
-        angles: target angles [deg], by the name of the digit or joint.
-        start: present coordinates [rad], or the estimate of the hand. A joint without a target
-            angle keeps its present angle.
+        angles: angle by digit or joint [deg].
+        start: present coordinates [rad], or the estimate. Joints without an angle keep their
+            present angles.
 
     Returns:
-        The result is None for a digit without a target angle. It is a text if the digit cannot have
-        the target angles together.
+        The result is None for a digit without an angle, and a text for angles that the digit cannot
+        have together.
     """
     digit, name = model.digits[d], model.hand.digit_names[d]
     count = digit.coupling.shape[1]
@@ -325,7 +319,7 @@ def _move_goal(
     duration: float,
     t: float,
 ) -> DigitGoal:
-    """Return a move of a digit that starts at the present reference (3, n), or at the estimate if there is none."""
+    """Return a move of a digit from its present reference (3, n), or from the estimate if there is no reference."""
     if start is None:
         return motion_to(model.digits[d], estimate, end, duration, t)
     return DigitGoal(
@@ -336,7 +330,7 @@ def _move_goal(
 def _reach_problem(
     model: HandModel, d: int, estimate: HandEstimate, end: Vector, duration: float
 ) -> str:
-    """Return the reason why a digit cannot move to given coordinates [deg] in a given time [s], or an empty text."""
+    """Return the reason why a digit cannot move to coordinates [deg] in a time [s], empty if it can."""
     digit = model.digits[d]
     units = digit.coordinate_units
     joint_min, joint_max = (units.displayed(bound) for bound in digit.reach)

@@ -1,4 +1,4 @@
-"""Program that repeats a recorded run with the recorded timing: either its trajectories, or its tensions."""
+"""Program that repeats a recorded run at the recorded times: its trajectories, or its tensions."""
 
 import base64
 from dataclasses import dataclass, replace
@@ -26,10 +26,10 @@ The recorded setpoints already have a limited rate.
 
 @dataclass(frozen=True, slots=True)
 class RecordedGoals:
-    """Goals from a recorded run, with one row for each tick of the controller that repeats the run.
+    """Recorded goals, with one row per tick of the controller that repeats them.
 
     Attributes:
-        q: (ticks, J) joint goals [rad], with NaN where the digit held a tension instead.
+        q: (ticks, J) joint goals [rad], NaN where the digit held a tension.
         dq: (ticks, J) rates of the joint goals [rad/s].
         ddq: (ticks, J) accelerations of the joint goals [rad/s^2].
         tension: (ticks, N) tension goals at the load cells [N].
@@ -41,12 +41,9 @@ class RecordedGoals:
     tension: Vector
 
     def to_text(self) -> str:
-        """Return the recording as text.
-
-        The function ``from_text`` restores exactly the same numbers.
-        """
+        """Return the recording as text, from which ``from_text`` returns the same numbers to the last bit."""
         table = np.hstack([self.q, self.dq, self.ddq, self.tension])
-        # The numbers are little-endian float64, so that the text is the same on every machine.
+        # Little-endian float64, so that the text is the same on every machine.
         return base64.b64encode(table.astype("<f8").tobytes()).decode()
 
     @staticmethod
@@ -54,7 +51,7 @@ class RecordedGoals:
         """Read the text of a recording.
 
         Raises:
-            ValueError: the text is not a table whose width suits the numbers of joints and tendons.
+            ValueError: The text is not a table with the width for these joints and tendons.
         """
         table = np.frombuffer(base64.b64decode(text, validate=True), "<f8").reshape(
             -1, 3 * joints + tendons
@@ -65,21 +62,20 @@ class RecordedGoals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaybackProgram:
-    """Program that takes up the slack, moves slowly to the first pose of a recording, and then follows the recording.
+    """Program that takes up the slack, moves slowly to the first pose, then follows the recording.
 
     Attributes:
         recording: recording to follow.
-        raw: True to follow the recorded tensions. No controller then corrects the joint angles. The
-            speed of the recorded trajectories is used as a feedforward, but errors of the angles
-            are not corrected. A tension error of one newton moves a free finger by 12 degrees
-            against its springs.
+        raw: True to follow the recorded tensions and leave the joints uncontrolled. The speed of
+            the trajectories is fed forward, but no angle is corrected. An error of one newton moves
+            a free finger by 12 degrees against its springs.
     """
 
     recording: RecordedGoals
     raw: bool = False
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the hand is armed, in which no motor makes torque."""
+        """Return the progress until the hand is armed: no torque."""
         return LiveProgram().initial_progress(model)
 
     def advance(
@@ -90,7 +86,7 @@ class PlaybackProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Advance the playback by one tick. The interface `Program` explains the arguments."""
+        """Advance the playback by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
         if progress.phase in ("start", "tighten"):
@@ -134,13 +130,13 @@ class PlaybackProgram:
         return progress, (TickEvent("info", "phase", "", "approach: slowly to the first pose"),)
 
     def _follow_recording(self, model: HandModel, progress: ProgramProgress) -> ProgramProgress:
-        """Set the goals that the present row of the recording contains."""
+        """Set the goals of the present row of the recording."""
         i = progress.step
         rows = self.recording
         goals = []
         contact = []
         for d, digit in enumerate(model.digits):
-            # Joint goals are NaN where the digit held a tension in the recorded run.
+            # Joint goals are NaN where the digit held a tension.
             holding = bool(np.isnan(rows.q[i, digit.joints]).any())
             contact.append(holding)
             q, dq, ddq = (

@@ -1,7 +1,4 @@
-"""Interface of all programs.
-
-A program sets the goals of all digits in every tick, and has a progress.
-"""
+"""Interface of programs, which set the goals of all digits in every tick, and the progress of a program."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -21,26 +18,25 @@ from handctl.programs.task import Task
 
 @dataclass(frozen=True, slots=True)
 class ProgramProgress:
-    """State of a program. All programs use the same fields.
+    """State of a program, with the same fields for all programs.
 
-    The hash of the controller's state covers this state too.
+    The hash of the controller's state includes the state of the program.
 
     Attributes:
         step: index of the present step.
         since: time at which the present step began [s].
         goals: goal of each digit.
         contact: for each digit, True if it is in contact.
-        touching: for each digit, the number of consecutive ticks in which contact was detected.
-            Before the first close phase, programs use this field as a counter.
+        touching: for each digit, number of consecutive ticks with evidence of contact. Before the
+            first close phase, programs use it as a counter.
         phase: name of the present step, for events and logs.
         finished: True if the program has ended.
-        failure: reason why the program has failed, or an empty text.
-        record: numbers from which the result of the program is computed.
-        tare: new tares of the load cells [N]. It is empty while the tares of the calibration apply.
-        closing: for each digit, True if the digit closes until contact. In phases without closing,
-            it is empty.
-        grip: grip during a hold, or None in other phases.
-        task: task that a live session executes, or None.
+        failure: reason why the program gave up, empty otherwise.
+        record: numbers for the result of the program.
+        tare: new tares of the load cells [N], empty if the tares of the calibration apply.
+        closing: for each digit, True if it closes until contact. It is empty in other phases.
+        grip: grip of a hold, None in other phases.
+        task: task that a live session carries out, None otherwise.
     """
 
     step: int
@@ -59,7 +55,7 @@ class ProgramProgress:
 
     @staticmethod
     def initial(digits: int, phase: str) -> "ProgramProgress":
-        """Return the progress before the first step, without torque and without contact."""
+        """Return the progress before the first step: no torque, no contact."""
         return ProgramProgress(
             0, 0.0, (DigitGoal(),) * digits, (False,) * digits, (0,) * digits, phase
         )
@@ -70,13 +66,10 @@ ProgressAndEvents = tuple[ProgramProgress, tuple[TickEvent, ...]]
 
 
 class Program(Protocol):
-    """Interface of a program that the controller executes.
-
-    A program object never changes. All changes are in the `ProgramProgress`.
-    """
+    """Interface of a program. A program is immutable, and all changes are in its `ProgramProgress`."""
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress that the program has before the hand is armed."""
+        """Return the progress before the hand is armed."""
         ...
 
     def advance(
@@ -97,7 +90,7 @@ class Program(Protocol):
             t: time [s].
 
         Returns:
-            The new progress, and the events of this tick.
+            The progress and the events of this tick.
         """
         ...
 
@@ -119,7 +112,7 @@ TIGHTEN_TIMEOUT_S = 4.0
 
 
 def tightening_goals(model: HandModel) -> tuple[DigitGoal, ...]:
-    """Return goals with which every tendon takes up its slack."""
+    """Return goals that take up the slack of every tendon."""
     return tuple(
         DigitGoal(GoalKind.TENSION, tension=_tightening_tension(model, tendons), rate=40.0)
         for tendons in model.digit_tendons
@@ -129,25 +122,23 @@ def tightening_goals(model: HandModel) -> tuple[DigitGoal, ...]:
 def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
     """Return the tensions (n_t,) with which the tendons of a digit take up their slack [N].
 
-    If a digit has more tendons than necessary, these tensions balance each other and make no
-    torque.
+    Tensions of surplus tendons make no torque.
     """
     balance = model.redundancy.balance[tendons]
     least = model.floor[tendons] + TIGHTEN_MARGIN_N
-    # The pretension of a spool pair keeps its tendons taut.
-    least = np.where(model.is_pair[tendons], 0.0, least)
+    least = np.where(model.is_pair[tendons], 0.0, least)  # a spool pair is taut by its pretension
     return np.asarray(balance * (least / balance).max() if balance.all() else least)
 
 
 def pull_tensions(
     model: HandModel, d: int, tension: float | tuple[float, ...], estimate: HandEstimate
 ) -> Vector:
-    """Return the tensions (n_t,) of digit d when the tension is controlled [N].
+    """Return tensions (n_t,) of digit d under tension control [N].
 
-    If a single tension is given, the closing tendons get this tension. Their antagonists get the
-    tensions that balance the digit. A digit of spool pairs then presses with its tip. In such a
-    digit, the given tension is the largest net tension. If a tension is given for each tendon,
-    these tensions are returned.
+    If one tension is given, the tendons that close the digit get this tension, and their
+    antagonists get their balance tensions. A digit of spool pairs then presses with its tip, and
+    the given tension is its largest net tension. If a tension is given for each tendon, each tendon
+    gets its tension.
     """
     if isinstance(tension, tuple):
         return np.array(tension)
@@ -163,9 +154,9 @@ def pull_tensions(
 def tension_goal(
     model: HandModel, d: int, tension: Vector, rate: float, estimate: HandEstimate
 ) -> DigitGoal:
-    """Return the goal with which digit d approaches tensions (n_t,) [N] at a given rate [N/s].
+    """Return the goal of digit d to approach tensions (n_t,) [N] at a rate [N/s].
 
-    Spool pairs that move the digit sideways hold their position instead.
+    Spool pairs that move the digit sideways hold their position.
     """
     if model.redundancy.side[model.digit_tendons[d]].all():
         return DigitGoal(GoalKind.TENSION, tension=tension, rate=rate)
@@ -176,9 +167,9 @@ def tension_goal(
 
 
 def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
-    """Return the tensions (n_t,) of a released digit d [N]: the given tension, or balancing tensions for antagonists.
+    """Return tensions (n_t,) of a released digit d [N]: the given tension, or the balance tensions of antagonists.
 
-    The net tension of a released spool pair is zero.
+    A released spool pair has no net tension.
     """
     tendons = model.digit_tendons[d]
     balance = model.redundancy.balance[tendons]
@@ -193,15 +184,15 @@ Any duration is possible, because these joints do not move.
 
 
 def slack_tendons(model: HandModel, estimate: HandEstimate) -> list[str]:
-    """Return the names of the tendons that are slack, or whose tension is below half of the tension floor."""
+    """Return the names of the tendons that are slack, or whose tension is below half of the floor."""
     taut = ~np.asarray(estimate.is_slack, dtype=bool) & (estimate.tension > 0.5 * model.floor)
     return [name for name, ok in zip(model.hand.tendon_names, taut, strict=True) if not ok]
 
 
 def coordinates_by_excursion(digit: DigitModel, estimate: HandEstimate) -> Vector:
-    """Return the coordinates (n_c,) of a digit that follow from the excursions of its tendons [rad].
+    """Return the coordinates (n_c,) of a digit that follow from its excursions [rad].
 
-    An object that pushes the digit may have turned the joints further than the excursions show.
+    Contact may turn the joints further than the excursions show.
     """
     return digit.coordinates_of(estimate.excursion[digit.tendons])
 
@@ -209,7 +200,7 @@ def coordinates_by_excursion(digit: DigitModel, estimate: HandEstimate) -> Vecto
 def motion_to(
     digit: DigitModel, estimate: HandEstimate, angle: float | Vector, duration: float, t: float
 ) -> DigitGoal:
-    """Return a goal that moves all coordinates of a digit to one angle, or each to an angle of its own [rad]."""
+    """Return a goal that moves all coordinates of a digit to one angle, or each to its own [rad], in a time [s]."""
     start = coordinates_by_excursion(digit, estimate)
     return DigitGoal(
         GoalKind.MOTION, MinimumJerk(start, np.full_like(start, angle), duration), since=t

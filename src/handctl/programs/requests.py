@@ -1,10 +1,8 @@
-"""Requests to a running controller.
+"""Requests to a running controller. Each is one JSON object in a datagram, which this module validates.
 
-Each request is one JSON object in a datagram. This module checks the object.
-
-Requests enter the tick as text. So a log is re-executed with exactly the same requests. Streamed
-targets are an exception, because they are frequent and must reach the drives quickly. A target
-arrives as a binary datagram, is decoded before it enters the tick, and becomes text in the log.
+Requests enter the tick as text, so a log is re-executed with exactly the same requests. Streamed
+targets are the exception, because they are frequent and must reach the drives quickly. They arrive
+as binary datagrams, enter the tick decoded, and become text in the log.
 """
 
 import json
@@ -187,18 +185,15 @@ REFUSED_PREFIX = "refused: "
 
 
 def describe_request(request: Request) -> str:
-    """Return the text of the event that reports an accepted request.
+    """Return the event text of an accepted request.
 
-    In a list of events, all events after this one belong to the same request, until the next event
-    of this form.
+    Request events up to the next text of this form belong to the same request.
     """
     return f"{_ACCEPTED_PREFIX}{request.do}" + (f" by {request.by}" if request.by else "")
 
 
 def events_for_request(by: str, events: Iterable[Mapping[str, Any]]) -> list[str] | None:
-    """Return the event texts of a sender's request.
-
-    If this tick has no request of the sender, return None.
+    """Return the event texts of one sender's request, None if this tick has no request of the sender.
 
     Args:
         by: sender of the request.
@@ -220,9 +215,9 @@ _TARGET_START = '{"do": "target", '
 
 
 def target_request_text(target: StreamTarget) -> str:
-    """Return a streamed target as the text of a request.
+    """Return a target as the text of a request.
 
-    The numbers are written so that no bit is lost.
+    Values are written to the last bit.
     """
     stream, number, sent_ns, values = target
     listed = json.dumps(list(values))
@@ -263,17 +258,14 @@ def alive_request_text(client: str) -> str:
 
 
 def is_routine_request(request: TickRequest) -> bool:
-    """Return True for a request that clients send many times during a run: a streamed target or a sign of life."""
+    """Return True for a request that clients send many times in a run: a target, or a sign of life."""
     if isinstance(request, StreamTarget):
         return True
     return is_stream_target(request) or request.startswith(_ALIVE_START)
 
 
 def parse_target(request: TickRequest) -> StreamTarget | None:
-    """Return the streamed target that the text of a request contains.
-
-    If the text has another form, or if an integer has more than 64 bits, return None.
-    """
+    """Return the target in a request. Return None for a text of another form, or with an integer beyond 64 bits."""
     if isinstance(request, StreamTarget):
         return request
     try:
@@ -287,14 +279,14 @@ def parse_target(request: TickRequest) -> StreamTarget | None:
 
 
 def _is_int64(value: object) -> bool:
-    """Return True if an integer fits into the 64 bits of the state block."""
+    """Return True for an integer that fits into the state block."""
     return type(value) is int and -(2**63) <= value < 2**63
 
 
 def parse_request(text: str) -> Request | str:
-    """Parse a request. If the request is invalid, return a line with the reason.
+    """Parse a request, and return a line with the reason if it is invalid.
 
-    This line contains only printable characters, whatever the datagram contains.
+    The line contains printable characters only, whatever the datagram contained.
     """
     try:
         return _REQUEST_ADAPTER.validate_json(text)

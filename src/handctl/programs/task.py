@@ -17,9 +17,9 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import read_toml
 
-# Imported only for type checks, because this module imports numba, and reading a task does not need
-# numba.
-if TYPE_CHECKING:
+if (
+    TYPE_CHECKING
+):  # imported for types only, because it imports numba, which the reading of a task does not need
     from handctl.hand.digit import DigitModel
 
 AngleDeg = Annotated[float, Field(ge=-30, le=150)]
@@ -149,7 +149,7 @@ class FollowPhase(Document):
                     f"{digit} must have an angle for each of the {len(self.time_s)} times"
                 )
             peak = math.degrees(_peak_speed(self.time_s, tuple(map(math.radians, angles))))
-            # The comparison is negated so that it also refuses NaN.
+            # The comparison is negated, so that NaN is refused.
             if not peak <= FOLLOW_SPEED_DEG_S:
                 raise ValueError(
                     f"at most {FOLLOW_SPEED_DEG_S:g} deg/s on the way; {digit} reaches {peak:.0f}"
@@ -158,24 +158,21 @@ class FollowPhase(Document):
 
 
 def _peak_speed(times_s: tuple[float, ...], angles: tuple[float, ...]) -> float:
-    """Return the largest speed of a curve [rad/s].
-
-    It is inf or NaN if the times of the curve are too close together.
-    """
+    """Return the largest speed of a curve [rad/s], inf or NaN if its times are too close together."""
     with np.errstate(all="ignore"):
         try:
             return curve_through(times_s, angles).peak_speed()
-        # The library scipy raises ValueError for slopes that are not finite.
+        # scipy raises ValueError for slopes that are not finite.
         except ValueError:
             return math.inf
 
 
 @functools.lru_cache(maxsize=32)
 def curve_through(times_s: tuple[float, ...], angles: tuple[float, ...]) -> CurveTrajectory:
-    """Return the curve of one coordinate through given angles [rad] at given times [s].
+    """Return the curve of one coordinate through angles [rad] at times [s].
 
-    When a task is checked, the curves of its digits are computed, which takes up to 1 ms for each
-    curve. The phase begins in a later tick, and then takes the curves from the cache.
+    The check of a task computes the curves of its digits, up to 1 ms each. The phase begins in a
+    later tick, and takes the curves from the cache.
     """
     return CurveTrajectory.through_points(times_s, angles, 1)
 
@@ -214,11 +211,11 @@ class TrajectoryFile(Document):
 
 
 def load_trajectory(path: Path) -> Task:
-    """Read a trajectory file as a task that first moves slowly to the first pose, and then follows the trajectory.
+    """Read a trajectory file as a task: a slow move to its first pose, then the trajectory.
 
     Raises:
-        ConfigError: the file cannot be read, the times do not increase, or an angle or a speed is
-            out of range.
+        ConfigError: The file cannot be read, time does not rise, or an angle or a speed is out
+            of range.
     """
     return trajectory_from(read_toml(path), str(path))
 
@@ -227,7 +224,7 @@ def trajectory_from(content: Mapping[str, Any], source: str) -> Task:
     """Make a task from the content of a trajectory file.
 
     Raises:
-        ConfigError: the errors are those of `load_trajectory`. The error message names the source.
+        ConfigError: The same errors as from `load_trajectory`. The message names the source.
     """
     file = validate_content(content, TrajectoryFile, source)
     first = {digit: angles[0] for digit, angles in file.angle_deg.items() if angles}
@@ -243,18 +240,18 @@ def load_task(path: Path) -> Task:
     """Read a task file.
 
     Raises:
-        ConfigError: the file cannot be read, or a key or a value in it is wrong.
+        ConfigError: The file cannot be read, or a key or a value is wrong.
     """
     return load_document(path, Task)
 
 
 class DigitShape(NamedTuple):
-    """Numbers of values that a task may give for a digit.
+    """Shape of a digit: how many values a task may give for it.
 
     Attributes:
-        coordinates: number of coordinates of the digit, each with an angle.
-        tendons: number of tendons of the digit, each with a tension. A finger of n joints may have
-            n + 1 tendons.
+        coordinates: number of reduced coordinates, each with an angle.
+        tendons: number of tendons, each with a tension. A finger of n joints may have n + 1
+            tendons.
         joints: names of the joints.
     """
 
@@ -288,13 +285,13 @@ def check_task(
     Args:
         task: task to check.
         digits: names of the hand's digits.
-        ceiling: smallest of the tension limits in the hand [N].
+        ceiling: smallest tension limit of the hand [N].
         where: name of the file, for messages.
-        digit_shapes: numbers of values for each digit, or None to skip this check.
+        digit_shapes: shape of each digit, None to skip this check.
 
     Raises:
-        ConfigError: the task names an unknown digit, gives a digit the wrong number of values, or
-            requests too much tension.
+        ConfigError: The task names an unknown digit, gives a digit the wrong number of values,
+            or requests too much tension.
     """
     for i, phase in enumerate(task.phase):
         for key in ("angle_deg", "tension_N", "tip_force_N", "contact_tension_N", "slip_limit_N"):
@@ -328,7 +325,7 @@ def check_task(
 def _check_count(
     digit: str, value: object, digit_shapes: Mapping[str, DigitShape] | None, key_path: str
 ) -> None:
-    """Check that a list for a digit has one angle for each coordinate, or one tension for each tendon."""
+    """Check the length of a list of values for a digit: one angle per coordinate, or one tension per tendon."""
     if digit_shapes is None or not isinstance(value, tuple):
         return
     if digit not in digit_shapes:
@@ -349,7 +346,7 @@ def _check_count(
 
 
 def _digit_of_joint(digit_shapes: Mapping[str, DigitShape] | None) -> dict[str, str]:
-    """Return the name of the digit to which each joint belongs, by the name of the joint."""
+    """Return the name of the digit of each joint, by the name of the joint."""
     return {joint: name for name, shape in (digit_shapes or {}).items() for joint in shape.joints}
 
 
@@ -357,15 +354,12 @@ Value = TypeVar("Value")
 
 
 def value_for_digit(value: float | dict[str, Value], digit: str) -> float | Value | None:
-    """Return the value that a task phase gives for a digit.
-
-    If the phase gives values only for other digits, return None.
-    """
+    """Return the value of a phase for a digit, or None if the phase gives values only for other digits."""
     return value.get(digit) if isinstance(value, dict) else float(value)
 
 
 def joint_values(value: float | Mapping[str, Value], digit: "DigitModel") -> dict[int, Value]:
-    """Return the values that a task phase gives for joints of a digit, by the index of the joint."""
+    """Return the values of a phase for joints of a digit, by the index of the joint."""
     if not isinstance(value, Mapping):
         return {}
     return {j: value[name] for j, name in enumerate(digit.joint_names) if name in value}
@@ -374,13 +368,13 @@ def joint_values(value: float | Mapping[str, Value], digit: "DigitModel") -> dic
 def end_angles(
     value: float | dict[str, DigitAnglesDeg], digit: "DigitModel", present_angles: Vector
 ) -> DigitAnglesDeg | Vector | None:
-    """Return the coordinates of a digit at the end of a phase [deg], or None if the phase gives the digit no angle.
+    """Return the coordinates of a digit at the end of a phase [deg], None if the phase gives the digit no angle.
 
     Args:
-        value: angles in the phase [deg], by the name of the digit or joint.
+        value: angles of the phase, by digit or joint [deg].
         digit: model of the digit.
-        present_angles: (n_c,) coordinates of the digit when the phase begins [deg]. A joint without
-            an angle in the phase keeps its present angle.
+        present_angles: (n_c,) coordinates at the beginning [deg]. Joints without an angle keep their present
+            angles.
     """
     given = joint_values(value, digit)
     if not given:

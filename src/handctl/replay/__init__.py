@@ -1,1 +1,1 @@
-"""Uses of a recorded run: execute it again, repeat its motion, judge it by other limits, compare two runs."""
+"""Uses of a recorded run: re-execution, repetition, judgement by other limits, comparison of two runs."""

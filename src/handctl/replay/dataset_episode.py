@@ -2,10 +2,10 @@
 
 The joint angles in the actions of the episode must pass the same checks as a trajectory file.
 
-The dataset must have the file layout of LeRobot's codebase version 3.0. An action has an element
-such as `index_j1.pos_rad` for every hinge of the hand, and `jaw_j1.pos_m` for every prismatic
-joint. The plug-in `lerobot_robot_handctl` and the command `log export --lerobot` write such
-actions. All other elements of an action, such as tensions, are ignored.
+The dataset has the layout of codebase version 3.0. An action has an element such as
+`index_j1.pos_rad` for every hinge of the hand, and `jaw_j1.pos_m` for every prismatic joint. The
+plug-in `lerobot_robot_handctl` and the command `log export --lerobot` write such actions. Other
+elements of an action, such as tensions, are ignored.
 """
 
 import json
@@ -55,13 +55,13 @@ def find_episode(
         episode: number of the episode, from 0.
         hand: hand that will follow the episode.
         period: control period of the hand [s].
-        speed_deg_s: largest speed of each joint between two frames of the episode [deg/s]. Motions
-            above this speed are slowed down to it. If it is None, an episode in which a joint is
-            too fast is refused.
+        speed_deg_s: limit of the speed of each joint from frame to frame [deg/s]. Higher speeds are
+            reduced to this limit. If it is None, an episode in which a joint is too fast is
+            refused.
 
     Raises:
-        ConfigError: the dataset or the episode does not exist, the episode contains no angles for
-            some joint of the hand, or an angle or a speed is out of range.
+        ConfigError: the dataset or the episode does not exist, the episode lacks joints of the
+            hand, or an angle or a speed is out of range.
     """
     info = _read_info(dataset)
     rate = info.get("fps")
@@ -91,7 +91,7 @@ def find_episode(
 
 
 def _info_path(dataset: Path) -> Path:
-    """Return the path of `info.json`, the file that describes a dataset."""
+    """Return the path of the file that describes a dataset, `info.json`."""
     return dataset / "meta" / "info.json"
 
 
@@ -118,7 +118,7 @@ def _read_info(dataset: Path) -> Mapping[str, Any]:
 
 
 def _read_actions(dataset: Path, info: Mapping[str, Any], episode: int) -> Array:
-    """Return the actions (frames, n) of an episode, in the order of the episode's frames.
+    """Return the actions (frames, n) of an episode, in the order of the frames.
 
     Raises:
         ConfigError: the dataset does not have the episode, or a file of the dataset is damaged.
@@ -186,7 +186,7 @@ def _read_table(path: Path, columns: list[str]) -> pa.Table:
 
 
 def _joint_angles(actions: Array, info: Mapping[str, Any], hand: Hand, dataset: Path) -> Array:
-    """Return the joint angles that actions contain (frames, J), in the order of the hand's joints [rad].
+    """Return the joint angles (frames, J) in actions, in the order of the hand's joints [rad].
 
     Raises:
         ConfigError: the actions lack a joint of the hand.
@@ -207,17 +207,17 @@ def _joint_angles(actions: Array, info: Mapping[str, Any], hand: Hand, dataset: 
 
 
 def _clip_to_range(angles: Array, hand: Hand, where: str) -> Array:
-    """If an angle is slightly outside the range of the joint, it is clipped to the range.
+    """Return the angles (frames, J).
 
-    An angle far outside the range is an error.
+    Angles that are slightly outside of the range of their joint are clipped.
 
     Raises:
-        ConfigError: an angle is not finite or lies far outside the range of the joint.
+        ConfigError: an angle is not finite or lies far outside the joint's range.
     """
     low, high = hand.joint_limits
     units = hand.display_units
     beyond = units.displayed(np.maximum(low - angles, angles - high))
-    wrong = ~(beyond <= MAX_CLIPPED_DEG)  # this negated comparison also finds NaN
+    wrong = ~(beyond <= MAX_CLIPPED_DEG)  # the negated comparison also finds NaN
     if wrong.any():
         frame, joint = (int(index) for index in np.argwhere(wrong)[0])
         unit = units.names[joint]
@@ -229,7 +229,7 @@ def _clip_to_range(angles: Array, hand: Hand, where: str) -> Array:
 
 
 def _limit_rate(angles: Array, step: Array) -> Array:
-    """Return angles (frames, J) that follow the given angles, but change by at most `step` (J,) [rad] per frame."""
+    """Return angles (frames, J) that follow the given angles, but change by at most `step` (J,) per frame [rad]."""
     slowed = angles.copy()
     for i in range(1, len(slowed)):
         slowed[i] = slowed[i - 1] + np.clip(angles[i] - slowed[i - 1], -step, step)
@@ -239,9 +239,7 @@ def _limit_rate(angles: Array, step: Array) -> Array:
 def _smooth_curve(
     angles: Array, rate: float, hand: Hand, period: float, where: str
 ) -> RecordedGoals:
-    """Return a smooth curve through the given angles, with one point for each control period.
-
-    The curve begins and ends at rest.
+    """Return a smooth curve through angles, with a point for each control period. The curve begins and ends at rest.
 
     Raises:
         ConfigError: a joint moves too fast on the curve.
@@ -264,5 +262,5 @@ def _smooth_curve(
 
 
 def _value_text(value: object) -> str:
-    """Return a wrong value from a dataset as text for an error message."""
+    """Return a wrong value of a dataset as text for an error message."""
     return printable_text(repr(value))[:40]

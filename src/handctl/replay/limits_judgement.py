@@ -1,7 +1,7 @@
 """Judgement of a recorded run by other safety limits.
 
-The result lists the ticks in which the new limits would have stopped the hand. For each such tick,
-it contains the reading that causes the stop.
+The result lists the ticks in which the new limits would have stopped the hand, each with the
+reading that causes the stop.
 """
 
 from collections import Counter
@@ -33,9 +33,9 @@ TensionLimit = Annotated[float, Field(gt=0, le=1000)]
 
 
 class NewLimits(Document):
-    """Content of a limits file, which replaces some safety limits of a run.
+    """Content of a limits file.
 
-    A limit that the file does not contain keeps the value that it had in the run.
+    If the file does not contain a limit, the limit of the run applies.
     """
 
     schema_: int = Field(1, alias="schema", ge=1, le=1)
@@ -55,9 +55,9 @@ class LimitStop(NamedTuple):
         fault, title: id and title of the fault.
         instance: motor, tendon or bus that has the fault.
         value: reading that exceeds the limit, in the unit of the limit.
-        action: reaction to the fault.
-        in_logged_run: True if the same fault also occurred in this tick in the run, with the limits
-            of that time.
+        action: the safety action of the fault.
+        in_logged_run: True if the fault also occurred in this tick with the limits of the run
+            itself.
     """
 
     k: int
@@ -79,7 +79,7 @@ class LimitsJudgement:
         stopped: number of ticks in which the new limits demand HOLD or a more severe reaction.
         stopped_logged: number of ticks in which the limits of the run demanded HOLD or a more
             severe reaction.
-        stops: faults with which the stops begin, one for each stop, in the order of time.
+        stops: the fault with which each stop begins, in order.
         by_fault: number of stops for each fault, by the id of the fault.
     """
 
@@ -91,7 +91,7 @@ class LimitsJudgement:
 
 
 def load_limits(path: Path, controller: Controller) -> SafetyLimits:
-    """Return the limits of a controller, where the values of a limits file replace the old values.
+    """Return the limits of a controller, with the values of a limits file in place of the former values.
 
     Raises:
         ConfigError: the file cannot be read or names a tendon that the hand does not have.
@@ -155,7 +155,7 @@ def _judge_ticks(
     limits: SafetyLimits,
     progress: Callable[[int], None] | None,
 ) -> LimitsJudgement:
-    """Judge each tick from its logged state, but debounce and latch faults with the new limits."""
+    """Judge each tick from its logged state, but with the debounce counters and latches of the new limits."""
     other = replace(controller, other_limits=limits)
     state = controller.initial_state()
     shadow = other.initial_state()
@@ -163,9 +163,8 @@ def _judge_ticks(
     ticks = stopped = stopped_logged = 0
     for logged in log.ticks():
         entry = logged.tick_in
-        # In every tick, the controller starts from the state that it had in the recorded run. Only
-        # the debounce counters and latched faults that follow from the new limits are carried from
-        # tick to tick.
+        # Every tick starts from the state that the run had. Only the debounce counters and latches
+        # of the new limits carry over from tick to tick.
         judged = state.copy()
         judged.view("fault_ticks")[...] = shadow.view("fault_ticks")
         judged.decide(latched=shadow.latched, reported_faults=shadow.decisions.reported_faults)
@@ -206,5 +205,5 @@ def _judge_ticks(
 
 
 def _fault_id(event: TickEvent) -> str:
-    """Return the id of the fault that the text of a fault event names."""
+    """Return the fault id that a fault event names."""
     return event.text.partition(" ")[0]

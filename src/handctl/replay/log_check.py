@@ -10,7 +10,7 @@ from handctl.replay.controller_rebuild import logged_hand
 
 
 def check_log(log: RunLog) -> list[str]:
-    """Read every byte of a log, and return one line for each defect that was found.
+    """Return one line for each defect of a log, after reading every byte of the log.
 
     Raises:
         LogError: a chunk of the log is damaged.
@@ -62,9 +62,9 @@ def _check_clock(log: RunLog) -> Iterator[str]:
 
 
 def _check_frames(log: RunLog) -> Iterator[str]:
-    """Yield a line for each CAN frame whose time stamp is later than the tick that read the frame.
+    """Search for CAN frames whose time stamp is later than the tick that read the frame.
 
-    The time stamp of such a frame comes from another clock than the clock of the controller.
+    The time stamps of such frames come from another clock than that of the controller.
     """
     future = 0
     last = -1
@@ -79,7 +79,7 @@ def _check_frames(log: RunLog) -> Iterator[str]:
 
 
 def _check_hashes(log: RunLog) -> Iterator[str]:
-    """Check the identity of the hand, and check that the hash of the controller's state never repeats."""
+    """Check the identity of the hand, and check that no hash of the controller's state occurs twice."""
     logged = log.header.metadata.get("identity", "")
     computed = logged_hand(log).identity
     if logged != computed:
@@ -103,8 +103,8 @@ def _check_chain(log: RunLog) -> Iterator[str]:
     for k, message, numbers, digest in ticks:
         if tick_hash(before, message, numbers) != digest:
             broken.append(k)
-        # After a wrong hash, the check continues with the hash in the log. So a single changed tick
-        # is reported only once.
+        # After a wrong hash, the chain continues with the logged hash, so that a single changed
+        # tick is reported only once.
         before = digest
     if broken:
         others = f", and {len(broken) - 1} more" if len(broken) > 1 else ""

@@ -1,6 +1,6 @@
 """Execution of the controller on the inputs in a log.
 
-The differences between the computed outputs and the logged outputs are counted.
+A tally counts the differences between the computed and the logged outputs.
 """
 
 import math
@@ -36,13 +36,12 @@ ProgressCallback = Callable[[int], None]
 
 
 def relative_error(difference: TickDifference) -> float:
-    """Return the size of the difference between a logged value and a computed value.
+    """Return the size of a difference between a logged and a computed value.
 
-    For logged numbers below 1, the size is the absolute difference. For larger numbers, it is the
-    relative difference.
+    For logged numbers below 1 the size is absolute, and for larger numbers it is relative.
 
     Returns:
-        the size: 0 for texts, and infinity if a number is NaN.
+        the size. The value is 0 for texts, and infinity if a number is NaN.
     """
     logged = difference.logged
     computed = difference.computed
@@ -56,7 +55,7 @@ def relative_error(difference: TickDifference) -> float:
 class DifferenceTally:
     """Counts of the differences that were found so far.
 
-    The attributes have the meaning that the class LogExecution gives.
+    The class LogExecution explains the attributes.
     """
 
     ticks: int = 0
@@ -84,7 +83,7 @@ class DifferenceTally:
 
         Args:
             tick_differences: the differences between the logged and the computed tick.
-            same_decisions: True if the logged and the computed tick contain the same decisions.
+            same_decisions: True if both ticks have the same decisions.
         """
         self.differing_ticks += 1
         self.different_decisions += not same_decisions
@@ -94,7 +93,7 @@ class DifferenceTally:
                 self._keep_larger(difference)
 
     def _keep_larger(self, other: TickDifference | None) -> None:
-        """Replace the largest difference found so far by another difference if the other one is larger."""
+        """Replace the largest difference by another difference if the other is larger."""
         if other and (
             self.largest_difference is None
             or relative_error(other) > relative_error(self.largest_difference)
@@ -104,7 +103,7 @@ class DifferenceTally:
 
 @dataclass(frozen=True, slots=True)
 class LogRunner:
-    """Log of a run, and a controller that is executed on the inputs in this log.
+    """A log, and the controller that is executed on the inputs in the log.
 
     Attributes:
         log: log of the run.
@@ -120,12 +119,12 @@ class LogRunner:
 
     @staticmethod
     def from_log(log: RunLog, gains: Gains | None = None) -> "LogRunner":
-        """Rebuild the controller of a logged run, with the gains from the log or with the given gains.
+        """Rebuild the controller of a log, with the gains in the log or with the given gains.
 
-        The function raises the errors of `rebuild_controller`.
+        The errors are those of `rebuild_controller`.
         """
-        # With other gains, the states of the controller differ from the snapshots in the log. In
-        # this case, the snapshots are not used.
+        # With other gains, the states differ from the snapshots in the log. The snapshots are not
+        # used in this case.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
         return LogRunner(
             log, rebuild_controller(log, gains), TelemetryColumns.from_header(log.header), snapshots
@@ -139,7 +138,7 @@ class LogRunner:
         observer: TickObserver | None,
         progress: ProgressCallback | None,
     ) -> tuple[ControllerState, DifferenceTally]:
-        """Execute the controller on the inputs in one part of the log.
+        """Execute the controller on the inputs of a part of the log.
 
         Args:
             start: index of the first tick of the part.
@@ -150,7 +149,8 @@ class LogRunner:
                 call.
 
         Returns:
-            the controller's state after the last tick of the part, and the counted differences.
+            the state of the controller after the last tick of the part, and the tally of the
+            differences.
 
         Raises:
             LogError: the log is damaged, or the controller refuses an input in the log.
@@ -177,10 +177,10 @@ class LogRunner:
         return state, tally
 
     def _logged_ticks(self, start: int, stop: int) -> Iterator[tuple[TickRecord, bytes]]:
-        """Yield the logged ticks from index `start` to the one before `stop`, each with its telemetry."""
+        """Yield the logged ticks from index `start` up to, but not including, `stop`, each with its telemetry."""
         firsts = self.log.first_of_chunk
-        # A chunk of the log is always read as a whole. The ticks of a chunk that do not belong to
-        # the part are dropped below.
+        # Chunks are read as a whole. Ticks of these chunks that are outside of the part are cut off
+        # below.
         chunk, last = np.searchsorted(firsts, (start, stop), side="right") - 1
         chunks = slice(int(chunk), int(last) + 1)
         both = zip(self.log.ticks(chunks), self.log.packed_telemetry(chunks), strict=True)
@@ -193,10 +193,10 @@ class LogRunner:
         try:
             was = restore_state(self.controller.derived.layout, self.snapshots[logged.tick_in.k])
         except ValueError:
-            return None  # if another version wrote the state, its fields are different
+            return None  # a state of another version has other fields
         return state_difference(self.log.header, logged, was, state)
 
 
 def refusal_error(error: ValueError, k: int) -> LogError:
-    """Return the error that is raised if the controller refuses the inputs of tick `k`."""
+    """Return the error to raise if the controller refuses the inputs of tick `k`."""
     return LogError(f"the controller refuses: {error}", f"tick {k}", "a value that fits")

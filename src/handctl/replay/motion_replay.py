@@ -1,4 +1,4 @@
-"""Repetition of a recorded motion: a program that follows the recorded targets, and a comparison of both runs."""
+"""Repetition of a recorded motion: the recorded targets as a program, and a comparison of both runs."""
 
 from typing import Any
 
@@ -21,9 +21,9 @@ MAX_GAP_S = 0.05
 
 
 def active_interval(log: RunLog) -> tuple[float, float]:
-    """Return the times at which the active part of a run begins and ends [s].
+    """Return the start and the end of the time in which the hand was active in a run [s].
 
-    The phases that prepare a motion, such as the tightening of the tendons, are not part of it.
+    The phases that prepare the motion, such as the tightening of the tendons, are not included.
 
     Raises:
         LogError: the hand was never active, no tick has targets for all tendons, or the ticks are
@@ -49,12 +49,12 @@ def active_interval(log: RunLog) -> tuple[float, float]:
 
 
 def count_missing_ticks(log: RunLog) -> int:
-    """Count the ticks that are missing in the part of a log in which the hand was active.
+    """Count the ticks that are missing in the active interval of a run.
 
     The targets of a missing tick are interpolated linearly between the neighbouring ticks.
 
     Raises:
-        LogError: too many consecutive ticks are missing, or the hand was never active in the run.
+        LogError: too many ticks are missing in a row, or the run has no active interval.
     """
     start, end = active_interval(log)
     times = log.times
@@ -70,10 +70,10 @@ def count_missing_ticks(log: RunLog) -> int:
 
 
 def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
-    """Return the targets of a recorded run, converted to another control period.
+    """Return the targets of a recorded run, resampled to another control period.
 
-    A digit that held a tension had no joint targets. If a digit held a tension in the tick before
-    or after the requested time, its joint targets are NaN.
+    A digit that held a tension had no joint targets. If this was so in a neighbouring tick, the
+    joint targets of this digit are NaN.
 
     Args:
         log: log of the run.
@@ -85,7 +85,7 @@ def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
     count_missing_ticks(log)
     start, end = active_interval(log)
     steps = np.rint(np.arange(round((end - start) / period) + 1) * (period * 1e9))
-    # These times are equal to `log.times` in every bit. So no interpolation is necessary if both
+    # These times are equal to `log.times` to the last bit. So no interpolation is needed if both
     # control periods are equal.
     times = np.asarray((round(start * 1e9) + steps.astype(np.int64)) * 1e-9, np.float64)
     q, dq, tension = (
@@ -102,10 +102,10 @@ def _interpolate_field(log: RunLog, name: str, times: Array) -> Array:
 
 
 def _interpolate(log: RunLog, values: Array, times: Array) -> Array:
-    """Interpolate values (ticks, n) of a log at the given times [s].
+    """Return values (ticks, n) of a log, interpolated at the given times [s].
 
-    If the value before or after a given time is NaN, the result is NaN. Before the first tick and
-    after the last tick, the result is the value of the nearest tick.
+    A result is NaN if the value before or after this time is NaN. Before the first and after the
+    last tick, the value of the nearest tick is used.
     """
     return np.column_stack([np.interp(times, log.times, column) for column in values.T])
 
@@ -124,11 +124,11 @@ def playback_program(log: RunLog, period: float, raw: bool) -> PlaybackProgram:
 def compare_replay(before: RunLog, after: RunLog) -> dict[str, Any]:
     """Compare a replay with the recorded run, for each joint [deg] and each tendon [N].
 
-    The comparison covers only that part of the recorded run which the replay has repeated.
+    The comparison covers only the part of the recorded run that the replay has repeated.
 
     Returns:
-        differences between both runs, from `compare_runs`. The mapping is empty if the replay ended
-        before it began to follow the recorded run.
+        the differences from `compare_runs`. The mapping is empty if the replay never began to
+        follow the recorded run.
     """
     replay_start = _playback_start(after)
     return (
@@ -155,8 +155,5 @@ def followed_duration_s(before: RunLog, after: RunLog) -> float:
 
 
 def _playback_start(after: RunLog) -> float | None:
-    """Return the time at which a replay began to follow the recorded run [s].
-
-    If it never began, return None.
-    """
+    """Return the time at which a replay began to follow the recorded run [s], or None if it never did."""
     return next((change.t_ns * 1e-9 for change in after.phases if change.name == "playback"), None)

@@ -1,12 +1,9 @@
-"""Re-execution of a log in several processes at the same time.
+"""Re-execution of a log in several processes. Each process starts from a snapshot in the log.
 
-Each process begins with the controller's state in a snapshot of the log.
-
-Each process executes one part of the log, which begins at a snapshot whose hash is in the log. The
-state at the end of the part before may have the same hash. A serial execution would then reach the
-same state. In this case, the results of both parts are added. If the hashes differ, one process
-executes the rest of the log serially. So the result is always the same as that of a serial
-execution.
+Each process executes a part of the log, from a snapshot whose hash is in the log. If the state at
+the end of the previous part has the same hash, a serial execution would reach the same state. In
+this case, the results of the two parts can be added. If the hashes differ, one process executes the
+rest of the log serially. The result is therefore always equal to the result of a serial execution.
 """
 
 import json
@@ -36,7 +33,7 @@ PROGRESS_PERIOD_S = 0.2
 
 
 class LogPart(NamedTuple):
-    """Part of a log: the ticks from index `start` up to `stop`, and the controller's state before the first of them."""
+    """Part of a log: ticks from index `start` up to `stop`, and the state of the controller before them."""
 
     start: int
     stop: int
@@ -44,7 +41,7 @@ class LogPart(NamedTuple):
 
 
 class WorkerProcess(NamedTuple):
-    """Worker process, with the part of the log that it executes, and the pipe from which its result is read."""
+    """Worker process, with its part of the log and the read end of the pipe that carries the result."""
 
     process: int
     pipe: int
@@ -52,7 +49,7 @@ class WorkerProcess(NamedTuple):
 
 
 class ProgressCounts:
-    """Number of ticks that each process has executed so far, in shared memory."""
+    """Number of ticks that each process has executed, in shared memory."""
 
     def __init__(self, processes: int, progress: Callable[[int], None]) -> None:
         """Allocate the shared memory for the numbers.
@@ -61,15 +58,14 @@ class ProgressCounts:
             processes: number of processes.
             progress: function called with the number of ticks that all processes have executed.
         """
-        # An anonymous memory mapping is shared with the processes that this process forks.
+        # A process shares an anonymous memory mapping with the processes that it forks.
         self._done: NDArray[np.int64] = np.frombuffer(mmap.mmap(-1, 8 * processes), np.int64)
         self._progress = progress
 
     def counter_of_process(self, process: int) -> Callable[[int], None]:
-        """Return a function that a process calls to count the ticks that it has executed.
+        """Return a function that counts the executed ticks of a process.
 
-        In the first process, which is the calling process, this function also reports the total
-        progress.
+        For the first process, which is the calling process, this function also reports progress.
         """
 
         def count_ticks(ticks: int) -> None:
@@ -87,12 +83,10 @@ class ProgressCounts:
 def run_parallel(
     runner: LogRunner, workers: int, progress: Callable[[int], None]
 ) -> DifferenceTally:
-    """Execute a whole log in several processes.
-
-    The function raises the errors of `LogRunner.execute_part`.
+    """Execute a whole log in several processes. The errors are those of `LogRunner.execute_part`.
 
     Args:
-        runner: log and controller to execute.
+        runner: the log and the controller to execute.
         workers: largest number of processes.
         progress: function called at intervals with the number of ticks executed so far.
     """
@@ -108,8 +102,8 @@ def run_parallel(
             parts[0].start, parts[0].stop, parts[0].state, None, counts.counter_of_process(0)
         )
         for worker in running:
-            # If the hashes are equal, the worker process started from the state that a serial
-            # execution has at this tick.
+            # If the hashes are equal, the worker process started its part from the state that a
+            # serial execution has at this tick.
             result = (
                 _wait_for_result(runner, worker, counts)
                 if state.digest() == worker.part.state.digest()
@@ -156,10 +150,10 @@ def split_log(runner: LogRunner, workers: int) -> list[LogPart]:
 
 
 def _state_after(runner: LogRunner, index: int) -> ControllerState | None:
-    """Return the controller's state from the snapshot that was taken after a tick.
+    """Return the controller's state in the snapshot after a tick.
 
     Returns:
-        the state, or None if this version cannot read the snapshot, or if the hash of the state
+        the state. None if this version cannot read the snapshot, or if the hash of the state
         differs from the logged hash.
     """
     try:
@@ -172,15 +166,15 @@ def _state_after(runner: LogRunner, index: int) -> ControllerState | None:
 
 
 def _start_worker(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> WorkerProcess:
-    """Execute a part of a log in a forked copy of this process, and return this worker process."""
+    """Start the execution of a part in a forked copy of this process."""
     return WorkerProcess(*run_in_forked_copy(lambda: _result_json(runner, part, count)), part)
 
 
 def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> str:
     """Execute a part of a log, and return the result as JSON. If the log is damaged, the text is empty.
 
-    In this case, the calling process executes the part itself, finds the damage and reports the
-    error.
+    If the text is empty, the calling process executes the part itself, finds the damage and reports
+    the error.
     """
     try:
         state, tally = runner.execute_part(*part, None, count)
@@ -192,12 +186,10 @@ def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None])
 def _wait_for_result(
     runner: LogRunner, worker: WorkerProcess, counts: ProgressCounts
 ) -> tuple[ControllerState, DifferenceTally] | None:
-    """Wait until a worker process has executed its part of the log.
-
-    Return the state and the counted differences at the end of this part.
+    """Wait for a worker process. Return the state and the tally at the end of its part.
 
     Returns:
-        the state and the counted differences, or None if the process did not finish its part.
+        the state and the tally. None if the process did not finish its part.
     """
     data = b""
     while True:

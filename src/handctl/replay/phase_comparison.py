@@ -1,4 +1,4 @@
-"""Comparison of two runs of the same hand, phase by phase."""
+"""Comparison of two runs of one hand, phase by phase."""
 
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ The comparison of two runs compares only the durations of these phases.
 
 
 class PhaseSpan(NamedTuple):
-    """Phase of a run, with the times at which it starts and ends.
+    """Phase of a run, with start and end.
 
     Attributes:
         name: name of the phase.
@@ -31,7 +31,7 @@ class PhaseSpan(NamedTuple):
 def phase_spans(log: RunLog) -> list[PhaseSpan]:
     """Return all phases of a run in order.
 
-    If several phases have the same name, the later ones are numbered: `hold`, `hold (2)`.
+    If a phase occurs several times, its occurrences are numbered: `hold`, `hold (2)`.
     """
     changes = log.phases
     spans = []
@@ -48,18 +48,18 @@ def phase_spans(log: RunLog) -> list[PhaseSpan]:
 
 
 def compare_logs(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
-    """Compare two runs of the same hand, phase by phase.
+    """Compare two runs of one hand, phase by phase.
 
     Args:
         a: log of the first run.
         b: log of the second run, of the same hand.
-        where: file name of the second log, for the error message.
+        where: name of the file of the second log, for the error message.
 
     Returns:
-        the gains that differ between the runs, the phases that only one run has, and a comparison
-        of each common phase. The comparison of a phase contains its duration in both runs [s] and
-        the differences from `compare_runs`. Only the shorter of the two durations is compared. Both
-        runs are aligned at the start of the phase, which is the time 0.
+        The gains that differ, the phases that only one of the runs has, and a comparison of each
+        common phase. The comparison of a phase contains both durations [s] and the differences from
+        `compare_runs`. The comparison covers the shorter of the two durations. Both runs are
+        aligned at the start of the phase.
 
     Raises:
         IncomparableError: the two logs are of different hands.

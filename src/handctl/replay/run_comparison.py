@@ -1,7 +1,6 @@
 """Comparison of two runs.
 
-For each joint and tendon, the comparison gives the RMS and the peak of the difference, and the
-delay of the second run.
+For each joint and tendon: RMS and peak of the difference, and the delay of the second run.
 """
 
 import math
@@ -36,7 +35,7 @@ COMPARED_SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendo
 
 
 def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
-    """Raise an error if a log was recorded with another hand than the given hand.
+    """Raise an error if a log is of another hand than the given hand.
 
     Args:
         a: log to check.
@@ -45,7 +44,7 @@ def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
         where: file of the given hand, for the error message.
 
     Raises:
-        IncomparableError: the identity of the hand in the log differs from the given identity.
+        IncomparableError: the identity of the log's hand differs from the given one.
     """
     logged_identity = a.header.metadata.get("identity", "?")
     logged_name = a.header.metadata.get("hand", "?")
@@ -60,18 +59,17 @@ def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
 def compare_signals(
     names: tuple[str, ...], before: Array, after: Array, period: float
 ) -> dict[str, dict[str, float]]:
-    """Compare two signals, where equal rows belong to equal times.
+    """Compare two signals whose rows belong to the same times.
 
     Args:
         names: names of the columns of both signals.
-        before: (ticks, n) first signal, with NaN for unknown values.
-        after: (ticks, n) second signal, with NaN for unknown values.
+        before: (ticks, n) first signal, NaN where unknown.
+        after: (ticks, n) second signal, NaN where unknown.
         period: time between two rows [s].
 
     Returns:
-        for each column by name: rms and peak, of the difference in the unit of the signals, and
-        delay_s, the time by which `after` lags behind `before` [s]. The delay of a signal that is
-        constant is NaN.
+        By name of the column: rms and peak of the difference in the unit of the signals, and
+        delay_s, by which `after` lags behind `before` [s]. The delay of a constant signal is NaN.
     """
     rows = min(len(before), len(after))
     change = after[:rows] - before[:rows]
@@ -83,9 +81,9 @@ def compare_signals(
 
 
 def rms_and_peak(change: Array) -> dict[str, float]:
-    """Return the RMS and the peak of a difference. NaN values are ignored.
+    """Return RMS and peak of a difference. NaN values are ignored.
 
-    If all values are NaN, the RMS and the peak are NaN.
+    RMS and peak are NaN if every value is NaN.
     """
     finite = change[~np.isnan(change)]
     if not finite.size:
@@ -94,14 +92,13 @@ def rms_and_peak(change: Array) -> dict[str, float]:
 
 
 def signal_delay(before: Array, after: Array, period: float) -> float:
-    """Return the time by which the signal `after` lags behind the signal `before` [s].
+    """Return the delay of the signal `after` behind the signal `before` [s].
 
-    The delay is the time shift that leaves the smallest variance of the difference. Three
-    neighbouring shifts define a parabola, and the lowest point of this parabola refines the best
-    shift.
+    The delay is the time shift for which the variance of the remaining difference is smallest. The
+    best shift is refined by a parabola through three neighbouring shifts.
 
     Returns:
-        the delay. It is NaN if the signal moves no more than noise, if no shift up to `MAX_DELAY_S`
+        The result is NaN if the signal moves no more than noise, if no shift up to `MAX_DELAY_S`
         explains the difference, or if a signal contains NaN.
     """
     if np.isnan(before).any() or np.isnan(after).any():
@@ -110,8 +107,7 @@ def signal_delay(before: Array, after: Array, period: float) -> float:
     if reach < 1 or not np.ptp(before) > MIN_SIGNAL_SPAN * np.abs(before).max():
         return float("nan")
     inner = slice(reach, len(before) - reach)
-    # `roll` moves rows from one end of a signal to the other end. The slice `inner` excludes these
-    # rows.
+    # `roll` moves rows from one end of a signal to the other end. `inner` excludes these rows.
     residual = np.array(
         [
             np.var(np.roll(after, -shift)[inner] - before[inner])
@@ -124,21 +120,21 @@ def signal_delay(before: Array, after: Array, period: float) -> float:
     ):
         return float("nan")
     earlier, lowest, later = residual[best - 1 : best + 2]
-    # Here, `bend` is the second difference of the variance with respect to the shift. If `bend` is
-    # not positive, the minimum is flat, and the best shift is not refined.
+    # The bend is the second difference of the variance over the shifts. If the bend is not
+    # positive, the minimum is flat, and the shift is not refined.
     bend = earlier - 2.0 * lowest + later
     return float((best - reach + (0.5 * (earlier - later) / bend if bend > 0 else 0.0)) * period)
 
 
 def resampled_field(log: RunLog, field: str, start: float, times: Array) -> Array:
-    """Interpolate a telemetry field of a log at the given times, and return the values (times, n).
+    """Return a telemetry field of a log, interpolated at the given times (times, n).
 
     Args:
         log: log to read.
         field: name of the telemetry field.
-        start: time in the run that corresponds to the time 0 in `times` [s].
-        times: times after `start` [s]. For times outside the log, the result is the value at the
-            nearer end of the log.
+        start: time in the run to which the time 0 in `times` corresponds [s].
+        times: times after `start` [s]. For times outside the log, the value at the nearer end of
+            the log is used.
     """
     values = log.field(field)
     return np.column_stack([np.interp(times + start, log.times, column) for column in values.T])

@@ -1,8 +1,8 @@
-"""Requests to a running controller, which confirms each of them.
+"""Requests to a running controller. The controller confirms each request.
 
-A datagram that was sent may never be received. The controller may be paused, its mailbox may be
-full, or the socket may have been left by a killed process. Therefore every request contains a
-unique name. The controller confirms the request by a status line that contains the same name.
+A sent datagram may never be received. The controller may be paused, its mailbox may be full, or the
+socket may be left from a killed process. Therefore every request contains a unique name. The
+controller confirms the request with a status line that repeats this name.
 """
 
 import itertools
@@ -41,7 +41,7 @@ StatusLine = dict[str, Any]
 
 
 def open_watcher(bus: str, word: str) -> StatusWatcher:
-    """Return an open watcher of the controller on a bus, for a single request.
+    """Return an open watcher of the controller of a bus, for a single request.
 
     Raises:
         UnconfirmedError: the folder of the sockets cannot be trusted.
@@ -54,17 +54,16 @@ def open_watcher(bus: str, word: str) -> StatusWatcher:
 
 @contextmanager
 def absent_controller_reported(bus: str) -> Iterator[None]:
-    """If no controller of a local bus has a mailbox, replace an UnconfirmedError in the block by a BusError.
+    """Replace an UnconfirmedError in a block if no controller of a local bus has a mailbox.
 
-    The motors of a simulated hand need not be switched off. A killed controller leaves its mailbox
-    behind, and the controller of a real bus may belong to another user. In these cases, the
-    UnconfirmedError is raised unchanged.
+    No motor of a simulated hand needs its power removed. A killed controller leaves its mailbox, and
+    the controller of a real bus may run as another user. Then the UnconfirmedError remains.
 
     Args:
         bus: bus to which the block sends a request.
 
     Raises:
-        BusError: the bus is local, and had no mailbox before the block and none after it.
+        BusError: the bus is local, and had no mailbox before the block nor after it.
     """
     simulated = bus.startswith(LOCAL_BUS_PREFIX)
     had_mailbox = not simulated or os.path.lexists(mailbox_path(bus))
@@ -85,13 +84,13 @@ def send_with_confirmation(
 
     Args:
         watcher: watcher of the controller.
-        request: content of the request, without the name ``by`` of the sender.
-        repeat: True to send the request repeatedly, even while no controller answers yet. This is
-            allowed only if a request that arrives twice has no other effect.
+        request: content of the request, without its name ``by``.
+        repeat: True to repeat the request, even while no controller answers yet. Use it only if the
+            request may arrive twice without another effect.
 
     Returns:
         the status line of the tick in which the controller took the request, and the texts of this
-        tick's events that concern the request. Such a text may say that the request was refused.
+        tick's events about the request. A text may be a refusal.
 
     Raises:
         UnconfirmedError: the controller has not confirmed the request.
@@ -121,8 +120,8 @@ def _try_send(watcher: StatusWatcher, data: bytes, timeout_s: float) -> tuple[bo
     """Send a request once.
 
     Returns:
-        True if the request was sent, and a text with a reason. If no confirmation follows, this
-        reason is reported to the user.
+        True if the request was sent, and a text. The text is the reason to report to the user if no
+        confirmation follows.
     """
     try:
         watcher.send(data, timeout_s)
@@ -136,7 +135,7 @@ def _try_send(watcher: StatusWatcher, data: bytes, timeout_s: float) -> tuple[bo
 def request_action(bus: str, word: str) -> StatusLine:
     """Send the request ``clear``, ``stop`` or ``cut`` to a controller.
 
-    After ``stop`` and ``cut``, wait until all drives are disabled.
+    After ``stop`` and ``cut``, wait until all drives are off.
 
     Args:
         bus: bus of the controller.
@@ -148,7 +147,7 @@ def request_action(bus: str, word: str) -> StatusLine:
     Raises:
         BusError: no controller runs on this local bus.
         UnconfirmedError: the controller has not confirmed the request, or has not reported that
-            every drive is disabled.
+            every drive is off.
         PowerError: a drive did not confirm that it is disabled.
     """
     watcher = open_watcher(bus, word)
@@ -161,18 +160,18 @@ def request_action(bus: str, word: str) -> StatusLine:
 
 
 def follow_until_off(watcher: StatusWatcher, word: str, line: StatusLine) -> StatusLine:
-    """Wait until a controller that stops its hand reports that every drive is disabled.
+    """Wait until a controller that stops its hand reports that every drive is off.
 
     Args:
         watcher: watcher of the controller.
-        word: request that the controller has confirmed.
+        word: the confirmed request.
         line: status line that confirmed the request.
 
     Returns:
         the last status line of the controller.
 
     Raises:
-        UnconfirmedError: the controller has not reported that every drive is disabled.
+        UnconfirmedError: the controller has not reported that every drive is off.
         PowerError: a drive did not confirm that it is disabled.
     """
     start_s = float(line["t_s"])
@@ -199,18 +198,18 @@ def follow_until_off(watcher: StatusWatcher, word: str, line: StatusLine) -> Sta
 
 
 def is_hand_off(line: StatusLine) -> bool:
-    """Return True if a status line reports the end of the run and that every drive is disabled."""
+    """Return True if a status line reports the end of the run with every drive off."""
     return bool(line["mode"] == HandMode.DONE.name) and not any(
         REMOVE_POWER in text for text in _mode_texts(line)
     )
 
 
 def _mode_texts(line: StatusLine) -> list[str]:
-    """Return the texts of those events in a status line that report a change of the mode."""
+    """Return the texts of the events about mode changes in a status line."""
     return [event["text"] for event in line["events"] if event["name"] == "mode"]
 
 
 def _subscribe_again(watcher: StatusWatcher) -> StatusLine | None:
-    """Subscribe to the status lines again, and return the next status line."""
+    """Subscribe to status lines again, and return the next status line."""
     _try_send(watcher, WATCH_REQUEST, REQUEST_REPEAT_S)
     return watcher.next_line(REQUEST_REPEAT_S)

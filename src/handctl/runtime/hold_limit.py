@@ -1,8 +1,8 @@
-"""Limit for the time during which a fault may make the hand hold its position, in a run that no operator watches.
+"""Limit of the time for which a fault may hold the hand in a run that no operator watches.
 
-While the hand holds its position because of a fault, the time of the motion program stands still.
-Some gains make a hand oscillate. The fault N07 (noisy encoder) then makes the hand hold its
-position while it oscillates. Without a limit, such a run might never end.
+While a fault holds the hand, the time of the motion program stands still. If the gains of a hand
+make it oscillate, the fault of a noisy encoder (N07) holds the hand as long as it oscillates.
+Without a limit, such a run may never end.
 """
 
 from dataclasses import dataclass, field
@@ -18,13 +18,11 @@ MAX_HOLD_S = 5.0
 
 @dataclass
 class HoldLimit:
-    """Observer of a run that no operator watches.
-
-    If a fault makes the hand hold its position for too long, the observer stops the run.
+    """Observer of a run. It stops the run if a fault holds the hand for too long.
 
     Attributes:
-        stop_reason: fault because of which this observer has stopped the run. If it has not stopped
-            the run, the text is empty.
+        stop_reason: fault that made this observer stop the run. The text is empty if the run was
+            not stopped.
     """
 
     stop_reason: str = ""
@@ -56,7 +54,7 @@ class HoldLimit:
         """Raise an error if this observer has stopped the run.
 
         Raises:
-            DriveError: a fault made the hand hold its position for too long.
+            DriveError: a fault held the hand for too long.
         """
         if self.stop_reason:
             right = "a hand without this fault; if it oscillates, try handctl tune design, then handctl gains apply"

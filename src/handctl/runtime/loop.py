@@ -1,13 +1,12 @@
 """The control loop with a fixed rate.
 
-In each tick, the loop waits for the deadline, receives frames, begins the tick, reads requests, reads streamed
+In each tick, the loop waits, receives frames, begins the tick, reads requests, reads streamed
 targets, sends commands, concludes the tick, and records it. The same loop runs in real time and in lockstep.
 
-If a tick is missed, the loop never executes it later. After missed deadlines, the loop skips the
-numbers of the missed ticks. The next tick decides whether this gap is a fault. Only this module of
-the project catches exceptions of every kind. After any error inside a tick, the loop disables the
-drives, and polls them until they report that they are disabled. Then the loop raises the error
-again.
+The loop never executes a missed tick later. After missed deadlines, it skips their tick numbers.
+The next tick decides whether the gap is a fault. This module has the only broad ``except`` of the
+project. After any error inside a tick, the loop disables the drives, and polls them until they
+report that they are off. Then it raises the error again.
 """
 
 import gc
@@ -33,14 +32,11 @@ T = TypeVar("T", covariant=True)
 
 
 class TickInProgress(Protocol[T]):
-    """Interface of a tick between its steps, as the loop uses it.
-
-    The class ``controller.tick.TickInProgress`` implements it.
-    """
+    """Interface of a begun tick, as used by the loop. See ``controller.tick.TickInProgress``."""
 
     @property
     def state(self) -> T:
-        """Return the state of the controller after the steps that have been executed."""
+        """Return the state of the controller after the steps so far."""
         ...
 
     def decide(self, requests: tuple[TickRequest, ...]) -> None:
@@ -75,13 +71,10 @@ The number is limited, because these 2 MiB of memory may be locked.
 
 
 class LoopBus(Protocol):
-    """Interface of a CAN bus, as the loop uses it.
-
-    The module ``runtime.buses.contract`` describes the methods.
-    """
+    """Interface of a bus, as used by the loop. See ``runtime.buses.contract``."""
 
     def drain(self) -> Frames:
-        """Return the frames that were received since the last call."""
+        """Return the frames received since the last call."""
         ...
 
     def send(self, frames: Sequence[Frame]) -> int:
@@ -89,24 +82,23 @@ class LoopBus(Protocol):
         ...
 
     def take_events(self) -> list[tuple[str, str, int]]:
-        """Return the events of the bus that have occurred since the last call."""
+        """Return the events of the bus since the last call."""
         ...
 
 
 @dataclass
 class LoopStats:
-    """Statistics about the ticks of a run.
+    """Statistics of a run of the loop.
 
     Attributes:
         ticks: number of executed ticks.
-        missed_ticks: number of deadlines that were skipped because the host was late.
+        missed_ticks: number of skipped deadlines.
         tick_lateness_ns: lateness of the last ``LATENESS_RING_TICKS`` ticks [ns]. In a run with
-            more ticks than that, the values are not in the order of time. The log contains the
-            lateness of all ticks.
+            more ticks, the values are not in order. The log contains the lateness of all ticks.
         frames_tx: number of sent frames.
         frames_rx: number of received frames.
-        refused_frames: number of frames that a bus has refused to send.
-        cpu_s: processor time of this process during the loop [s].
+        refused_frames: number of frames refused by the bus.
+        cpu_s: CPU time of this process during the loop [s].
     """
 
     ticks: int = 0
@@ -119,32 +111,29 @@ class LoopStats:
 
 
 class StopSignals:
-    """Signals that end a program (SIGINT, SIGTERM, SIGHUP).
+    """Signals that end a program (SIGINT, SIGTERM, SIGHUP), converted to requests to the controller.
 
-    They are converted to requests to the controller.
+    The first signal relaxes and stops the hand. Each later signal cuts the torque.
 
-    After the first signal, the hand relaxes and the run ends. Each later signal removes the torque
-    at once.
-
-    SIGHUP is one of them, because otherwise the hand would stay armed when the terminal is closed.
-    If the program was started with ``nohup``, SIGHUP stays ignored.
+    SIGHUP is included, because a closed terminal would otherwise leave the hand armed. Under
+    ``nohup``, SIGHUP stays ignored.
 
     Attributes:
         received_count: number of received signals.
-        converted_count: number of these signals that ``take_request`` has converted to requests.
+        converted_count: number of signals that ``take_request`` has already converted to requests.
     """
 
     def __init__(self) -> None:
-        """Start with no signal received."""
+        """Start without a signal."""
         self.received_count = 0
         self.converted_count = 0
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Count a signal that was received. This method is installed as the signal handler."""
+        """Count a signal. This method is the signal handler."""
         self.received_count += 1
 
     def take_request(self) -> tuple[str, ...]:
-        """If a signal has not been converted yet, return the request for the next such signal.
+        """Return the request for the next unread signal, if there is one.
 
         Each tick gets at most one such request.
         """
@@ -164,45 +153,40 @@ class StopSignals:
 
 
 def _no_snapshot(entry: TickIn, state: object) -> None:
-    """Do nothing. This function takes the place of a recorder of snapshots, if the run has none."""
+    """Do nothing. This function stands for a recorder of snapshots if there is none."""
 
 
 def _no_observer(entry: TickIn, out: TickOut, state: object, sent_ns: int) -> None:
-    """Do nothing.
-
-    This function takes the place of the programs that observe the run, if there are none.
-    """
+    """Do nothing. This function stands for the programs that observe the hand if there are none."""
 
 
 @dataclass
 class ControlLoop(Generic[S]):
-    """Loop that executes all ticks of one run of the controller at a fixed rate.
+    """Fixed-rate loop of one run of the controller.
 
     Attributes:
-        clock: clock of the run, in real time or in lockstep.
+        clock: clock in real time or in lockstep.
         period_ns: control period [ns].
-        buses: buses in the order of the hand file. In lockstep, a single object stands for all
-            buses of a hand.
-        begin_tick: function that begins a tick, given the last state of the controller and the
+        buses: buses in the order of the hand file. A single object may serve all buses of a hand.
+        begin_tick: function that begins a tick, from the last state of the controller and the
             received frames.
-        cut_frames: frames that remove the torque of all motors, which are built before the run.
-        take_requests: function that returns the requests of operators and programs since the last
-            call of the function.
-        take_host_events: function that returns the events of the recorder and the host since the
-            last call of the function.
+        cut_frames: frames that remove the torque, built before the run.
+        take_requests: function that returns the requests of operators and programs since its last
+            call.
+        take_host_events: function that returns the events of the recorder and the host since its
+            last call.
         record_tick: function that passes each tick to the recorder.
-        keep_snapshot: function that may pass the state after a tick to the recorder, as a snapshot.
-            In most ticks, this function does nothing.
-        show_tick: function that may show a tick to the operator and to programs that receive status
-            lines. In most ticks, this function does nothing.
+        keep_snapshot: function that passes the state after a tick to the recorder. This function
+            skips most ticks.
+        show_tick: function that shows a tick to the operator and to watching programs. This
+            function skips most ticks.
         publish_tick: function that passes the state after a tick to programs that observe the run, with
             the time at which the commands were sent [ns of CLOCK_MONOTONIC].
-        disable_drives: function that disables all drives, one step at a time. The arguments are the
-            last state, the time [ns], and the frames that were received since then. The function
-            returns the next state, the frames to send, and the names of the drives that have not
-            reported that they are disabled.
-        tick_priority: function that returns a context manager for the ticks, for example one that
-            gives real-time priority. Only the ticks run inside this context.
+        disable_drives: function that disables all drives. The arguments are the last state, the
+            time [ns], and the frames received since then. The function returns the next state, the
+            frames to send, and the names of the drives that have not reported that they are off.
+        tick_priority: function that returns a context manager, such as real-time priority. The
+            context contains the ticks alone.
         take_targets: function that returns the streamed targets since its last call. The loop calls
             it as late as possible in a tick, so that a target waits as briefly as possible.
         stats: statistics of the run.
@@ -228,20 +212,19 @@ class ControlLoop(Generic[S]):
     _k: int = 0
 
     def run(self, state: S) -> S:
-        """Run ticks until the run has ended and the hand is disarmed.
+        """Run ticks until the run is done and the hand is disarmed.
 
-        Return the final state of the controller.
+        Returns the final state of the controller.
         """
         self._warm_up(state)
-        gc.collect()  # a garbage collection during the run could make a tick late
+        gc.collect()  # otherwise a garbage collection could make a tick late
         gc.freeze()
         gc.disable()
         cpu_s = time.process_time()
         try:
             with self.tick_priority():
                 self.clock.start()
-                # Frames that were received before the run do not belong to any tick.
-                for bus in self.buses:
+                for bus in self.buses:  # frames that were received before the run belong to no tick
                     bus.drain()
                 return self._run_guarded(state)
         finally:
@@ -250,11 +233,11 @@ class ControlLoop(Generic[S]):
             self.stats.cpu_s = time.process_time() - cpu_s
 
     def _run_guarded(self, state: S) -> S:
-        """Run the ticks of the run. After any error, disable the drives and raise the error again.
+        """Run the ticks. After any error, disable the drives and raise the error again.
 
         Raises:
-            PowerError: after an error, a drive has not reported that it is disabled. The error in
-                the tick is the cause of this exception.
+            PowerError: after an error, a drive has not reported that it is off. The first error is
+                the cause of this one.
         """
         last = [state]
         try:
@@ -272,10 +255,10 @@ class ControlLoop(Generic[S]):
             raise
 
     def _poll_until_off(self, state: S) -> tuple[str, ...]:
-        """Disable all drives after an error.
+        """Disable the drives after an error.
 
-        Poll the drives until all of them report that they are disabled, but no longer than
-        CUT_CONFIRMATION_NS. Return the names of the drives that have not reported this.
+        Poll them until all report that they are off, but no longer than CUT_CONFIRMATION_NS.
+        Returns the names of the drives that have not reported that they are off.
         """
         if self.disable_drives is None:
             return ()
@@ -290,9 +273,9 @@ class ControlLoop(Generic[S]):
         return left
 
     def _send_cut(self) -> None:
-        """Send the frames that remove the torque on every bus.
+        """Send the frames of the torque cut on every bus.
 
-        If a queue is full of commands and refuses some of these frames, they are sent again.
+        If a queue full of commands refuses some of them, they are sent again.
         """
         alone = len(self.buses) == 1
         left = [
@@ -306,24 +289,24 @@ class ControlLoop(Generic[S]):
             time.sleep(CUT_RETRY_PAUSE_S)
 
     def _send_cut_once(self, left: list[tuple[LoopBus, list[Frame]]]) -> None:
-        """Send the frames in ``left``, each on its bus, and remove the accepted frames from ``left``.
+        """Send the frames in ``left`` on their buses, and remove the accepted frames from ``left``.
 
-        If one bus raises an exception, the frames are still sent on the other buses.
+        If one bus raises an exception, the cut is still sent on the other buses.
         """
         if not left:
             return
         (bus, frames), *others = left
-        try:  # the recursion in ``finally`` sends on the other buses before the error is raised
+        try:  # the recursion in ``finally`` sends to the other buses before the error is raised
             if frames:
                 del frames[: bus.send(frames)]
         finally:
             self._send_cut_once(others)
 
     def _warm_up(self, state: S) -> None:
-        """Execute a tick before the run, and discard the result.
+        """Run a tick before the run, and discard its result.
 
-        In this tick, everything is imported and created that is needed for the first time.
-        Otherwise the first tick of the run would be late.
+        This tick makes all imports and objects of a first use, which would otherwise delay the
+        first tick of the run.
         """
         tick = self.begin_tick(state, TickIn(0, 0))
         tick.decide(())
@@ -331,18 +314,17 @@ class ControlLoop(Generic[S]):
         tick.conclude()
 
     def _run(self, last: list[S]) -> S:
-        """Run ticks until the end of the run, beginning with the state in ``last``.
+        """Run ticks from the state in ``last`` to the end of the run.
 
-        The list ``last`` has a single entry, the state that belongs to the last commands. After an
-        error, the shutdown of the drives begins with this state.
+        ``last`` has a single entry: the state after the last commands. After an error, the drives are
+        disabled from this state.
         """
         k = 0
         mode = HandMode.SILENT
         while mode != HandMode.DONE:
             self._k = k
             late = self.clock.wait(k)
-            # Ticks that were missed are skipped and not made up for.
-            skipped = late // self.period_ns
+            skipped = late // self.period_ns  # missed ticks are skipped, and not executed later
             k += skipped
             self._k = k
             entry = self._collect(k, late - skipped * self.period_ns)
@@ -353,9 +335,8 @@ class ControlLoop(Generic[S]):
             if requests or targets:
                 entry = entry._replace(requests=requests + targets)
             frames = tick.command(targets)
-            # After an error, every drive that may have received an enable command must report that
-            # it is disabled. Therefore the loop stores the state before it sends the commands that
-            # belong to this state.
+            # After an error, a drive that may have received an enable command must report that it is
+            # off. So the loop keeps the state with the commands before it sends them.
             last[0] = tick.state
             self._send(frames)
             sent_ns = time.monotonic_ns()
@@ -370,7 +351,7 @@ class ControlLoop(Generic[S]):
         return last[0]
 
     def _collect(self, k: int, late_ns: int) -> TickIn:
-        """Return the inputs of a tick: the frames and the events since the last tick."""
+        """Collect the received frames and the events since the last tick."""
         parts: list[Frames] = []
         events = self.take_host_events()
         for bus in self.buses:
@@ -380,7 +361,7 @@ class ControlLoop(Generic[S]):
         return TickIn(k, k * self.period_ns, late_ns, frames, tuple(events))
 
     def _send(self, frames: Sequence[Frame]) -> None:
-        """Send each frame on its bus, and count the accepted and the refused frames."""
+        """Send each frame on its bus, and count accepted and refused frames."""
         if len(self.buses) == 1:
             accepted = self.buses[0].send(frames)
         else:
@@ -392,7 +373,7 @@ class ControlLoop(Generic[S]):
         self.stats.refused_frames += len(frames) - accepted
 
     def _count_tick(self, entry: TickIn, skipped: int, late: int) -> None:
-        """Count a tick in the statistics, and store the lateness of the tick."""
+        """Count a tick in the statistics, and record its lateness."""
         stats = self.stats
         if stats.ticks < LATENESS_RING_TICKS:
             stats.tick_lateness_ns.append(late)

@@ -1,11 +1,11 @@
 """The mailbox of a running controller: a Unix datagram socket that receives requests.
 
-The controller reads the socket without blocking. The name of the socket contains the name of the
-bus. If a program sends ``{"do": "watch"}`` from a socket of its own, it subscribes to status lines.
-The mailbox handles this request itself, so the request has no effect on the tick. After any other
-request, the program gets the status line of the tick that has taken the request. With this status
-line, the controller confirms the request. On Linux, the kernel reports the user who has sent a
-datagram. Controller and programs accept only datagrams from their own user and from root.
+The controller reads the socket without blocking. The socket has the name of the bus. A program that
+sends ``{"do": "watch"}`` from its own socket subscribes to status lines. This request is handled
+here, and has no effect on the tick. After any other request, the program gets the status line of
+the tick that took the request. This status line is the controller's confirmation. On Linux the
+kernel reports the user who sends a datagram. Controller and program accept only datagrams from
+their own user and from root.
 """
 
 import fcntl
@@ -50,21 +50,21 @@ SHORT_RUN_FOLDER_TEXT = "HANDCTL_RUN_DIR with a short path to a writable folder"
 
 
 class Mailbox:
-    """Mailbox of a controller, which receives the requests.
+    """Receiving end of the mailbox, owned by the controller.
 
     Attributes:
         path: path of the socket.
         socket: Unix datagram socket.
-        watchers: socket paths of the programs that have subscribed to status lines.
-        askers: socket paths of the programs that get only the next status line, because the last
-            call of ``read_requests`` took their requests.
+        watchers: socket paths of the programs that subscribe to status lines.
+        askers: socket paths of the programs that get the next status line, because the last
+            ``read_requests`` took their requests.
     """
 
     def __init__(self, name: str) -> None:
-        """Bind the socket of the controller on the bus ``name``, and lock this bus.
+        """Bind the socket of the controller of bus ``name``, and lock the bus.
 
         Raises:
-            BusError: another controller is running on this bus, or the socket cannot be created.
+            BusError: another controller of this bus is running, or the socket cannot be created.
         """
         self.path = mailbox_path(name)
         with ExitStack() as opened:
@@ -84,7 +84,7 @@ class Mailbox:
         self.askers: list[str] = []
 
     def read_requests(self) -> tuple[str, ...]:
-        """Return the waiting requests, the oldest first, but at most ``MAX_REQUESTS_PER_TICK``."""
+        """Return the waiting requests, oldest first, at most ``MAX_REQUESTS_PER_TICK``."""
         texts: list[str] = []
         if self.askers:
             self.askers = []
@@ -100,7 +100,7 @@ class Mailbox:
                     continue
                 if len(self.watchers) < MAX_WATCHERS:
                     self.watchers.append(sender)
-                else:  # no more programs can subscribe, so this program gets a single status line
+                else:  # all subscriptions are taken, and the program gets a single status line
                     self.askers.append(sender)
                 continue
             texts.append(data.decode("utf-8", "replace"))
@@ -111,13 +111,13 @@ class Mailbox:
     def publish_status(self, status: dict[str, Any]) -> None:
         """Send a status line to all watchers and askers.
 
-        If the socket of a watcher no longer exists, the watcher is removed from ``watchers``.
+        A watcher without a socket is removed from ``watchers``.
         """
         line = json.dumps(status).encode()
         for listener in {*self.watchers, *self.askers}:
             try:
                 self.socket.sendto(line, socket.MSG_DONTWAIT, listener)
-            except BlockingIOError:  # a program that reads too slowly misses this status line
+            except BlockingIOError:  # a watcher that reads too slowly misses this status line
                 continue
             except OSError:
                 self.watchers = [watcher for watcher in self.watchers if watcher != listener]
@@ -131,12 +131,10 @@ class Mailbox:
 
 @contextmanager
 def bus_lock(name: str) -> Iterator[None]:
-    """Lock a bus of the hand that is not its first bus, so that no other controller can use it.
-
-    Only the first bus of a hand has a mailbox.
+    """Lock one of the hand's further buses against other controllers. These buses have no mailbox.
 
     Raises:
-        BusError: another controller uses this bus, or the lock cannot be created.
+        BusError: another controller uses the bus, or the lock cannot be created.
     """
     try:
         lock = _lock_bus(name)
@@ -162,7 +160,7 @@ def _lock_error(name: str, error: OSError) -> BusError:
 def _lock_bus(name: str) -> int:
     """Lock a bus, and return the file descriptor of the lock.
 
-    When this process ends, the kernel releases the lock.
+    The kernel releases the lock when this process ends.
 
     Raises:
         BlockingIOError: another process has locked the bus.
@@ -178,30 +176,27 @@ def _lock_bus(name: str) -> int:
 
 
 def is_running(name: str) -> bool:
-    """Return True if a controller is running that takes requests for a bus.
+    """Return True if a running controller takes requests for a bus.
 
-    A socket that a killed controller has left behind does not count.
+    The socket that a killed controller has left does not count.
     """
     return is_socket_served(mailbox_path(name))
 
 
 class RequestSender:
-    """Sender of requests for which the controller need not send a reply."""
+    """Sender of requests that need no reply of the controller."""
 
     def __init__(self, name: str) -> None:
-        """Open a socket that sends to the controller on the bus ``name``.
-
-        The controller may start after this call.
-        """
+        """Open a socket for the controller of bus ``name``. The controller may start later."""
         self._path = str(mailbox_path(name))
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
     def send(self, data: bytes) -> bool:
-        """Send a request. If the mailbox of the controller is full, return False.
+        """Send a request. Returns False if the mailbox of the controller is full.
 
         Raises:
-            OSError: no controller is running.
+            OSError: no controller runs.
         """
         try:
             self._socket.sendto(data, self._path)
@@ -219,16 +214,14 @@ class StatusWatcher:
 
     Attributes:
         name: bus of the controller.
-        path: path of the socket of this watcher.
+        path: path of this watcher's socket.
         socket: Unix datagram socket.
     """
 
     _numbers = itertools.count()
 
     def __init__(self, name: str) -> None:
-        """Bind a socket that receives the status lines of the controller on the bus ``name``.
-
-        The controller may start after this call.
+        """Bind a socket to watch the controller of bus ``name``. The controller may start later.
 
         Raises:
             BusError: the socket cannot be created.
@@ -247,9 +240,9 @@ class StatusWatcher:
             ) from None
 
     def request_line(self, timeout_s: float) -> dict[str, Any] | None:
-        """Request a new status line from the controller, and return it.
+        """Request a new status line, and return it.
 
-        If the status line does not arrive within the timeout [s], return None.
+        If it does not arrive within the timeout [s], return None.
         """
         self.discard_lines()
         try:
@@ -262,25 +255,24 @@ class StatusWatcher:
     def send(self, data: bytes, timeout_s: float) -> None:
         """Send a datagram to the controller.
 
-        The datagram is sent from this socket, so that the controller can answer.
+        The datagram comes from this socket, so that the controller can answer.
 
         Args:
             data: content of the datagram.
-            timeout_s: longest time to wait for free space in the mailbox of the controller [s].
+            timeout_s: longest wait for free space in the mailbox of the controller [s].
 
         Raises:
-            OSError: no controller is running, or the mailbox stayed full.
+            OSError: no controller runs, or the mailbox stayed full.
         """
         self.socket.settimeout(timeout_s)
         self.socket.sendto(data, str(mailbox_path(self.name)))
 
     def next_line(self, timeout_s: float) -> dict[str, Any] | None:
-        """Return the next status line that has not been read, or None if none arrives within the timeout [s]."""
+        """Return the next unread status line, or None if none arrives within the timeout [s]."""
         self.socket.settimeout(timeout_s)
         try:
             data, _, ours = receive_datagram(self.socket, MAX_STATUS_BYTES)
-        # With a timeout of 0, the error is a BlockingIOError.
-        except (TimeoutError, BlockingIOError):
+        except (TimeoutError, BlockingIOError):  # if the timeout is 0, the error is BlockingIOError
             return None
         if not ours:
             return None
@@ -296,7 +288,7 @@ class StatusWatcher:
                 yield line
 
     def discard_lines(self) -> None:
-        """Discard all status lines that have not been read."""
+        """Discard the unread status lines."""
         self.socket.setblocking(False)
         try:
             while self.socket.recv(MAX_STATUS_BYTES):
@@ -307,7 +299,7 @@ class StatusWatcher:
     def close(self) -> None:
         """Remove the socket.
 
-        The controller removes this watcher when it sends the next status line.
+        The controller then removes this watcher when it sends its next status line.
         """
         self.socket.close()
         self.path.unlink(missing_ok=True)

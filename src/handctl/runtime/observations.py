@@ -1,15 +1,13 @@
-"""Observations of a running hand in shared memory.
+"""Observations of a running hand in shared memory: one numpy record for each tick, for any number of readers.
 
-There is one numpy record for each tick, and any number of readers.
+The controller writes the records into a ring. The ring is part of a file in the folder of the
+sockets. A reader maps the file and copies records, without locks or system calls. Each record has a
+counter that is odd while the controller writes the record (a seqlock). If the counter has changed
+during a copy, the reader copies the record again.
 
-The controller writes the records into a ring buffer. The ring buffer is part of a file in the
-folder of the sockets. A reader maps this file and copies records from it, without locks and system
-calls. Each record contains a counter that is odd while the controller is writing the record (a
-seqlock). If the counter has changed during the copy, the reader copies the record again.
-
-The file begins with a text of 8 bytes that identifies the format, and five u64 numbers: length of
-the description, size of a record, number of records in the ring buffer, number of records written
-so far, and end mark. The description follows as JSON text, and then the ring buffer.
+The file begins with a magic text of 8 bytes and five u64 numbers: length of the description, size
+of a record, number of records in the ring, number of records written so far, and end mark. The
+description follows as JSON, and then the ring.
 """
 
 import contextlib
@@ -75,7 +73,7 @@ _LEADING_STRUCT = struct.Struct("<qqqqii24sqdqqqqq")
 
 
 def observation_dtype(axes: Mapping[str, int]) -> np.dtype[np.void]:
-    """Return the numpy type of the record that describes a tick.
+    """Return the numpy type of the record of a tick.
 
     Args:
         axes: numbers of joints, tendons, motors and digits of the hand, with the keys "joint",
@@ -88,9 +86,7 @@ def observation_dtype(axes: Mapping[str, int]) -> np.dtype[np.void]:
 
 
 def _create_map(path: Path, size: int) -> mmap.mmap:
-    """Create a file of a given size [bytes], and return the mapping of the file into memory.
-
-    After an error, the file does not exist.
+    """Create a file of a size [bytes], and return its mapping. After an error, no file remains.
 
     Raises:
         OSError: the file cannot be created, or the disk is full.
@@ -110,15 +106,15 @@ def _create_map(path: Path, size: int) -> mmap.mmap:
 
 
 class ObservationWriter:
-    """Writer of the observations of a run, which belongs to the controller."""
+    """Writer of the observations, owned by the controller."""
 
     def __init__(self, bus: str, axes: Mapping[str, int], description: Mapping[str, Any]) -> None:
         """Create the shared-memory file for the observations of a bus.
 
         Args:
-            bus: bus of the controller. The controller must have locked this bus.
-            axes: numbers of joints, tendons, motors and digits, see ``observation_dtype``.
-            description: names and constants of the hand, which the readers of the file need.
+            bus: bus of the controller. The controller has locked this bus.
+            axes: see ``observation_dtype``.
+            description: names and constants of the hand, for the readers of the file.
 
         Raises:
             BusError: the file cannot be created.
@@ -135,8 +131,8 @@ class ObservationWriter:
             raise BusError(
                 f"cannot write observations: {error}", str(self.path.parent), SHORT_RUN_FOLDER_TEXT
             ) from None
-        # All telemetry fields consist of 8-byte numbers without gaps. They are written together, as
-        # one vector at the end of the record.
+        # All telemetry fields consist of 8-byte numbers without gaps. Together they are written as
+        # one vector, at the end of a record.
         count = sum(axes[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS)
         assert kind.itemsize == _LEADING_STRUCT.size + 8 * count
         starts = [self._ring_at + self._size * slot for slot in range(RING_RECORDS)]
@@ -158,8 +154,8 @@ class ObservationWriter:
         Args:
             entry: inputs of the tick.
             out: output of the tick.
-            stream: status of the stream of targets that a client has opened.
-            sent_ns: reading of CLOCK_MONOTONIC after the commands of the tick had been sent [ns].
+            stream: status of the stream of targets from a client.
+            sent_ns: reading of CLOCK_MONOTONIC after the tick had sent its commands [ns].
         """
         numbers = out.telemetry
         assert isinstance(numbers, PackedTelemetry)
@@ -179,7 +175,7 @@ class ObservationWriter:
     def close(self) -> None:
         """Write the end mark, and remove the file.
 
-        The end mark tells all readers that the run has ended.
+        The mark tells readers that the run has ended.
         """
         self._ended[0] = 1
         self.path.unlink(missing_ok=True)
@@ -188,7 +184,7 @@ class ObservationWriter:
 
 
 class ObservationReader:
-    """Reader of the observations of a run, which belongs to a client.
+    """Reader of the observations, in a client.
 
     Attributes:
         description: names and constants of the hand.
@@ -199,8 +195,8 @@ class ObservationReader:
         """Map the file with the observations of a running controller.
 
         Raises:
-            BusError: no controller writes observations for this bus, or the version of the
-                controller is different.
+            BusError: no controller writes observations for this bus, or the controller has another
+                version.
         """
         self._path: Path = observations_path(bus)
         try:
@@ -232,7 +228,7 @@ class ObservationReader:
         return self._map[END_MARK_OFFSET] != 0
 
     def latest_record(self) -> NDArray[np.void] | None:
-        """Return the latest record as an array of shape (), or None if there is no record yet."""
+        """Return the latest record as an array of shape (), or None before the first record."""
         for _ in range(COPY_ATTEMPTS):
             written = self.written_count
             if written == 0:
@@ -244,15 +240,14 @@ class ObservationReader:
         return None
 
     def next_record(self) -> NDArray[np.void] | None:
-        """Return the record after the one that was returned last, or None if it has not been written yet.
+        """Return the record after the last returned record, or None if it has not been written yet.
 
-        If this record has already been overwritten, return the oldest record in the ring buffer
-        that can be used.
+        If it has already been overwritten, return the oldest usable record in the ring.
         """
         for _ in range(COPY_ATTEMPTS):
             written = self.written_count
-            # The controller may overwrite the oldest record at any time. Therefore the reader does
-            # not use the oldest record.
+            # The controller will overwrite the oldest record next. Therefore the reader does not
+            # use it.
             at = max(self.last_read_number, written - self._records + 2)
             if at >= written:
                 return None
@@ -263,7 +258,7 @@ class ObservationReader:
         return None
 
     def read_record(self, index: int) -> NDArray[np.void] | None:
-        """Return the record with the number ``index``, or None if the ring buffer does not contain it."""
+        """Return the record with the number ``index``, or None if it is not in the ring."""
         start = self._ring_at + self._size * (index % self._records)
         data = self._map[start : start + self._size]
         after = self._map[start : start + 8]

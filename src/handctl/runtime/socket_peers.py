@@ -1,8 +1,8 @@
 """Check of the user at the other end of a Unix socket. Only the user of this process and root are trusted.
 
-The folder of the sockets already keeps other users away (see ``paths``). So this check is a second
-protection. On Linux, the kernel reports the user who has sent a datagram. On other systems, every
-sender is trusted.
+The folder of the sockets already excludes other users (see ``paths``). This check is a second
+protection. On Linux the kernel reports the user of a sender. On other systems every sender is
+trusted.
 """
 
 import os
@@ -22,18 +22,18 @@ SO_PASSCRED, SCM_CREDENTIALS, SO_PEERCRED = (getattr(socket, name, 0) for name i
 def request_sender_credentials(link: socket.socket) -> None:
     """Make the kernel add the user of the sender to every datagram that a socket receives.
 
-    The caller must call this function before it binds the socket.
+    Call this function before the socket is bound.
     """
     if IS_LINUX:
         link.setsockopt(socket.SOL_SOCKET, SO_PASSCRED, 1)
 
 
 def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, bool]:
-    """Receive one datagram from a socket that was prepared with ``request_sender_credentials``.
+    """Receive one datagram from a socket that ``request_sender_credentials`` has prepared.
 
     Args:
         link: socket to read from.
-        max_bytes: size of the buffer [bytes]. If a datagram is longer, the rest of it is lost.
+        max_bytes: size of the buffer [bytes]. A longer datagram is truncated.
 
     Returns:
         the data, the path of the sender's socket (empty for a socket without a path), and True if
@@ -57,7 +57,7 @@ def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, b
 
 
 def is_served_by_us(link: socket.socket) -> bool:
-    """Return True if the process at the other end of a connected stream socket belongs to this user or to root."""
+    """Return True if the other end of a connected stream socket belongs to this user or root."""
     if not IS_LINUX:
         return True
     raw = link.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, CREDENTIALS_STRUCT.size)
@@ -65,5 +65,5 @@ def is_served_by_us(link: socket.socket) -> bool:
 
 
 def is_trusted_user(user: int) -> bool:
-    """Return True if a user may send commands to the hand of this user."""
+    """Return True if a user may send commands to this user's hand."""
     return user in (0, os.geteuid())

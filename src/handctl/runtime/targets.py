@@ -1,13 +1,11 @@
-"""The target socket of a running controller, at which streamed targets arrive.
+"""The target socket of a running controller. Clients stream targets to it as binary datagrams.
 
-Clients send the targets as binary datagrams.
+The controller reads the socket without blocking. Requests arrive at another socket. Therefore a
+client that sends targets too fast cannot delay the stop request of another client.
 
-The controller reads the socket without blocking. Requests arrive at a different socket. Therefore a
-client that sends targets too fast cannot delay a stop request from another client.
-
-All numbers in a datagram are little-endian: 4 bytes that identify the format, process number of the
-client u32, number of the stream u32, number of values u32, number of the target i64,
-CLOCK_MONOTONIC when the client sent the target i64 [ns], values float64.
+A datagram is little-endian: magic 4 bytes, process number of the client u32, number of the stream
+u32, number of values u32, number of the target i64, CLOCK_MONOTONIC when the client sent the target
+i64 [ns], values float64.
 """
 
 import socket
@@ -43,12 +41,12 @@ missing.
 
 
 def stream_name(process: int, number: int) -> str:
-    """Return the name of a stream of targets, from the client's process number and the stream's number."""
+    """Return the name of a stream of targets: the client's process number and the number of the stream."""
     return f"{process}-{number}"
 
 
 class TargetBox:
-    """Receiver of the targets that clients stream, which belongs to the controller.
+    """Receiver of the targets that clients stream, owned by the controller.
 
     Attributes:
         path: path of the socket.
@@ -56,14 +54,13 @@ class TargetBox:
     """
 
     def __init__(self, name: str, run_time: Callable[[int], int]) -> None:
-        """Bind the target socket of the controller on the bus ``name``.
+        """Bind the target socket of the controller of bus ``name``.
 
         Before this call, the controller must lock the bus.
 
         Args:
             name: bus of the controller.
-            run_time: function that converts a CLOCK_MONOTONIC time [ns] to the time of the run
-                [ns].
+            run_time: function that converts a CLOCK_MONOTONIC time [ns] to the run's time [ns].
 
         Raises:
             BusError: the socket cannot be created.
@@ -83,9 +80,9 @@ class TargetBox:
         self.socket.setblocking(False)
 
     def read_targets(self) -> tuple[StreamTarget, ...]:
-        """Return the newest of the waiting targets, sorted from old to new.
+        """Return the newest waiting targets, oldest first.
 
-        A datagram of a wrong form is dropped.
+        Malformed datagrams are dropped.
         """
         targets: list[StreamTarget] = []
         for _ in range(MAX_DATAGRAMS_PER_TICK):
@@ -98,7 +95,7 @@ class TargetBox:
         return tuple(targets[-MAX_TARGETS_PER_TICK:])
 
     def _decode(self, data: bytes) -> StreamTarget | None:
-        """Return the target that a datagram contains, or None if the datagram has a wrong form."""
+        """Return the target in a datagram, or None if the datagram is malformed."""
         if len(data) < HEADER_STRUCT.size:
             return None
         magic, process, number, count, index, sent_ns = HEADER_STRUCT.unpack_from(data)
@@ -114,10 +111,10 @@ class TargetBox:
 
 
 class TargetSender:
-    """Sender of one stream of targets, which belongs to a client."""
+    """Sender of one stream of targets, in a client."""
 
     def __init__(self, name: str, process: int, number: int) -> None:
-        """Connect to the target socket of the controller on the bus ``name``.
+        """Connect to the target socket of the controller of bus ``name``.
 
         Raises:
             BusError: no controller receives targets for this bus.
@@ -136,11 +133,11 @@ class TargetSender:
     def send(self, index: int, sent_ns: int, values: NDArray[np.float64]) -> bool:
         """Send a target.
 
-        If the socket is full of targets that the controller has not read yet, return False.
+        Returns False if the socket is full of targets that the controller has not read yet.
 
         Args:
             index: number of the target in the stream.
-            sent_ns: reading of CLOCK_MONOTONIC when the target is sent [ns].
+            sent_ns: reading of CLOCK_MONOTONIC at which the target is sent [ns].
             values: (V,) values of the target.
 
         Raises:

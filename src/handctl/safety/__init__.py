@@ -1,4 +1,1 @@
-"""Declarations of faults, of the reactions to faults, and of thresholds.
-
-The package also chooses the reaction to the faults that are present.
-"""
+"""Declarations of faults, reactions and thresholds, and the choice of the reaction to present faults."""

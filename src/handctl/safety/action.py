@@ -7,10 +7,7 @@ import enum
 
 
 class SafetyAction(enum.IntEnum):
-    """Reaction to a fault.
-
-    Each reaction includes every restriction of the less severe reactions.
-    """
+    """Reaction to a fault. Each action includes every restriction of the weaker actions."""
 
     PASS = 0
     """Continue, without a warning."""

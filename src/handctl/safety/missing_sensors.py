@@ -17,7 +17,7 @@ NEED_ENCODERS = tuple(fault.id for fault in FAULT_TABLE if fault.needs_joint_enc
 
 
 def sensing_warnings(hand: Hand) -> tuple[str, ...]:
-    """Return one line for each kind of sensor that a hand lacks, with the faults that cannot be detected without it."""
+    """Return one line for each missing kind of sensor, with the faults that cannot be detected without this kind."""
     lines = []
     tendons = hand.tendon_names
     if bare := [name for name, has in zip(tendons, hand.has_cell.tolist(), strict=True) if not has]:

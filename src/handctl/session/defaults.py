@@ -1,6 +1,6 @@
-"""Default values of the command line.
+"""Defaults of the command line.
 
-This module imports no other module. Therefore every command can import this module quickly.
+This module imports nothing. Therefore every command can import it quickly.
 """
 
 DEFAULT_HAND = "jamia"

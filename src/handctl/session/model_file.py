@@ -1,6 +1,6 @@
 """Reading of robot descriptions (URDF and MJCF) with MuJoCo.
 
-Only the simulator needs MuJoCo. The other parts of handctl work without MuJoCo.
+The simulator depends on MuJoCo. The other parts of handctl do not depend on it.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,7 +18,7 @@ The docstring of that function describes the result.
 
 
 def read_model_file(path: Path, kind: str) -> Mapping[str, Any]:
-    """Read the links of a hand, which form a tree, from a robot description.
+    """Read the tree of the links of a hand from a robot description.
 
     The result consists of plain values.
 
@@ -27,8 +27,8 @@ def read_model_file(path: Path, kind: str) -> Mapping[str, Any]:
         kind: ``urdf`` or ``mjcf``.
 
     Raises:
-        ConfigError: the file is unreadable, or does not describe a tree of hinges and links with
-            inertia, or MuJoCo is not installed.
+        ConfigError: the file is unreadable, does not describe a tree of hinges and links with
+            inertia, or MuJoCo is missing.
     """
     read: Callable[[str, str], Mapping[str, Any]] = load_simulator_object(
         MODEL_FILE_READER, "reading a robot description"

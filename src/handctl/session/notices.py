@@ -1,6 +1,6 @@
 """Notices and progress reports from a run to the operator.
 
-The caller of a run passes the functions that show these notices.
+The functions that show the notices are arguments of the run.
 """
 
 from collections.abc import Callable
@@ -21,5 +21,5 @@ def ignore_notice(text: str) -> None:
 
 
 def ignore_progress(words: str) -> AbstractContextManager[Callable[[int, int], None]]:
-    """Ignore all progress reports of a step before the run."""
+    """Ignore all progress reports of a step."""
     return nullcontext(lambda done, total: None)

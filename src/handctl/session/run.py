@@ -57,12 +57,11 @@ class RunOutcome:
         state: last state of the controller in the run.
         loop_stats: statistics of the control loop.
         log_summary: summary of the recorder.
-        priority: real-time priority that the operating system granted to the control loop, or None
-            in lockstep.
+        priority: real-time priority that the operating system granted. None in lockstep.
         offset_ns: reading of the simulator's clock at the start of the run [ns].
-        pauses: number of times that the clock shared by run and simulator has paused. It is 0
+        pauses: number of pauses of the clock that the run and the simulator share. The value is 0
             without such a clock.
-        paused_ns: total duration of these pauses in wall time [ns].
+        paused_ns: total duration of the pauses in wall time [ns].
     """
 
     state: ControllerState
@@ -75,12 +74,12 @@ class RunOutcome:
 
     @property
     def was_too_slow(self) -> bool:
-        """Return True if a fault occurred because the host or the simulator was too slow."""
+        """Return True if a fault has occurred because the host or the simulator was too slow."""
         return any(FAULT_BY_ID[mark.id].caused_by_lateness for mark in self.state.latched)
 
     @property
     def exit_code(self) -> ExitCode:
-        """Return the exit code of a command that does nothing except this run."""
+        """Return the exit code of a command whose only work is this run."""
         if self.state.unconfirmed:
             return ExitCode.REMOVE_POWER
         return ExitCode.FAILED if self.state.failure else ExitCode.DONE
@@ -89,8 +88,8 @@ class RunOutcome:
         """Raise an error if the run did not finish.
 
         Args:
-            where: text for the error message that names the purpose of the run.
-            right: remedy that the error message suggests, or an empty text if no remedy is known.
+            where: text that names the purpose of the run, for the error message.
+            right: remedy that the message suggests. The value is empty if no remedy is known.
 
         Raises:
             PowerError: a drive did not confirm that it is disabled.
@@ -109,11 +108,9 @@ RunFunction = Callable[["RunPlan", Controller, Path], RunOutcome]
 def make_controller(
     plan: RunPlan, program: Program, calibration: Calibration | None, arm_at_once: bool
 ) -> Controller:
-    """Construct the controller of a run.
+    """Construct the controller of a run, including the design with the gains of the plan.
 
-    The construction includes the design with the gains of the plan.
-
-    If numba must compile code first, show a progress bar.
+    If code must be compiled first, show a progress bar.
     """
     with plan.show_progress("compiling the controller, once") as report_progress:
         compile_kernels(report_progress)
@@ -125,9 +122,9 @@ def make_controller(
 
 
 class RunObserver(Protocol):
-    """Object that receives each tick of a run in the process of the controller.
+    """Object that watches a run from inside its process.
 
-    An observer can send the same requests as an operator can.
+    An observer can send the same requests as an operator.
     """
 
     def poll_requests(self) -> tuple[str, ...]:
@@ -135,7 +132,7 @@ class RunObserver(Protocol):
         ...
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
-        """Receive the input and the output of a finished tick."""
+        """Receive the input and the output of a tick that is complete."""
         ...
 
 
@@ -150,12 +147,11 @@ def run_live(
 
     Args:
         plan: checked plan of the run.
-        controller: controller that executes the program of the run.
+        controller: controller with its program.
         log: log file to write.
         live_view: True to show the log in Rerun during the run. A separate process then sends the
             log to the viewer.
-        observer: observer of the run, which may send requests. It is None for a run without an
-            observer.
+        observer: observer of the run, which may send requests. None if there is none.
 
     Raises:
         BusError: a bus cannot be opened, or another controller uses it.
@@ -218,13 +214,13 @@ def run_lockstep(
     clock: LockstepClock,
     observer: RunObserver | None = None,
 ) -> RunOutcome:
-    """Execute a run in virtual time, with the simulated hand to which a lockstep clock belongs.
+    """Execute a run in virtual time, with the simulated hand that belongs to a lockstep clock.
 
-    Several runs may use the same clock, one after the other. In virtual time, no operator is
-    present to clear a fault.
+    Several runs may use the same clock, one after the other. In virtual time, no operator can clear
+    a fault.
 
     Raises:
-        DriveError: a fault made the hand hold its position for longer than allowed.
+        DriveError: because of a fault, the hand had to hold its position for too long.
     """
     clock.restart()
     header = run_header(plan, controller, None, lockstep=True)
@@ -250,15 +246,14 @@ def run_lockstep(
 def _start_recording(
     plan: RunPlan, log: Path, header: RunHeader, not_started: ExitStack
 ) -> tuple[Recorder, OperatorDisplay | None]:
-    """Start the recorder of a run. If the plan has a display, start the display too.
+    """Start the recorder of a run, and the display if the plan has one.
 
     Args:
         plan: plan of the run.
         log: log file to write.
         header: header of the run.
-        not_started: stack that closes the recorder and the display if an error occurs before the
-            loop starts. After the start of the loop, ``_run_to_end`` closes the recorder and the
-            display.
+        not_started: stack that closes the recorder and the display, if an error occurs before the
+            loop starts. After the start of the loop, ``_run_to_end`` closes them.
 
     Raises:
         LogError: the log cannot be written.
@@ -272,10 +267,10 @@ def _start_recording(
 
 
 def _open_clock(plan: RunPlan, stack: ExitStack) -> RealClock:
-    """Return the clock by which a run in real time measures time.
+    """Return the clock of a run.
 
-    If the simulator on the bus offers a shared clock, the result is the shared clock. Otherwise the
-    result is the clock CLOCK_MONOTONIC.
+    If the simulator on the bus offers a shared clock, this clock is returned. Otherwise the clock
+    is CLOCK_MONOTONIC.
 
     Raises:
         BusError: the file of the shared clock cannot be read, or has the format of another version.
@@ -296,7 +291,7 @@ def _open_clock(plan: RunPlan, stack: ExitStack) -> RealClock:
 
 
 def refuse_view_without_screen(view_requested: bool) -> None:
-    """Raise an error if the user gives ``--view`` in a desktop session without a screen.
+    """Raise an error if ``--view`` is given in a desktop session without a screen.
 
     Commands call this function before they open a bus.
 
@@ -312,8 +307,8 @@ def refuse_view_without_screen(view_requested: bool) -> None:
 def _start_view(log: Path) -> Callable[[], None]:
     """Start the live view of a log.
 
-    Another process sends the log to the viewer. The result is a function that stops the process of
-    the live view. The viewer itself stays open after this process has stopped.
+    A separate process feeds the viewer. The result is a function that stops the process of the live
+    view. The viewer itself stays open.
     """
     from handctl.view.live_view import start_live_view
 
@@ -322,9 +317,9 @@ def _start_view(log: Path) -> Callable[[], None]:
 
 
 def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, ControllerState], None]:
-    """Return a function that the caller must call after each tick.
+    """Return a function that must be called after each tick.
 
-    This function records a snapshot of the controller's state once per second.
+    This function records a snapshot of the state of the controller once per second.
     """
     due_ns = SNAPSHOT_PERIOD_NS
 
@@ -367,7 +362,7 @@ def _build_loop(
 
 
 def _axis_lengths(hand: Hand) -> dict[str, int]:
-    """Return the numbers of joints, tendons, motors and digits of a hand, by name."""
+    """Return the number of joints, tendons, motors and digits of a hand."""
     return {
         "joint": len(hand.joints),
         "tendon": len(hand.tendon),
@@ -377,7 +372,7 @@ def _axis_lengths(hand: Hand) -> dict[str, int]:
 
 
 def _describe_run(plan: RunPlan) -> dict[str, object]:
-    """Return the constants of a run by name, for programs that receive the observations of the run."""
+    """Return the constants of a run by name, for programs that observe the run."""
     return {
         "hand_toml": plan.hand.to_toml(),
         "rate_Hz": plan.rate_hz,
@@ -388,9 +383,9 @@ def _describe_run(plan: RunPlan) -> dict[str, object]:
 def _request_source(
     plan: RunPlan, signals: StopSignals, mailbox: Mailbox
 ) -> Callable[[], tuple[TickRequest, ...]]:
-    """Return a function that collects all requests that belong to a tick except streamed targets.
+    """Return a function that collects all requests for a tick except streamed targets.
 
-    If the plan requires it, the first request clears the latched errors of the drives.
+    If the plan says so, the first request is to clear the latched errors of the drives.
     """
     orders = [CLEAR_REQUEST] if plan.clear_faults else []
 
@@ -428,10 +423,10 @@ STATUS_RATE_HZ = 50.0
 
 @dataclass(slots=True)
 class PublishedState:
-    """Part of the controller's latest state that status lines show.
+    """Part of the latest state that status lines contain.
 
     Attributes:
-        commander: client that commands the hand, or None if any client may start to command it.
+        commander: client that commands the hand, None if any client may command it.
     """
 
     commander: str | None = None
@@ -445,7 +440,7 @@ def _publish_tick(
     state: ControllerState,
     sent_ns: int,
 ) -> None:
-    """Write the observation of a tick, and store the part of the state that status lines show."""
+    """Write the observation of a tick, and keep the part of the state that status lines contain."""
     observations.write_record(entry, out, stream_status(state), sent_ns)
     published.commander = state.decisions.commander
 
@@ -453,9 +448,9 @@ def _publish_tick(
 def _status_callback(
     display: OperatorDisplay | None, mailbox: Mailbox, rate_hz: float, published: PublishedState
 ) -> TickCallback:
-    """Return a function that must be called after each tick.
+    """Return a function to call after each tick.
 
-    The function updates the display, and sends status lines to the programs that observe the run.
+    The function updates the display and the programs that observe the run.
     """
     every = max(1, round(rate_hz / STATUS_RATE_HZ))
 
@@ -482,7 +477,7 @@ def _run_to_end(
 ) -> RunOutcome:
     """Run the control loop to its end.
 
-    Then close the display and the recorder, even if the loop raised an error.
+    Then close the display and the recorder, even after an error.
     """
     reason = "controller error"
     try:

@@ -1,8 +1,8 @@
 """Loading of tasks, trajectories and scenes.
 
-Each of them is either packaged or in a file.
+Tasks, trajectories and scenes are packaged or in files.
 
-Each task is checked against the hand that will execute it.
+Each task is checked against the hand.
 """
 
 from contextlib import suppress
@@ -27,8 +27,8 @@ The packaged grasp suits hands that have the digits which this task moves.
 def load_task_for_hand(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
     """Load a task by its path or its packaged name, and check that the task suits the hand.
 
-    If no name is given, the packaged task `grasp` is loaded. For a hand whose digits this task does
-    not name, a default task is generated instead.
+    If no name is given, the packaged grasp is loaded. For a hand with other digits, a default task
+    is generated instead.
 
     Raises:
         ConfigError: the task does not exist, or its content is wrong.
@@ -48,8 +48,8 @@ def load_task_for_hand(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
 def scene_for_hand(name: str | None, hand: Hand) -> str:
     """Return the scene of a simulated hand.
 
-    If no name is given, the result is the scene of the packaged task `grasp`, or a cylinder whose
-    size suits the hand.
+    If no name is given, the result is the scene of the packaged grasp, or a cylinder whose size
+    suits the hand.
     """
     if name is not None:
         return name
@@ -60,10 +60,10 @@ def scene_for_hand(name: str | None, hand: Hand) -> str:
 
 
 def task_path(name: Path) -> Path:
-    """Return the path of a task file that is given by a path or by the name of a packaged task.
+    """Return the path of a task file, given by path or packaged name.
 
-    Only a name without folder, such as ``grasp`` or ``grasp.toml``, selects a packaged task. So a
-    mistyped path does not select a packaged task that has the same file name.
+    Only a name without folder, such as ``grasp`` or ``grasp.toml``, selects a packaged task. A path
+    of a missing file must not select another task of the same name.
 
     Raises:
         ConfigError: the task does not exist.

@@ -16,9 +16,9 @@ FAILED_SCALE_FRACTION = 0.7
 
 
 def pace_advice(plan: RunPlan, outcome: RunOutcome) -> str:
-    """Return advice for a run with a simulated hand that failed because ticks or answers were late.
+    """Return advice for a simulated run that failed because ticks or answers were late.
 
-    For any other run, the result is an empty text.
+    For any other run, the text is empty.
     """
     if not (plan.is_simulated and outcome.was_too_slow):
         return ""
@@ -27,14 +27,14 @@ def pace_advice(plan: RunPlan, outcome: RunOutcome) -> str:
 
 
 def slower_time_scale(plan: RunPlan, outcome: RunOutcome) -> float:
-    """From the computing times of a slow run, return a time scale at which this machine is fast enough.
+    """Return a time scale at which this machine is fast enough, from the computing times of a slow run.
 
-    The simulator and the controller use one processor core each. On a machine with a single core,
-    both share this core. The simulator reports how long its computations took.
+    Simulator and controller use one core each. On a machine with a single core, they share this
+    core. The simulator reports its own computing time.
 
     Args:
         plan: plan of the run.
-        outcome: outcome of the run. The simulator of this run must still be running.
+        outcome: outcome of the run. The simulator must still be running.
     """
     run_s = outcome.state.k * plan.period_ns / 1e9
     controller_load = outcome.loop_stats.cpu_s / run_s if outcome.state.k > 0 else 0.0

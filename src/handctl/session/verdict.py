@@ -1,4 +1,4 @@
-"""Verdict on a finished run, with numbers that describe its performance, and a picture."""
+"""Verdict on a finished run: its performance numbers and a picture."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -32,7 +32,7 @@ def judge_run(
     picture: bool = True,
     task: Task | None = None,
 ) -> dict[str, Any]:
-    """Compute numbers that describe the performance of a run, and draw a picture next to the log.
+    """Compute the performance numbers of a run, and draw its picture next to the log.
 
     If the picture cannot be written, for example because the disk is full, a notice tells the
     operator.
@@ -41,11 +41,11 @@ def judge_run(
         plan: plan of the run.
         outcome: outcome of the run.
         log: log file of the run.
-        truth_file: truth file of the simulator, which is copied to the folder of the log. It is
-            None for a real hand.
+        truth_file: truth file of the simulator, which is copied to the folder of the log. The value
+            is None for a real hand.
         picture: True to draw the picture.
-        task: task that the run has executed. If it is given, the grasp of the task is judged. The
-            run then counts as failed if the hand did not hold the object.
+        task: task that the run has executed, if the grasp of this task is to be judged. The run
+            counts as failed if the grasp did not hold the object.
     """
     with RunLog(log) as record:
         if truth_file:
@@ -89,10 +89,9 @@ def _hold_phases(task: Task | None) -> set[str]:
 def _copy_truth(
     log: Path, truth: Path, times_ns: Sequence[int], tell: NoticeCallback
 ) -> Path | None:
-    """Copy the true values that belong to a run to the folder of the log, and return the path of the copy.
+    """Copy the true values during a run to the folder of the log, and return the path of the copy.
 
-    If the truth file cannot be copied, return its original path. If the truth file has no values of
-    this run, return None.
+    If the file cannot be copied, return the original path. If the file has no values of this run, return None.
 
     Args:
         log: log of the run.
@@ -116,7 +115,7 @@ def _copy_truth(
 def _draw_picture(
     plan: RunPlan, outcome: RunOutcome, record: RunLog, truth: TruthRecord | None, log: Path
 ) -> Path | None:
-    """Draw the picture of a run, and return the path of the picture.
+    """Draw the picture of the run, and return its path.
 
     If the picture cannot be written, return None.
     """
@@ -130,17 +129,17 @@ def _draw_picture(
 
 
 def _report_omitted(path: Path, error: OSError, tell: NoticeCallback) -> None:
-    """Delete an incomplete output file next to the log, and tell the operator that the file is missing."""
+    """Delete an incomplete output file next to the log, and tell the operator that it is missing."""
     with suppress(OSError):
         path.unlink()
     tell(f"handctl: {path} is left out: {error.strerror or error}")
 
 
 def lost_frames(plan: RunPlan, outcome: RunOutcome) -> int:
-    """Return the number of frames that were lost in a run.
+    """Return the number of lost frames.
 
-    A frame is lost if a bus refused to send it, or if the sensor node's frame never arrived. A
-    reply that arrives after the next SYNC frame counts as late, not as lost.
+    Lost are frames that a bus refused, and frames of the sensor node that never arrived. A reply
+    that arrived after the next SYNC is late, not lost.
     """
     return outcome.loop_stats.refused_frames + make_sensors(plan.hand).lost_frame_count(
         *outcome.state.sensor_counts

@@ -1,7 +1,7 @@
 """Gains of a hand on disk: the present gains, and a numbered history from which every change can be undone.
 
 Runs use `HAND.gains.toml`. All gains applied so far are in `HAND.gains/0001.toml` and the following
-numbers. Each file is written under a temporary name, and then gets its real name. So a reader gets
+numbers. Each file is written under a temporary name and then renamed. A reader therefore gets
 either the complete old file or the complete new file.
 """
 
@@ -28,11 +28,11 @@ EDITED_BY_HAND_NOTE = "edited by hand"
 
 @dataclass(frozen=True, slots=True)
 class StoredGains:
-    """Entry of the history, with gains that were applied at some time.
+    """Entry of the history of gains.
 
     Attributes:
         path: path of the file in the history.
-        file: content of the file: the gains, and a record of where they come from.
+        file: content of the file: gains and their provenance.
     """
 
     path: Path
@@ -45,11 +45,11 @@ class StoredGains:
 
 
 class GainsStore:
-    """Files with the present and the former gains of a hand.
+    """Store of the present and the former gains of a hand.
 
     Attributes:
         path: path of the file with the present gains.
-        history_folder: folder that contains the files of the history.
+        history_folder: folder with the files of the history.
     """
 
     def __init__(self, hand: str, identity: str = "", folder: Path = Path()) -> None:
@@ -66,40 +66,38 @@ class GainsStore:
         self.history_folder = folder / f"{hand}.gains"
 
     def present_gains(self) -> GainsFile | None:
-        """Return the present gains of the hand.
+        """Return the present gains.
 
-        If there is no gains file, return None. Runs then use the packaged gains.
+        Return None if there is no gains file, so that runs use the packaged gains.
 
         Raises:
-            ConfigError: the file of the present gains cannot be used.
+            ConfigError: The file of the present gains cannot be used.
         """
         return load_gains_file(self.path) if self.path.exists() else None
 
     def history_entries(self) -> list[StoredGains]:
-        """Return the entries of the history, the oldest first.
+        """Return the entries of the history, oldest first.
 
         Raises:
-            ConfigError: a file of the history cannot be used.
+            ConfigError: A file of the history cannot be used.
         """
         paths = sorted(self.history_folder.glob("[0-9][0-9][0-9][0-9].toml"))
         return [StoredGains(path, load_gains_file(path)) for path in paths]
 
     def set_aside(self) -> Path | None:
-        """If the file of the present gains cannot be used, rename this file.
+        """Rename the file of the present gains if it cannot be used. Return the new path.
 
-        Return the new path of the file.
-
-        If the file can be used, return None. If this file is damaged, it must be renamed before
-        earlier gains can be restored.
+        If the file can be used, return None. A damaged file must be renamed before a rollback is
+        possible.
 
         Raises:
-            ConfigError: the file cannot be renamed.
+            ConfigError: The file cannot be renamed.
         """
         try:
             self.present_gains()
         except ConfigError:
-            # The new name is the first name among NAME.damaged.toml, NAME.damaged1.toml, and so on,
-            # that is not in use.
+            # The new name is the first unused name among NAME.damaged.toml, NAME.damaged1.toml, and
+            # so on.
             numbers = (
                 Path(f"{self.path.with_suffix('')}.damaged{n or ''}.toml")
                 for n in itertools.count()
@@ -116,23 +114,22 @@ class GainsStore:
     def apply_gains(self, gains: Gains, provenance: GainsProvenance) -> GainsFile:
         """Make the given gains the present gains.
 
-        If a user has edited the file of the present gains, the edited gains are added to the
-        history first.
+        If a user has edited the present gains, the edited gains are first added to the history.
 
         Raises:
-            ConfigError: the files cannot be written, or the file of the present gains cannot be
-                read, see `set_aside`.
+            ConfigError: The files cannot be written, or the present file cannot be read, see
+                `set_aside`.
         """
         self._keep_edited()
         return self._write_gains(gains, provenance)
 
     def roll_back(self, to: int | None = None) -> GainsFile:
-        """Restore the gains that were used before the present gains, or the gains with a given number.
+        """Restore the gains before the present gains, or the gains with a given number.
 
-        The number 0 restores the packaged gains.
+        Number 0 restores the packaged gains.
 
         Raises:
-            ConfigError: there are no earlier gains, or no gains with this number.
+            ConfigError: There are no earlier gains, or the number does not exist.
         """
         self._keep_edited()
         entries = {entry.number: entry for entry in self.history_entries()}
@@ -155,7 +152,7 @@ class GainsStore:
         return self._write_gains(old, provenance.model_copy(update={"note": note}), restores=number)
 
     def _keep_edited(self) -> None:
-        """If the history does not contain the present gains, add them to it."""
+        """Add the present gains to the history, unless the history already contains them."""
         present = self.present_gains()
         if present is None:
             return
@@ -170,8 +167,8 @@ class GainsStore:
     ) -> GainsFile:
         """Write gains to the history with the next number, and then make them the present gains.
 
-        If the history does not contain the present file, for example because a user has copied it,
-        the new gains are recorded as the successor of the newest entry.
+        If the history does not contain the present file, for example because a user copied it, the
+        new gains are recorded as the successor of the newest entry.
         """
         present = self.present_gains()
         entries = self.history_entries()
@@ -193,8 +190,8 @@ class GainsStore:
         text = gains_text(gains, written)
         try:
             self.history_folder.mkdir(parents=True, exist_ok=True)
-            # The history is written first. So if the program crashes between the two writes, the
-            # present gains have not changed.
+            # The history is written first. So after a crash between the two writes, the present
+            # gains are unchanged.
             write_text_atomically(
                 self.history_folder / f"{written.number:04d}.toml", text, new=True
             )
@@ -207,13 +204,13 @@ class GainsStore:
 
 
 def _previous_number(entries: dict[int, StoredGains], present: GainsFile) -> int:
-    """Return the number of the gains in the history that the present gains have replaced.
+    """Return the number of the gains that were replaced by the present gains.
 
-    After earlier gains have been restored, they count as the present gains.
+    After a rollback, the restored gains count as the present gains.
 
     Raises:
-        ConfigError: the present gains are the packaged gains, which were restored, or an entry of
-            the history is missing.
+        ConfigError: The present gains are restored packaged gains, or an entry of the history is
+            missing.
     """
     provenance = present.provenance
     while provenance.restores:

@@ -1,8 +1,4 @@
-"""Live display of a run.
-
-This process reads the log while another process writes it, and sends new chunks of data to a
-viewer.
-"""
+"""Live display of a run. This process reads the growing log and sends new chunks to a viewer."""
 
 import tempfile
 import time
@@ -36,14 +32,14 @@ NO_GROWTH_TIMEOUT_S = 15.0
 
 
 class LogFollower:
-    """Sender of a growing log to a viewer."""
+    """Sender that passes a growing log to a viewer, step by step."""
 
     def __init__(self, log: Path, run: RunInfo, url: str) -> None:
-        """Connect to a viewer, and send the data of the run that do not depend on time.
+        """Connect to a viewer, and send the static chunks of the run.
 
         Args:
-            log: path of the log file, which must already contain a header.
-            run: data about the run and the hand of the log.
+            log: path of the log, which must already have a header.
+            run: run and hand of the log.
             url: address of the viewer.
         """
         self._run = run
@@ -55,9 +51,7 @@ class LogFollower:
         rr.send_chunks(chain(style_chunks(run), mesh_chunks(run)), recording=self._stream)
 
     def send_new_chunks(self) -> bool:
-        """Send the chunks that are new in the log to the viewer.
-
-        If the log has not grown, return False.
+        """Send the new chunks of the log to the viewer. Return False if the log has not grown.
 
         Raises:
             LogError: the log is damaged.
@@ -72,16 +66,13 @@ class LogFollower:
         return True
 
     def _flush(self) -> None:
-        """Wait until the viewer has received all data.
-
-        If the user has closed the viewer, do not wait.
-        """
+        """Wait until the viewer has received all data. If the viewer was closed, do not wait."""
         with suppress(RuntimeError):
             self._stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
 
     @property
     def log_ended(self) -> bool:
-        """Return True if the log is complete and all of it has been sent to the viewer."""
+        """Return True if the log is complete and has been sent to the end."""
         return self._tail.log_ended
 
     def close(self) -> None:
@@ -94,16 +85,16 @@ class LogFollower:
 def follow_log(
     log: Path, arguments: Sequence[str] = (), stop: TerminationFlag | None = None
 ) -> None:
-    """Open a viewer, and show a growing log until its end.
+    """Open a viewer, and show a growing log until the log ends.
 
     Args:
         log: path of the log. The file may be created later.
-        arguments: further command-line arguments of the viewer.
-        stop: flag that is set to end the display early.
+        arguments: further arguments of the viewer.
+        stop: flag that requests an earlier end of the display.
 
     Raises:
         LogError: the log does not appear in time or is damaged.
-        ConfigError: the desktop session has no screen on which a viewer could open.
+        ConfigError: the session has no screen on which to open the viewer.
         HandctlError: the viewer does not start.
     """
     headless = "--headless" in arguments
@@ -127,7 +118,7 @@ def follow_log(
 
 
 def _follow_until_end(follower: LogFollower, running: Viewer, stop: TerminationFlag) -> None:
-    """Send new chunks until the log ends or stops growing, or until the viewer is closed or a stop is requested."""
+    """Send new chunks until the log ends or stops growing, the viewer is closed, or a stop is requested."""
     news = time.monotonic()
     while not (follower.log_ended or stop.requested) and running.process.poll() is None:
         start = time.monotonic()
@@ -135,16 +126,13 @@ def _follow_until_end(follower: LogFollower, running: Viewer, stop: TerminationF
             news = start
         elif start - news > NO_GROWTH_TIMEOUT_S:
             return
-        # After a slow step, the pause before the next step is shorter. Even the shortest pause
-        # leaves processor time to other programs.
+        # After a slow step the pause is shorter. The shortest pause still leaves the processor to
+        # other programs.
         time.sleep(max(CHECK_PERIOD_S - (time.monotonic() - start), CHECK_PERIOD_S / 4))
 
 
 def _wait_for_header(log: Path, stop: TerminationFlag) -> RunInfo | None:
-    """Wait for the header of a log, and return the data about the run.
-
-    After a stop request, return None.
-    """
+    """Wait for the header of a log, and return the data about the run, or None after a stop request."""
     end = time.monotonic() + LOG_FILE_TIMEOUT_S
     while not stop.requested:
         try:

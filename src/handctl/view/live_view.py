@@ -1,12 +1,10 @@
-"""Live view of a run in a process of its own.
+"""Live view of a run in a separate process: the function that starts the process, and its main program.
 
-The module contains the function that starts this process, and the main program of the process.
+Command: `python -m handctl.view.live_view LOG [ARGUMENT OF THE VIEWER ...]`.
 
-Command: `python -m handctl.view.live_view LOG [ARGUMENT OF THE VIEWER ...]` runs the process.
-
-The process only reads the log file, and does not communicate with the controller. The process ends
-when the log ends, when the viewer is closed, or on SIGTERM. After the end of the log or SIGTERM,
-the viewer remains open.
+The process only reads the log, and does not depend on the controller. The process ends when the log
+ends, when the viewer is closed, or on SIGTERM. After the end of the log or SIGTERM, the viewer
+remains open.
 """
 
 import os
@@ -26,12 +24,12 @@ NICE_INCREMENT = 10
 def start_live_view(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
     """Start a process that shows a log in a viewer while the log is being written.
 
-    A failure of this process or of the viewer has no effect on the controller. The process of the
-    controller imports this module. Therefore this module imports only packages that load fast.
+    A failure of this process or of the viewer has no effect on the controller. The controller's
+    process imports this module. Therefore the module imports only packages that load fast.
 
     Args:
         log_path: path of the log. The file may be created later.
-        arguments: further command-line arguments of the viewer, such as --headless.
+        arguments: further arguments of the viewer, such as --headless.
     """
     command = [sys.executable, "-m", "handctl.view.live_view", str(log_path), *arguments]
     quiet = os.environ | {"RUST_LOG": "off"}
@@ -61,8 +59,7 @@ def main() -> int:
 
         follow_log(log, arguments, stop)
     except HandctlError as error:
-        # A HandctlError always has a printable message.
-        print(f"handctl view: {error}", file=sys.stderr)
+        print(f"handctl view: {error}", file=sys.stderr)  # every HandctlError is printable
         return 1
     return 0
 

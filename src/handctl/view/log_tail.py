@@ -1,6 +1,6 @@
-"""Reader for a log that another process is still writing.
+"""Reader for a log that is being written.
 
-The reader copies the chunks that are new in the log into a small log file.
+The reader copies each group of new chunks into a small log.
 """
 
 from pathlib import Path
@@ -10,16 +10,13 @@ from handctl.log.read.record_scan import RecordScan, scan_records
 
 
 class LogTail:
-    """Reader of a growing log, from the start to the end.
-
-    Each call continues where the last call ended.
-    """
+    """Reader of a growing log, from start to end. Each call continues where the last one ended."""
 
     def __init__(self, path: Path) -> None:
-        """Begin to read before the first chunk of a log.
+        """Start before the first chunk of a log.
 
         Args:
-            path: path of the growing log.
+            path: path of the log.
         """
         self._path = path
         self._scan = RecordScan()
@@ -31,14 +28,14 @@ class LogTail:
         return self._scan.complete
 
     def write_new_chunks(self, path: Path) -> int | None:
-        """Write the chunks that are new since the last call into a log file that has no end mark.
+        """Write the chunks that are new since the last call into a log file without an end mark.
 
         Args:
-            path: log file to write. This file also contains the definitions of all topics.
+            path: log file to write. The file also has the definitions of all topics.
 
         Returns:
-            the time of the first new message in the log [ns]. If no new chunk is complete, the
-            result is None, and the function writes no file.
+            the first new log time [ns]. If no new chunk is complete, the result is None, and no
+            file is written.
 
         Raises:
             LogError: the log is damaged.
@@ -49,9 +46,8 @@ class LogTail:
         file = LogFile(self._path)
         try:
             scan_records(file, scan)
-            # If the message indexes after a chunk are incomplete, Rerun loses messages of this
-            # chunk. So the reader passes on a chunk only when the record after the message indexes
-            # exists.
+            # Rerun loses messages of a chunk whose message indexes are not complete. So a chunk is
+            # sent only when the record after its message indexes exists.
             ends = [
                 *(chunk.offset for chunk in scan.chunks[1:]),
                 *([scan.end] if scan.complete else []),
@@ -60,7 +56,7 @@ class LogTail:
             if not new:
                 return None
             with path.open("wb") as out:
-                # The first chunk of the log contains the definitions of all topics. Therefore every
+                # The first chunk of the log has the definitions of all topics. Therefore every
                 # written part begins with this chunk.
                 if self._sent_chunks:
                     out.write(file.read_range(0, ends[0]))

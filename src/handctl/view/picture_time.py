@@ -1,4 +1,4 @@
-"""Choice of the time at which a single picture shows a run."""
+"""Selection of the time of a run that a single picture shows."""
 
 from handctl.log.read.reader import RunLog
 

@@ -1,4 +1,4 @@
-"""Viewer of the installed package rerun-sdk, run as a process of its own.
+"""Viewer of the installed rerun-sdk package, run as a separate process.
 
 The viewer accepts connections only from this machine.
 """
@@ -41,7 +41,7 @@ _ADDRESS_LINE = re.compile(rb"rerun\+http://[0-9.]+:\d+/proxy")
 
 
 def viewer_path() -> Path:
-    """Return the path of the viewer program in the package rerun-sdk.
+    """Return the path of the viewer in the rerun-sdk package.
 
     Raises:
         ConfigError: the package has no viewer.
@@ -58,10 +58,10 @@ def viewer_path() -> Path:
 
 
 def software_vulkan() -> dict[str, str]:
-    """Return the environment variables with which a viewer can draw without a screen.
+    """Return the environment variables that a viewer needs to draw without a screen.
 
     Returns:
-        the variables by name. The mapping is empty if no variable is necessary.
+        the variables by name. The mapping is empty if none are needed.
 
     Raises:
         ConfigError: no Vulkan driver is installed.
@@ -78,7 +78,7 @@ def software_vulkan() -> dict[str, str]:
 
 
 def _driver_files(pattern: str) -> list[Path]:
-    """Return the description files of those installed Vulkan drivers whose file name matches a pattern."""
+    """Return the description files of installed Vulkan drivers whose names fit a pattern."""
     return [path for folder in VULKAN_DRIVER_FOLDERS for path in sorted(Path(folder).glob(pattern))]
 
 
@@ -92,7 +92,7 @@ def _has_loader() -> bool:
 
 
 def check_screen() -> None:
-    """Raise an error if the desktop session has no screen on which a window could open.
+    """Raise an error if the session has no screen on which to open a window.
 
     Raises:
         ConfigError: the session has no screen.
@@ -140,9 +140,7 @@ class StartingViewer:
     output_pipe: IO[bytes]
 
     def wait_until_ready(self) -> Viewer:
-        """Wait until the viewer listens, and return the viewer.
-
-        If the viewer does not listen in time, kill the viewer.
+        """Wait until the viewer listens, and return the viewer. Kill a viewer that does not listen in time.
 
         Raises:
             HandctlError: the viewer does not start.
@@ -159,26 +157,22 @@ class StartingViewer:
 
 
 def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> StartingViewer:
-    """Start a viewer on a free port of this machine.
-
-    The viewer sends no usage data to the makers of Rerun.
+    """Start a viewer on a free port of this machine, without sending usage data to the makers of Rerun.
 
     The function does not wait until the viewer listens.
 
-    The operating system chooses the port. Rerun's default port 9876 is not used. On that port, the
-    viewer would also receive data from other programs, and data for a viewer that was closed
-    earlier.
+    The system chooses the port. On Rerun's default port 9876, the viewer would also receive streams
+    from other programs, and data meant for a viewer that was closed earlier.
 
     Args:
         arguments: further arguments of the viewer's command.
-        environment: environment variables that the viewer gets in addition to those of this
-            process.
+        environment: environment variables in addition to those of this process.
     """
     exe = str(viewer_path())
     settings = run_dir() / "viewer"
     settings.mkdir(mode=0o700, parents=True, exist_ok=True)
-    # Only a file in the configuration folder of the viewer can disable the collection of usage
-    # data.
+    # The collection of usage data can be disabled only by a file in the viewer's configuration
+    # folder.
     environ = (
         os.environ
         | {"XDG_CONFIG_HOME": str(settings), "NO_COLOR": "1", "RUST_LOG": "info"}
@@ -187,8 +181,7 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Star
     subprocess.run([exe, "analytics", "disable"], env=environ, check=False, capture_output=True)
     notes = tempfile.TemporaryFile()  # noqa: SIM115 (`StartingViewer.wait_until_ready` closes it)
     command = [exe, "--bind", LOOPBACK_ADDRESS, "--port", "0", *arguments]
-    # The viewer runs in a process session of its own, so that Ctrl-C in the terminal does not
-    # interrupt the viewer.
+    # The viewer gets a session of its own, so that Ctrl-C in the terminal does not interrupt it.
     process = subprocess.Popen(
         command,
         env=environ,
@@ -213,7 +206,7 @@ def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewe
 def launched_viewer(
     arguments: Sequence[str], environment: dict[str, str]
 ) -> Iterator[StartingViewer]:
-    """Start a viewer with `launch_viewer`, and keep it open for the duration of a context.
+    """Start a viewer with `launch_viewer`, for the duration of a context.
 
     At the end of the context, the viewer is closed, and the temporary files of the viewer are
     deleted.
@@ -230,7 +223,7 @@ def launched_viewer(
 
 @contextmanager
 def running_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Viewer]:
-    """Start a viewer with `start_viewer`, and keep it open for the duration of a context."""
+    """Start a viewer with `start_viewer`, for the duration of a context."""
     with launched_viewer(arguments, environment) as launch:
         yield launch.wait_until_ready()
 
@@ -244,8 +237,8 @@ def _wait_for_url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
     remaining = VIEWER_START_TIMEOUT_S
     while remaining > 0:
         try:
-            # This call returns early if the viewer ends. Otherwise the call is the pause between
-            # two checks of the viewer's output.
+            # This call waits for an early end of the viewer. The wait is also the pause between two
+            # checks of the viewer's output.
             process.wait(0.05)
         except subprocess.TimeoutExpired:
             remaining -= 0.05

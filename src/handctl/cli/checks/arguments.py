@@ -1,6 +1,7 @@
 """Declaration of the arguments of the commands in this folder.
 
-The code of a command is imported only when that command runs. So a help text appears fast.
+The code of a command is imported only when that command runs. This makes the help texts appear
+fast.
 """
 
 import argparse
@@ -99,7 +100,7 @@ def config(parser: VerbParser) -> None:
 
 
 def _declare_init(parser: argparse.ArgumentParser) -> None:
-    """Each option answers one question about the new hand.
+    """Declare the options of ``config init``.
 
     Each option answers one of the questions about the new hand.
     """

@@ -1,7 +1,7 @@
 """``handctl bus``: plan the bus load of a hand, check buses, set up interfaces, or watch the readings of a hand.
 
-Only the module of the subcommand that the user selected is imported. Importing ``plan`` and
-``watch`` also imports the modules of the controller, which the other subcommands do not need.
+Only the module of the selected subcommand is imported. Importing ``plan`` and ``watch`` also
+imports the modules of the controller, which the other subcommands do not need.
 """
 
 import argparse

@@ -118,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _ask_questions(args: argparse.Namespace, answers: HandAnswers) -> HandAnswers:
-    """Ask those questions that no option answers. An empty answer selects the default.
+    """Ask the questions that no option answers. An empty answer selects the default.
 
     Raises:
         ConfigError: standard input is not a terminal, so no operator can answer.
@@ -128,7 +128,7 @@ def _ask_questions(args: argparse.Namespace, answers: HandAnswers) -> HandAnswer
         if getattr(args, question.answer_field) is not None:
             continue
         if question.answer_field == SPRING_FIELD and answers.tendons == "one":
-            continue  # if only one tendon closes a digit, springs must open it
+            continue  # a digit that is closed by one tendon must be opened by springs
         default = getattr(
             answers, PROPORTIONAL_DEFAULT.get(question.answer_field, question.answer_field)
         )

@@ -35,9 +35,9 @@ The limit is one tick at 500 Hz.
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check the process priority, CAN, the viewer and the disk space of this machine.
+    """Check process priority, CAN, the viewer and the disk space of this machine.
 
-    If a finding needs a repair, return 1.
+    Return 1 if a finding needs a repair.
     """
     findings = [
         _check_priority(),
@@ -58,10 +58,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_findings(findings: Sequence["DoctorFinding"]) -> None:
-    """Print the findings about this machine.
+    """Print the findings.
 
-    With ``--quiet``, good findings are left out. With ``--verbose``, the versions of the software
-    are added.
+    ``--quiet`` leaves out the good findings, and ``--verbose`` adds the versions of the software.
     """
     for what, good, fix in findings:
         if not (good and is_quiet()):
@@ -90,11 +89,11 @@ def _extras_finding() -> DoctorFinding:
         f"optional packages; not installed: {', '.join(missing) or 'none'}",
         True,
         "",
-    )  # the controller itself needs no optional packages
+    )  # the controller needs no optional packages
 
 
 def _granted_priority() -> GrantedPriority:
-    """Request real-time priority, release it, and return the priority that the system has granted."""
+    """Request and release real-time priority, and return the priority that the system granted."""
     granted = request_priority()
     restore_priority()
     return granted
@@ -119,7 +118,7 @@ def _check_memory() -> DoctorFinding:
 
 
 def _check_wakeups() -> DoctorFinding:
-    """Measure how late the system wakes a process, and whether a hypervisor has taken processor time away."""
+    """Measure how late the system wakes a process, and whether a hypervisor takes the processor away."""
     begin, ticks = time.monotonic(), _processor_ticks()
     latest = 0.0
     with realtime_priority():
@@ -139,10 +138,10 @@ def _check_wakeups() -> DoctorFinding:
 
 
 def _processor_ticks() -> tuple[int, int]:
-    """Return the time of all cores since system start, and the part of it that a hypervisor gave to other machines.
+    """Return the time of all cores since system start, and the part that a hypervisor gave to other machines.
 
-    The unit of both times is the clock tick of the kernel. The second value is the field ``steal``
-    of ``/proc/stat`` (Linux ``proc_stat(5)``). On systems other than Linux, both times are 0.
+    The unit is the clock tick of the kernel. The second value is the field ``steal`` of
+    ``/proc/stat`` (Linux ``proc_stat(5)``). On systems other than Linux, both times are 0.
     """
     try:
         first_line = Path("/proc/stat").read_text().splitlines()[0]

@@ -1,7 +1,7 @@
-"""Part of a hand file with the drives that a scan has found.
+"""Part of a hand file that describes the drives a scan has found.
 
-The part contains the values that the drives report. The values that the user must measure are
-marked in this part.
+In this part, the values that the drives report are filled in. The values that the user must measure
+are marked.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ ENCODER_COUNTS = 65536
 def hand_file_snippet(
     buses: Mapping[str, Sequence[DiscoveredNode]], bitrate: int, data_bitrate: int | None
 ) -> str:
-    """Return the sections ``[[bus]]`` and ``[[motor]]`` of a hand file, for the drives that a scan has found.
+    """Return the ``[[bus]]`` and ``[[motor]]`` sections of a hand file for the scanned drives.
 
     Args:
         buses: drives found on each bus, by name of the bus.
@@ -49,7 +49,7 @@ def hand_file_snippet(
 
 
 def _amplifier_section(bus: str, amplifiers: Sequence[DiscoveredNode]) -> list[str]:
-    """Return the hand-file section for the load cells that are connected to the amplifiers on a bus."""
+    """Return the section of a hand file for the load cells on the measuring amplifiers of a bus."""
     channels = min(int(node.options.get("channels_per_node", 1)) for node in amplifiers)
     entries: list[SnippetEntry] = [
         ("protocol", CIA404_PROTOCOL, ""),
@@ -107,10 +107,9 @@ def _source_comment(key: str, settings: Mapping[str, float], hint: str) -> str:
 
 
 def _torque_source(settings: Mapping[str, float]) -> str:
-    """Return the comment that the hand file contains next to the torque limit.
+    """Return the comment on the torque limit.
 
-    The torque that a drive reports is the full scale of its torque values, and not a suitable first
-    limit.
+    The torque that a drive reports is its full scale, which is no suitable limit to begin with.
     """
     reported = settings.get("torque_max_N_m", 0.0)
     if not reported:

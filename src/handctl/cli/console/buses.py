@@ -1,4 +1,4 @@
-"""Search of the command line for the bus of a running controller, and description of the simulator that a bus lacks."""
+"""Find the bus of a running controller on a command line, and describe the simulator that a bus lacks."""
 
 import argparse
 import shlex
@@ -12,7 +12,7 @@ def controller_bus(args: argparse.Namespace) -> str:
 
 
 def simulator_command(args: argparse.Namespace) -> str:
-    """Return the command that starts a simulator on the buses of a command line, for its hand or drive."""
+    """Return the command that starts a simulator on the buses of a command line, for the hand or the drive."""
     named = named_buses([args.bus] if isinstance(args.bus, str) else args.bus)
     buses = [f"{name}={spec}" for name, spec in named.items()] if len(named) > 1 else named.values()
     if (node := getattr(args, "node", None)) is not None:

@@ -1,7 +1,4 @@
-"""Report of a dry run, which checks all inputs but moves nothing.
-
-All commands that run a controller print the same report.
-"""
+"""Report of a dry run. All commands that run a controller print the same report."""
 
 import argparse
 from typing import Any
@@ -12,16 +9,16 @@ from handctl.session.plan import RunPlan, check_gain_margins
 
 
 def report_dry_run(args: argparse.Namespace, plan: RunPlan, *lines: str, **fields: Any) -> int:
-    """Check that a controller can be designed with the gains, and report the run that is planned.
+    """Check that a controller can be designed with the gains, and report the planned run.
 
     Args:
-        args: arguments of the command, among them ``json``.
+        args: arguments with ``json``.
         plan: checked plan of the run.
-        lines: lines about the planned run, for the operator.
-        fields: further fields for the JSON result.
+        lines: lines about the run for the operator.
+        fields: further fields of the JSON result.
 
     Raises:
-        ConfigError: no valid controller or filter can be designed with the gains.
+        ConfigError: no valid controller or filter follows from the gains.
     """
     check_gain_margins(plan.hand, plan.gains, plan.rate_hz)
     if args.json:

@@ -1,4 +1,4 @@
-"""Options that have the same meaning in every command, and functions that print the results of commands."""
+"""Options that have the same meaning in every command, and functions that print results."""
 
 import argparse
 import json
@@ -16,7 +16,7 @@ from handctl.session.exit_codes import ExitCode
 
 
 class _StoreNamedHand(argparse.Action):
-    """Argparse action for the option ``--hand``, which also stores that the operator has named a hand."""
+    """Argparse action that stores the hand, and stores that the operator has named a hand."""
 
     def __call__(
         self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None
@@ -36,7 +36,7 @@ def add_hand_option(parser: argparse.ArgumentParser) -> None:
 
 
 def check_seed(seed: int) -> None:
-    """Raise an error if random number generators do not accept a seed.
+    """Raise an error if random generators do not accept a seed.
 
     Raises:
         ConfigError: the seed is negative.
@@ -59,8 +59,7 @@ def checked_count(number: int, option: str, maximum: int) -> int:
 def add_protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:
     """Declare --protocol and --motor-type.
 
-    With ``--protocol``, all drives of the hand use this protocol instead of the one in the hand
-    file.
+    With this option, the hand has drives of the given protocol instead of those in its file.
     """
     text = "drives of the simulated hand (default: as in its file)" + more
     parser.add_argument("--protocol", choices=tuple(PROTOCOL_TRAITS), help=text)
@@ -74,10 +73,7 @@ def add_motor_type_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
-    """Declare --bus.
-
-    For a hand with several buses, the user gives one ``--bus NAME=SPEC`` for each bus.
-    """
+    """Declare --bus. A hand with several buses needs one ``--bus NAME=SPEC`` for each."""
     parser.add_argument(
         "--bus",
         action="append",
@@ -97,10 +93,7 @@ def add_bitrate_options(parser: argparse.ArgumentParser, nominal: str, data: str
 
 
 def _bit_rate(word: str) -> int:
-    """Return a bit rate from the command line [bit/s].
-
-    It must be a bit rate that a hand file could contain.
-    """
+    """Return a bit rate from the command line [bit/s], if a hand file would also allow it."""
     rate = int(word)
     if not MIN_BITRATE_BIT_S <= rate <= MAX_BITRATE_BIT_S:
         raise argparse.ArgumentTypeError(
@@ -112,7 +105,7 @@ def _bit_rate(word: str) -> int:
 def add_json_option(parser: argparse.ArgumentParser) -> None:
     """Declare --json.
 
-    With this option, standard output contains the result as JSON and no other text.
+    With this option, standard output contains the result as JSON, and no other text.
     """
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON on standard output"
@@ -156,12 +149,12 @@ def add_clear_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_jobs_option(parser: argparse.ArgumentParser, default: int | None, text: str) -> None:
-    """Declare --jobs, the number of processes that work at the same time.
+    """Declare --jobs: number of parallel processes.
 
     Args:
         parser: parser of a command.
-        default: default number of processes. None stands for one process per processor core.
-        text: help text, to which the default is added.
+        default: default number of processes. None stands for one process for each core.
+        text: help text without the default.
     """
     default_text = "one per core" if default is None else str(default)
     parser.add_argument(
@@ -179,8 +172,7 @@ def add_output_option(
 def add_perturb_option(parser: argparse.ArgumentParser) -> None:
     """Declare --perturb.
 
-    With this option, values of the hand file are multiplied by factors. The simulated hand uses the
-    resulting values.
+    Each factor multiplies a value of the hand file. The product is the value of the simulated hand.
     """
     text = "change parameters of the simulated hand, e.g. stiffness=0.8 friction=1.3 (python -m firmware_sim --help)"
     parser.add_argument(
@@ -189,7 +181,7 @@ def add_perturb_option(parser: argparse.ArgumentParser) -> None:
 
 
 def perturb_option_words(args: argparse.Namespace) -> list[str]:
-    """Return the words that pass the factors of --perturb to the command line of the simulator."""
+    """Return the words that pass --perturb on to the command line of the simulator."""
     return ["--perturb", *args.perturb] if args.perturb else []
 
 
@@ -209,7 +201,7 @@ def add_time_scale_option(
     Args:
         parser: parser of a command.
         default: value of the time scale if the option is not given.
-        default_text: description of the default value for the help text.
+        default_text: description of this default for the help.
     """
     text = f"simulated time per wall time (default: {default_text})"
     parser.add_argument("--time-scale", type=float, default=default, metavar="X", help=text)
@@ -232,17 +224,14 @@ def add_gains_options(parser: argparse.ArgumentParser) -> None:
 
 
 def print_escaped(text: str, error: bool = False) -> None:
-    """Print a line that may contain text from a file.
-
-    Control characters in this line are printed as escape sequences.
-    """
+    """Print a line with text from a file. Control characters are escaped."""
     print(one_line_message(text), file=sys.stderr if error else sys.stdout)
 
 
 def warn_if_lossy(path: Path, warning: str) -> ExitCode:
-    """If a log is incomplete, print a warning.
+    """Warn if a log is incomplete.
 
-    Return the exit code of a command that could use only the readable part of a log.
+    Return the exit code of a command that has used only the readable part of a log.
     """
     if warning:
         print_escaped(f"handctl: {path}: {warning}", error=True)
@@ -250,21 +239,18 @@ def warn_if_lossy(path: Path, warning: str) -> ExitCode:
 
 
 def add_wire_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --wire.
-
-    With this option, each simulated frame takes as long as a frame on a real bus.
-    """
+    """Declare --wire. With this option, each simulated frame takes as long as on a real bus."""
     text = "the simulated bus has a bit rate, queues and errors; e.g. --wire queue=10 (python -m firmware_sim --help)"
     parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help=text)
 
 
 def wire_option_words(args: argparse.Namespace) -> list[str]:
-    """Return the words that pass the values of --wire to the command line of the simulator."""
+    """Return the words that pass --wire on to the command line of the simulator."""
     return [] if args.wire is None else ["--wire", *args.wire]
 
 
 def print_json(result: dict[str, Any]) -> None:
-    """Print the result of a command as JSON. A NaN in the result becomes null."""
+    """Print a result as JSON. A NaN in the result becomes null."""
     text = json.dumps(_json_value(result), indent=2, allow_nan=False)
     sys.stdout.write(
         text.replace("\x7f", "\\u007f") + "\n"

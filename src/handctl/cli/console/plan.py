@@ -1,4 +1,4 @@
-"""Conversion of command-line arguments to the inputs that the package ``handctl.session`` needs for a run."""
+"""Conversion of command-line arguments to the inputs of ``handctl.session``, the package that runs a hand."""
 
 import argparse
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from handctl.session.simulate import SimulatorSettings
 
 
 def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.RunPlan:
-    """Check the hand, the gains, the buses and the control rate on a command line, and return the plan of the run.
+    """Check the hand, gains, buses and control rate that a command line gives, and return the plan of the run.
 
     Raises:
         ConfigError: an argument or a file is wrong.
@@ -70,8 +70,7 @@ def print_notice(text: str) -> None:
     """Print a notice to standard error, unless ``--quiet`` is given.
 
     A text that begins with ``handctl:`` is a caution, and is printed even with ``--quiet``. If a
-    command makes several runs, such as a commissioning and a task, each caution is printed only
-    once.
+    command makes several runs, such as commissioning and a task, it prints each caution only once.
     """
     if text.startswith("handctl:"):
         if is_first_caution(text):
@@ -91,7 +90,7 @@ def layered_gains(args: argparse.Namespace, hand: Hand) -> gains.LayeredGains:
     """Return the gains that a run with the given arguments uses.
 
     Args:
-        args: arguments of the command, among them ``gains`` and ``gain``.
+        args: arguments with ``gains`` and ``gain``.
         hand: hand of the run.
 
     Raises:
@@ -104,8 +103,8 @@ def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
     """Return the path of the calibration file of a hand. The file may not exist yet.
 
     Raises:
-        ConfigError: the calibration file could not be written. This check comes before any motion
-            of the hand.
+        ConfigError: the calibration file could not be written. The path is checked before any
+            motion.
     """
     path: Path = args.calibration or Path(f"{hand.name}.calibration.toml")
     check_output(
@@ -121,18 +120,18 @@ def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
 def find_calibration(
     args: argparse.Namespace, hand: Hand, buses: Sequence[str] = ()
 ) -> tuple[Path, Calibration | None, str]:
-    """Return the path of the calibration file of a hand.
+    """Return the path of the hand's calibration file.
 
     If the hand may be armed with this calibration, also return the calibration.
 
     Args:
-        args: arguments of the command, among them ``--calibration``.
+        args: arguments with ``--calibration``.
         hand: description of the hand.
-        buses: buses of the hand that will be armed.
+        buses: buses of the hand to arm.
 
     Returns:
         the path of the file, the calibration, and a reason. If the hand may not be armed with the
-        calibration, the result contains None in its place, and the reason.
+        calibration, None takes its place and the reason is stated.
 
     Raises:
         ConfigError: a named file exists but cannot be used, or the file cannot be written.
@@ -144,15 +143,15 @@ def find_calibration(
 
 
 def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]:
-    """Return the factors of ``--perturb``, after a simulated hand has accepted these factors.
+    """Return the factors of ``--perturb``, after a simulated hand has accepted them.
 
     Args:
         args: arguments with the hand and ``--perturb``.
         simulated: True if the command simulates the hand.
 
     Raises:
-        ConfigError: a word has not the form KEY=NUMBER, a key or a factor is invalid, or the
-            command does not simulate a hand.
+        ConfigError: a word is not KEY=NUMBER, a key or a factor is invalid, or the command does not
+            simulate the hand.
     """
     factors = gains.gain_assignments(args.perturb, "--perturb")
     if factors and not simulated:

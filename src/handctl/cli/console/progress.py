@@ -1,4 +1,4 @@
-"""Progress bar on the terminal. It disappears when the work is done."""
+"""Progress bar on the terminal, which disappears when the work is done."""
 
 import sys
 from collections.abc import Iterator
@@ -24,9 +24,9 @@ def progress_bar(
     """Show a progress bar during a block, if standard error is a terminal.
 
     Args:
-        label: name of the work, which the bar shows.
-        total: number of steps of the work, or None if it is unknown.
-        quiet: True to show no progress bar.
+        label: name of the work.
+        total: number of steps, or None if unknown.
+        quiet: True to show no bar.
     """
     if quiet or is_quiet() or not sys.stderr.isatty():
         yield lambda done, total=None, label=None: None

@@ -1,4 +1,4 @@
-"""Questions that ``handctl config init`` asks on the terminal, and the files that are written from the answers."""
+"""Questions of ``handctl config init`` on the terminal, and the files written from the answers."""
 
 import sys
 from collections.abc import Callable, Collection
@@ -16,10 +16,10 @@ SCHEMA_FILE = "hand.schema.json"
 
 
 class HandQuestion(NamedTuple):
-    """Question about a new hand, for the operator.
+    """Question about a new hand.
 
     Attributes:
-        answer_field: name of the field in which the answer is stored.
+        answer_field: name of the field in the answers.
         question_text: text of the question, without the default.
         read_answer: function that converts the text of an answer to a value, or raises ValueError.
         expected_text: description of a valid answer, for error messages.
@@ -32,9 +32,9 @@ class HandQuestion(NamedTuple):
 
 
 def reader_of_choice(words: Collection[str]) -> Callable[[str], str]:
-    """Return a function that accepts only the given words as an answer.
+    """Return a function that accepts only the given words.
 
-    For any other text, this function raises ValueError.
+    For other texts, the function raises ValueError.
     """
 
     def read_choice(text: str) -> str:
@@ -80,8 +80,8 @@ DRIVE_AND_SENSOR_QUESTIONS = (
 def write_with_schema(output: Path, text: str) -> Path:
     """Write a new hand file.
 
-    If the folder contains no JSON Schema of hand files yet, write the schema there too. Return the
-    path of the schema.
+    Also write the JSON Schema of hand files in the same folder, unless the schema exists there.
+    Return the path of the schema.
     """
     schema = output.parent / SCHEMA_FILE
     write_text_atomically(output, text, new=True)
@@ -105,7 +105,7 @@ def check_terminal() -> None:
 def ask_question(question: HandQuestion, default_text: str, default: Any) -> Any:
     """Ask a question until the answer is valid or empty.
 
-    Return the answer. If it is empty, return the default.
+    Return the answer, or the default if it is empty.
     """
     while True:
         text = input(f"{question.question_text} [{default_text}]: ").strip()
@@ -118,14 +118,14 @@ def ask_question(question: HandQuestion, default_text: str, default: Any) -> Any
 
 
 def ask_motor_type(protocol: str | None, answer: str | None) -> str | None:
-    """Ask for the type of the motors, unless the type is known or the protocol needs none.
+    """Ask for the type of the motors, unless it is known or the protocol needs no type.
 
     Args:
-        protocol: protocol of the drives, or None if it is unknown.
+        protocol: protocol of the drives. None if the protocol is unknown.
         answer: motor type that an option gives, or None.
 
     Returns:
-        the motor type, or None if the operator gives no answer.
+        the motor type. If the operator gives no answer, the result is None.
     """
     types = PROTOCOL_TRAITS[protocol].motor_types if protocol else ()
     if answer is not None or not types:

@@ -1,4 +1,4 @@
-"""Console of the package rich. All commands use it for their output.
+"""Console of the package rich, for the output of all commands.
 
 The console escapes control characters in text from files. If the program that reads the output
 closes its pipe, the console ends the command.
@@ -16,8 +16,8 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
     Args:
         error: True to print on standard error. If standard error is closed, the text is dropped
             without an error.
-        min_width: smallest width of the console [columns]. If the terminal is narrower, the lines
-            of a table wrap, so that no number is cut off.
+        min_width: smallest width [columns]. In a narrower terminal, the lines of a table wrap, so
+            that no number is cut.
     """
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
@@ -26,23 +26,23 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
         def render(
             self, renderable: RenderableType, options: ConsoleOptions | None = None
         ) -> Iterable[Segment]:
-            """Escape all text that the console prints.
+            """Escape all printed text.
 
-            The control codes that rich itself writes are not escaped.
+            The function does not escape the control codes that rich itself writes.
             """
             for segment in super().render(renderable, options):
                 done = segment.control or segment.text.isprintable()
                 yield segment if done else Segment(escape_text(segment.text, "\n\t"), segment.style)
 
         def render_str(self, text: str, **keywords: Any) -> Any:
-            """Escape a string before rich measures the width of the string."""
+            """Escape a string before rich measures its width."""
             return super().render_str(escape_text(text, "\n\t"), **keywords)
 
         def on_broken_pipe(self) -> None:
-            """If the reader has closed the pipe, raise the same error as a command without rich.
+            """Raise the same error for a closed pipe as a command without rich raises.
 
-            ``main`` handles this error. If only the reader of the progress output has closed its
-            pipe, the command continues without this output.
+            ``main`` handles this error. If only the progress output has lost its reader, the
+            command continues without that output.
             """
             if not error:
                 raise BrokenPipeError

@@ -1,7 +1,7 @@
 """``handctl replay``: execute a recorded run again, repeat its motion on a hand, or judge it by other limits.
 
-Only the module of the kind of replay that the user selected is imported. So the modules for buses
-are imported only by ``replay drive``.
+Only the module of the requested kind of replay is imported. So only ``replay drive`` imports the
+modules of buses.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""``handctl replay safety``: list the stops that other safety limits would have caused in a recorded run.
+"""``handctl replay safety``: list the safety stops that a recorded run would have had with other limits.
 
 This module uses no bus.
 """
@@ -13,7 +13,7 @@ from handctl.replay.limits_judgement import LimitStop, judge_by_limits
 
 
 def _stop_fields(stop: LimitStop) -> dict[str, Any]:
-    """Return the fields of the JSON output that describe one stop."""
+    """Return the fields of the JSON output for a stop."""
     fields = stop._asdict()
     fields["logged"] = fields.pop("in_logged_run")
     return fields

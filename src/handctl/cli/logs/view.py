@@ -54,10 +54,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _picture_moment_s(args: argparse.Namespace, log: Any) -> float:
-    """Return the time of the run at which the picture shows it [s].
+    """Return the time [s] within the run for which the picture is drawn.
 
     Raises:
-        ConfigError: the time that ``--at`` gives is not within the run.
+        ConfigError: the time given by ``--at`` is not within the run.
     """
     from handctl.view.picture_time import picture_time
 
@@ -70,9 +70,9 @@ def _picture_moment_s(args: argparse.Namespace, log: Any) -> float:
 
 
 def _check_options(args: argparse.Namespace) -> None:
-    """Raise an error if two options contradict each other.
+    """Raise an error if options contradict each other.
 
-    The command calls this check before it reads the log.
+    This check comes before the log is read.
     """
     from handctl.view.viewer import check_screen, software_vulkan
 

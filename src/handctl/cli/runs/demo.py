@@ -1,6 +1,6 @@
 """``handctl demo``: grasp an object with a simulated hand over a local CAN bus.
 
-The demo needs no hardware.
+No hardware is needed.
 """
 
 import argparse
@@ -54,7 +54,7 @@ START_TIMEOUT_S = 20.0
 def run(args: argparse.Namespace) -> int:
     """Simulate and commission a hand, run a task on the hand, and report the result.
 
-    Return the exit code.
+    Returns the exit code.
     """
     refuse_view_without_screen(args.view and not args.lockstep)
     with hand_in_protocol(args):
@@ -92,11 +92,11 @@ def _run_demo(args: argparse.Namespace) -> int:
         outcome = _run_in_real_time(args, plan, TaskProgram(task), log, identified)
         truth = truth_path(plan.buses[0])
     wall = time.monotonic() - started
-    # this module reads the log, so it is needed only after the run
+    # this module is needed only after the run, to read its log
     from handctl.session.verdict import judge_run
 
     result = judge_run(plan, outcome, log, truth, task=task)
-    if result["truth"] != str(truth):  # a copy of the truth file lies next to the log
+    if result["truth"] != str(truth):  # a copy is next to the log
         truth.unlink(missing_ok=True)
     result |= _speed_ratio(outcome, plan, wall) if args.lockstep else {}
     code = print_run_result(result, outcome, plan, args.json)
@@ -115,9 +115,9 @@ def _calibration_path(log: Path) -> Path:
 
 
 def _check_not_overwritten(path: Path, log: Path) -> None:
-    """Check that a file which the demo will write does not exist yet.
+    """Check that a file of the demo does not exist yet.
 
-    An existing file with this name could be the calibration of a real hand.
+    An existing file could be the calibration of a real hand.
 
     Raises:
         ConfigError: the file exists.
@@ -127,7 +127,7 @@ def _check_not_overwritten(path: Path, log: Path) -> None:
 
 
 def _bus_words(names: tuple[str, ...]) -> list[str]:
-    """Return the values of the option ``--bus`` for a hand.
+    """Return the values of ``--bus`` for a hand.
 
     Each bus of the hand becomes a local bus of this process.
     """
@@ -142,7 +142,7 @@ def _run_in_real_time(
     log: Path,
     identified: IdentifiedByTendon,
 ) -> RunOutcome:
-    """Run the demo in real time. The simulator runs as a process of its own."""
+    """Run the demo in real time. The simulator is a separate process."""
     runners = (run_live, partial(run_live, live_view=args.view))
     with running_simulator(args, plan):
         return _commission_and_run(plan, program, log, runners, identified)
@@ -157,7 +157,7 @@ def _commission_and_run(
 ) -> RunOutcome:
     """Commission the hand, and then run the program.
 
-    In this run, the controller uses parameters of the hand that were identified in an earlier run.
+    In this run, the controller uses parameters of the hand that were identified earlier.
     """
     first, then = runners
     print_note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
@@ -184,15 +184,15 @@ def _run_in_lockstep(
 
 
 def _make_simulated_hand(args: argparse.Namespace, truth: Path | None) -> SimulatorSettings:
-    """Return the settings of the simulated hand for a run in lockstep."""
+    """Return the simulated hand for a run in lockstep."""
     perturb = gain_assignments(args.perturb, "--perturb")
     return SimulatorSettings(args.hand, args.scene, args.seed, perturb, truth=truth, wire=args.wire)
 
 
 def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall_s: float) -> dict[str, Any]:
-    """Return three fields of the result: simulated time, real time, and the ratio of both.
+    """Return three fields of the result: the simulated time, the real time, and the ratio of both.
 
-    Both times include the commissioning of the hand.
+    Both times include commissioning.
     """
     simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
     return {
@@ -205,7 +205,7 @@ def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall_s: float) -> dict[str,
 
 @contextmanager
 def running_simulator(args: argparse.Namespace, plan: RunPlan) -> Iterator[None]:
-    """Start the simulator as a process of its own, and stop this process at the end of the context.
+    """Start the simulator as a separate process, and stop it at the end of the context.
 
     Raises:
         BusError: the simulator does not start.
@@ -226,7 +226,7 @@ def running_simulator(args: argparse.Namespace, plan: RunPlan) -> Iterator[None]
         line = child.stdout.readline()
         if "ready" not in line:
             if child.wait(START_TIMEOUT_S) == ExitCode.BAD_INPUT:
-                raise SystemExit(ExitCode.BAD_INPUT)  # the simulator has already printed the reason
+                raise SystemExit(ExitCode.BAD_INPUT)  # the simulator has printed the reason
             raise BusError(
                 "the simulator did not start", SIMULATOR_PACKAGE, "a line that says ready"
             )

@@ -56,9 +56,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _jog_program(args: argparse.Namespace, names: tuple[str, ...], ceiling: float) -> JogProgram:
-    """Before the hand moves, check the goal, and return the program that moves the hand to this goal.
+    """Check the goal before the hand moves, and return the program that moves the hand to this goal.
 
-    An angle can be the goal of a digit or of a single joint.
+    An angle may be the goal of a digit or of a single joint.
 
     Raises:
         ConfigError: the digit, the duration, the tension or the angle is invalid.

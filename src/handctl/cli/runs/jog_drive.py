@@ -1,4 +1,4 @@
-"""``handctl jog --mode``: move one drive on a test bench within limits, in torque, position or velocity mode."""
+"""``handctl jog --mode``: move one drive on a bench in torque, position or velocity mode, within limits."""
 
 import argparse
 import math
@@ -40,7 +40,7 @@ ANGLE_UNIT = "rad"
 
 
 def run(args: argparse.Namespace) -> int:
-    """Move a drive on a test bench.
+    """Move a drive.
 
     Return 1 if the motion stopped early, and 71 if the drive does not confirm that it is disabled.
     """
@@ -79,9 +79,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _motion_goal(args: argparse.Namespace) -> JogGoal:
-    """Before a bus is opened, check every number on the command line.
-
-    Return the motion that the command line requests.
+    """Check every number of the command line before a bus is opened. Return the requested motion.
 
     Raises:
         ConfigError: an argument is missing or out of range.
@@ -112,7 +110,7 @@ def _motion_goal(args: argparse.Namespace) -> JogGoal:
 
 
 def _check_number(value: float, name: str, low: float, high: float) -> None:
-    """Check that the value of an argument is within a range. NaN is outside every range.
+    """Check that an argument is within a range. NaN is outside every range.
 
     Raises:
         ConfigError: the value is outside the range.
@@ -124,7 +122,7 @@ def _check_number(value: float, name: str, low: float, high: float) -> None:
 def _describe_motion(
     args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNode | None, goal: JogGoal
 ) -> Drive:
-    """Return the drive, configured for the mode of the requested motion.
+    """Return the drive, prepared for the mode of the requested motion.
 
     Raises:
         ConfigError: the protocol has no such mode or option.
@@ -132,7 +130,7 @@ def _describe_motion(
 
     def make_jog_drive(motor: Motor) -> Drive:
         if motor.protocol in ("odrive", "cia402"):
-            # Drives with this protocol count whole turns, and report no position range.
+            # A drive of this protocol counts turns, and reports no range.
             motor = motor.model_copy(update={"position_range_rad": MAX_POSITION_RANGE_RAD})
         if goal.mode == DriveMode.FORCE_POSITION and node and "torque_max_N_m" in node.settings:
             motor = _with_current_limit(motor, node.settings["torque_max_N_m"], goal.max_torque_N_m)
@@ -142,13 +140,13 @@ def _describe_motion(
 
 
 def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor:
-    """Return the description of a Damiao motor whose commands contain a torque limit.
+    """Return a Damiao motor whose commands contain a torque limit.
 
-    A command contains the torque limit as a fraction of the full scale.
+    A command contains the limit as a fraction of full scale.
 
     Args:
         motor: description of the motor.
-        full_scale: value in the register TMAX of the motor [N m]. This register keeps its value.
+        full_scale: value of the motor's register TMAX [N m]. The register keeps this value.
         torque: torque limit [N m].
     """
     options = {"current_fraction": min(1.0, torque / full_scale), **motor.options}
@@ -159,7 +157,7 @@ def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor
 def _torque_options(options: dict[str, Any]) -> dict[str, Any]:
     """Return those options of a drive that also apply in torque mode.
 
-    The result does not contain options that apply only in position mode or velocity mode.
+    The result does not contain the options of the position and velocity modes.
     """
     return {
         key: value
@@ -181,9 +179,7 @@ def _goal_text(goal: JogGoal) -> str:
 def _move_drive(
     args: argparse.Namespace, goal: JogGoal, drive: Drive, torque_drive: Drive
 ) -> tuple[JogResult, bool]:
-    """Move a drive, and then disable it.
-
-    Return the result, and True if the drive has confirmed that it is disabled.
+    """Move and disable a drive. Return the result, and True if the drive has confirmed that it is disabled.
 
     If a fault or a limit stops the motion, the drive keeps its latched fault, and stays in the mode
     of the motion. Otherwise the drive ends in torque mode.
@@ -207,14 +203,14 @@ def _move_drive(
                 if complete
                 else rig.confirm_off(watchdog_s)
             )
-            # Ctrl-C or a bug has ended the motion, and this is reported here
+            # the motion was ended by Ctrl-C or a bug: report this here
             if not off and result is None:
                 raise PowerError(NOT_OFF_WARNING)
     return result, off
 
 
 def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, off: bool) -> None:
-    """Print the result of a motion. It consists of values that the drive has reported."""
+    """Print the result of a motion, from the values that the drive has reported."""
     if args.json:
         values = {
             "moved_rad": result.moved_rad, "fastest_rad_s": result.max_speed_rad_s,

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     controller = make_controller(plan, program, calibration, arm_at_once=True)
     stdin_watch = StdinWatch() if args.until_eof else None
     outcome = run_live(plan, controller, log, live_view=args.view, observer=stdin_watch)
-    # this module reads the log, so it is needed only after the run
+    # this module is needed only after the run, to read its log
     from handctl.session.verdict import judge_run
 
     truth = args.truth or truth_path(plan.buses[0])
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _program_of_task(args: argparse.Namespace, plan: RunPlan) -> tuple[Program, dict[str, bytes]]:
-    """Return the program of the task or dataset, and the files that are attached to the log.
+    """Return the program of the task or dataset, and the files to attach to the log.
 
     If neither a task nor a dataset is given, the program waits for requests.
 

@@ -1,7 +1,7 @@
 """End of a run when standard input ends, for the option ``--until-eof``.
 
-When standard input ends, the run ends too. Standard input ends when the program that started the
-run ends.
+The end of standard input ends the run. Standard input ends when the program that started the run
+ends.
 """
 
 import os
@@ -16,17 +16,14 @@ READ_BYTES = 4096
 
 
 class StdinWatch:
-    """Observer of a run.
-
-    It requests a stop when standard input has ended, see ``session.run.RunObserver``.
-    """
+    """Observer of a run that requests a stop when standard input has ended, see ``session.run.RunObserver``."""
 
     def __init__(self) -> None:
         """Create the observer. At the start, standard input is assumed to be open."""
         self.input_ended = False
 
     def poll_requests(self) -> tuple[str, ...]:
-        """After standard input has ended, return a stop request once."""
+        """Return a stop request once, after standard input has ended."""
         if (
             self.input_ended
             or not select.select([STDIN_FD], [], [], 0)[0]
@@ -37,7 +34,4 @@ class StdinWatch:
         return (STOP_REQUEST,)
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
-        """Do nothing after a tick of the run.
-
-        The interface ``session.run.RunObserver`` requires this method.
-        """
+        """Do nothing in a tick of the run. ``session.run.RunObserver`` requires this method."""

@@ -35,7 +35,7 @@ MAX_FAULT_FREE_S = 86_400.0
 def run(args: argparse.Namespace) -> int:
     """Run a fault campaign, write the reports, and return the exit code.
 
-    The command fails if a scenario fails, or if an alarm occurs in a run without injected faults.
+    The command fails if a scenario fails, or if a run without injected faults causes an alarm.
     """
     check_seed(args.seed)
     if not 1 <= args.jobs <= MAX_JOBS:
@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def report_folder(args: argparse.Namespace) -> Path:
-    """Create the folder for the reports and for the logs of failed scenarios, and return its path."""
+    """Create and return the folder for the reports and for the logs of failed scenarios."""
     folder: Path = args.output or Path("logs") / "campaign"
     folder.mkdir(parents=True, exist_ok=True)
     return folder

@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
-    """Print the value, the source, the meaning and the bounds of every gain."""
+    """Print the value, origin, meaning and bounds of every gain."""
     layers = layered_gains(args, hand)
     values = values_by_key(layers.gains)
     gain_bounds = {key: bounds_after_check(key, value, "gains") for key, value in values.items()}
@@ -77,15 +77,12 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def gain_meaning(gain: GainBounds) -> str:
-    """Return the meaning and the unit of a gain.
-
-    Both come from the first line of the gain's description.
-    """
+    """Return the meaning and the unit of a gain, from the first line of the gain's description."""
     return gain.why.partition("\n")[0]
 
 
 def _provenance_text(provenance: GainsProvenance) -> str:
-    """Return a phrase that says where gains come from, with number, time and sources."""
+    """Return the provenance of gains as a phrase with number, time and sources."""
     sources = [*provenance.log, *filter(None, (provenance.fit, provenance.study, provenance.note))]
     number = f", number {provenance.number}" if provenance.number else ""
     made = f", made {provenance.made}" if provenance.made else ""
@@ -117,12 +114,12 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _gains_to_compare(word: str, hand: Hand) -> Gains:
-    """Return the set of gains that ``word`` names.
+    """Return the gains that ``word`` names.
 
-    This word is "packaged", "present", a number in the history, a log, or a gains file.
+    This word may be "packaged", "present", a number of the history, a log or a gains file.
 
     Raises:
-        ConfigError: the history contains no entry with this number.
+        ConfigError: the history has no such number.
     """
     store = GainsStore(hand.name)
     if word == "packaged":
@@ -169,8 +166,8 @@ def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
 def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
     """Restore earlier gains of the hand from the history.
 
-    If no number is given and the file of the present gains cannot be used, restore the newest entry
-    of the history.
+    If no number is given and the file of the present gains is unusable, restore the newest entry of
+    the history.
     """
     store = GainsStore(hand.name, hand.identity)
     entries = store.history_entries()
@@ -180,9 +177,9 @@ def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _rename_unusable(store: GainsStore) -> bool:
-    """If the file of the present gains cannot be used, rename this file, and report the new name.
+    """Rename the file of the present gains if it is unusable, and report its new name.
 
-    Return True if the file was renamed.
+    Return True if a file was renamed.
     """
     aside = store.set_aside()
     if aside:
@@ -201,7 +198,7 @@ def _report_done(args: argparse.Namespace, store: GainsStore, provenance: GainsP
 
 
 def _print_history(args: argparse.Namespace, hand: Hand) -> int:
-    """Print the history of the gains that were applied to the hand, and mark the present entry."""
+    """Print the history of the gains applied to the hand, and mark the present entry."""
     store = GainsStore(hand.name)
     entries = store.history_entries()
     try:
@@ -246,9 +243,9 @@ def _entry_line(entry: StoredGains, entries: list[StoredGains]) -> str:
 
 
 def _change_live_gains(args: argparse.Namespace) -> int:
-    """Change gains of a controller that is running, and return the exit code.
+    """Change gains of a running controller, and return the exit code.
 
-    If a value is invalid, an error is raised before a request is sent.
+    An invalid value raises an error before a request is sent.
     """
     from handctl.runtime.confirmed_requests import (
         absent_controller_reported,
@@ -284,7 +281,7 @@ def _wait_for_answers(
 ) -> dict[str, str]:
     """Wait until the controller has answered a request to change gains.
 
-    Return the event text about each gain that has changed.
+    Return the event text of each changed gain.
 
     Raises:
         ConfigError: the controller refuses the gains.

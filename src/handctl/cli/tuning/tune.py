@@ -1,6 +1,6 @@
-"""``handctl tune``: design gains, search for gains in simulation, and verify gains on the hand.
+"""``handctl tune``: design gains, search gains on the identified hand, and verify gains on the hand.
 
-Only the module of the kind of tuning that the user selected is imported.
+Only the module of the requested kind of tuning is imported.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Input and output files of the commands ``handctl tune design``, ``search`` and ``verify``."""
+"""Input and output files that all kinds of ``handctl tune`` share."""
 
 import argparse
 import shlex
@@ -18,7 +18,7 @@ from handctl.tune.search.ensemble import draw_ensemble, ensemble_widths
 
 
 def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, Path]:
-    """Return the paths to which the gains file and the picture will be written.
+    """Return the paths of the gains file and of the picture to write.
 
     Raises:
         ConfigError: a folder is missing, both paths are equal, or a path belongs to another file of
@@ -40,12 +40,12 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
 def ensemble_of_tuned_hand(
     args: argparse.Namespace, spread: dict[str, float], maximum: int
 ) -> tuple[dict[str, float], ...]:
-    """Return, for each simulated plant, the factors between its parameters and those of the hand to tune.
+    """Return the factors between the parameters of each simulated plant and those of the hand to tune.
 
-    The plants are an ensemble around the best estimate of the hand. Without a calibration, the
-    parameters at the centre of the ensemble are those of the hand file, multiplied by the factors
-    of ``--perturb``. If there is a calibration, its identified values already contain the effect of
-    these factors. In this case, the factors are not applied again.
+    The plants form an ensemble around the best estimate of the hand. Without a calibration, the
+    hand at the center of the ensemble has the parameters of the hand file, multiplied by the
+    factors of ``--perturb``. The identified values in a calibration already contain the effect of
+    these factors. With a calibration, the factors are therefore not applied again.
 
     Raises:
         ConfigError: the number of plants is too small or too large, or ``--perturb`` is wrong.
@@ -62,7 +62,7 @@ def ensemble_of_tuned_hand(
 def verify_command(args: argparse.Namespace, out: Path) -> str:
     """Return the command line that verifies new gains in simulation.
 
-    The options of this command line select the same hand.
+    The options of the returned command line select the same hand.
     """
     words = ["handctl", "tune", "verify", str(out), "--lockstep", "--hand", str(args.hand)]
     words += ["--calibration", str(args.fit)] if args.fit else []
@@ -88,16 +88,16 @@ def write_gains(
 
 
 class TunedHand(NamedTuple):
-    """Hand to tune: the hand of the hand file, the hand with identified parameters, and their spread.
+    """Hand to tune, the same hand with identified parameters, and the spread of these parameters.
 
     Attributes:
-        hand: hand with the parameters of the hand file. A gains file contains the name and the
+        hand: hand with the parameters of the hand file. A gains file records the name and the
             identity of this hand.
-        identified_hand: the same hand with identified parameters in place of those in the hand
-            file. The controller uses this hand as its model, as in a run with the same calibration.
-            The ensemble of simulated plants is centred at this hand.
-        factor_spread: half of the width of the ensemble for each parameter, which follows from the
-            identification, see ``draw_ensemble``.
+        identified_hand: hand with identified parameters in place of the parameters in the file.
+            This hand is the model of the controller, as in a run with the same calibration. This
+            hand is also the center of the ensemble of simulated plants.
+        factor_spread: half width of the ensemble for each parameter, from the identification, see
+            ``draw_ensemble``.
     """
 
     hand: Hand
@@ -106,7 +106,7 @@ class TunedHand(NamedTuple):
 
 
 def load_tuned_hand(name: str, fit: Path | None) -> TunedHand:
-    """Load the hand that will be tuned, and its identified parameters.
+    """Load the hand to tune and the identified parameters of this hand.
 
     Args:
         name: name of a packaged hand, or path of a hand file.

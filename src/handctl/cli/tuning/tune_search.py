@@ -1,6 +1,6 @@
-"""``handctl tune search``: search for the best gains by runs of simulated hands.
+"""``handctl tune search``: search for the best gains on simulated hands.
 
-If a search was interrupted, it can be resumed.
+An interrupted search can be resumed.
 """
 
 import argparse
@@ -30,9 +30,9 @@ from handctl.session.plan import control_rate
 
 
 def run(args: argparse.Namespace) -> int:
-    """Search for gains, draw the trials of the search, and write the gains file and the picture.
+    """Search for gains, draw the trials, and write the gains file and the picture.
 
-    The command fails if no trial has large enough stability margins.
+    The command fails if no trial keeps the stability margins.
     """
     from handctl.tune.plots import draw_search
     from handctl.tune.search.search import SearchPlan, run_search
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
 def _report_infeasible(
     args: argparse.Namespace, result: Any, storage: Path, picture: Path, trials: int
 ) -> int:
-    """Report that no trial has large enough stability margins, and return the exit code."""
+    """Report that no trial keeps the stability margins, and return the exit code."""
     if args.json:
         print_json(_report_fields(result, storage, None, picture))
     else:
@@ -98,10 +98,9 @@ def _report_infeasible(
 def _designed_gains(
     hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]
 ) -> tuple[Gains, ...]:
-    """Return the gains that ``tune design`` finds for the same simulated plants.
+    """Return gains that ``tune design`` finds for the same plants.
 
-    These gains are one of the starting points of the search. If the design fails, return an empty
-    tuple.
+    The search also starts from these gains. If the design fails, return an empty tuple.
     """
     from handctl.tune.loops.design import design_gains, linear_factors
 
@@ -115,7 +114,7 @@ def _designed_gains(
 
 
 class _SearchProgress:
-    """Display of the progress of a search: completed trials, best trial and remaining time."""
+    """Display of a search's progress: completed trials, best trial and remaining time."""
 
     def __init__(self, trials: int, quiet: bool) -> None:
         from rich.progress import (
@@ -153,7 +152,7 @@ class _SearchProgress:
     def show_result(self, result: Any) -> None:
         """Update the display of the search after a trial.
 
-        If there is no terminal, print at most one line in 5 s.
+        Without a terminal, print at most one line in 5 s.
         """
         text = (
             f"best {result.relative_cost(result.best):.3f}, trial {result.best.number}"

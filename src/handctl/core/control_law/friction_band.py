@@ -1,14 +1,13 @@
-"""Prediction of the tension of a moving digit, which depends on friction.
+"""Prediction of a moving digit's tension within its friction band.
 
-The tension filter uses the predicted tension as an input.
+The prediction is an input of the tension filter.
 
-Because of friction, the tension of a moving digit differs from the tension that springs and gravity
-require, by at most a certain amount up or down. The tension is at its upper limit while the tendon
-is wound, and at its lower limit while the tendon is paid out. When the motor reverses its motion,
-the digit stops for a short time while the motor moves. The motor stretches or releases the tendon,
-and the tension changes from one limit to the other in about ten milliseconds. This change of the
-tension starts with the reversal of the tendon. The trajectory of the digit may reverse earlier or
-later than the tendon. At rest, the digit creeps slowly until friction carries no load. Source:
+Because of friction, the tension of a moving digit is in a band around the tension that springs and
+gravity require. The tension is at the upper edge of the band while the tendon is wound, and at the
+lower edge while it is paid out. At a reversal, the digit sticks while the motor moves. The motor
+stretches or releases the tendon, and the tension changes from one edge to the other in about ten
+milliseconds. This change starts with the reversal of the tendon. The trajectory may reverse earlier
+or later than the tendon. At rest, the digit creeps until friction carries no load. Source:
 Prandtl's elastic-plastic element, with a viscous slider below ``CAPSTAN_FRICTION_SPEED_M_S``.
 """
 
@@ -37,18 +36,18 @@ MAX_EFFICIENCY = 1.0 - 1e-9
 def predict_moving_tension(
     x: StateTables, c: ConstantTables, n: int, rate: float, efficiency: float
 ) -> None:
-    """Predict for the next tick the tension of a moving tendon, the rate of the tension, and the friction.
+    """Predict the tension of a moving tendon, its rate of change, and the development of its friction.
 
-    The friction is a number from 1 for a tendon that is wound to -1 for a tendon that is paid out.
+    The prediction is for the next tick.
 
     Args:
-        x: state tables, with ``PLANNED_TENSION`` of the last tick and ``FILTER_FORCE`` of the
-            present tick.
+        x: state tables, with ``PLANNED_TENSION`` of the last tick and ``FILTER_FORCE`` of this
+            tick.
         c: constants of the hand.
         n: index of the tendon.
         rate: planned speed of the tendon [m/s].
-        efficiency: tension at the joints, divided by the tension at the load cell, while the tendon
-            is wound.
+        efficiency: tension at the joints as a fraction of the tension at the load cell, while the
+            tendon is wound.
     """
     before = x.tendon[s.PLANNED_TENSION, n]
     period = c.run[h.PERIOD]
@@ -93,16 +92,15 @@ def tension_after_period(
 
     Args:
         present_tension: present tension [N].
-        load: tension that the digit would need at the next tick if there were no friction [N].
-        efficiency: tension at the joints, divided by the tension at the load cell, while the tendon
-            is wound.
-        wound_length: tendon length that the spool winds in the period [m].
+        load: tension that the digit would need at the next tick without friction [N].
+        efficiency: tension at the joints as a fraction of the tension at the load cell, while the
+            tendon is wound.
+        wound_length: length that the spool winds in the period [m].
         stiffness: stiffness of the tendon [N/m].
         crept_length: largest length by which the tendon can creep in the period [m].
     """
     creep = stiffness * crept_length / (load * (1.0 - efficiency) + MIN_FRICTION_N)
-    # The motion of the viscous slider is computed by an implicit Euler step, which is stable for
-    # any period.
+    # The viscous slider is computed by an implicit Euler step, which is stable for any period.
     sticking = (present_tension + stiffness * wound_length + creep * load) / (1.0 + creep)
     return min(max(sticking, load * efficiency), load / efficiency)
 
@@ -118,25 +116,25 @@ def _predict_pair_tension(
 ) -> None:
     """Write the results of ``predict_moving_tension`` for a spool pair.
 
-    Whenever the pair moves, one of its tendons is wound and the other is paid out.
+    At both edges of the friction band, one tendon of the pair is wound up, and the other is paid
+    out.
 
     Args:
         x: state tables.
         c: constants of the hand.
         n: index of the spool pair.
-        coming_tension: net tension that the digit would require at the next tick if there were no
-            friction [N].
-        efficiency: tension at the joints, divided by the tension at the load cell, for a tendon
-            that is wound.
-        wound_length: tendon length that the spool winds in the period [m].
+        coming_tension: net tension that the digit would require at the next tick without friction
+            [N].
+        efficiency: tension at the joints as a fraction of the tension at the load cell, while a
+            tendon is wound.
+        wound_length: length that the spool winds in the period [m].
     """
     before = x.tendon[s.PLANNED_TENSION, n]
     pretension = c.tendon[h.PRETENSION, n]
     period = c.run[h.PERIOD]
     upper = net_tension_at_spool(coming_tension, pretension, efficiency)
     lower = net_tension_at_spool(coming_tension, pretension, 1.0 / efficiency)
-    # 0 means that the tension of the last tick is unknown.
-    now = x.tendon[s.TENSION, n] if before == 0.0 else before
+    now = x.tendon[s.TENSION, n] if before == 0.0 else before  # 0 stands for an unknown tension
     stiffness = c.tendon[h.TENDON_STIFFNESS, n]
     creep = stiffness * MIN_SLIDING_SPEED_M_S * period / (0.5 * (upper - lower) + MIN_FRICTION_N)
     sticking = (now + stiffness * wound_length + creep * coming_tension) / (1.0 + creep)

@@ -1,6 +1,6 @@
-"""Copy of the goals of all digits into the state block.
+"""Transfer of the goals of all digits into the state block.
 
-The goals are copied only after a change of the goals.
+This is necessary only after a change of the goals.
 """
 
 import functools
@@ -36,8 +36,8 @@ def write_goals(
     ):
         kinds[tendons] = int(_kind_of_control(goal))
         if goal.kind == GoalKind.TENSION and goal.trajectory is not None:
-            # While the other tendons of a digit pull, a spool pair that moves the digit sideways
-            # holds its position.
+            # While the other tendons pull, spool pairs that move the digit sideways hold their
+            # position.
             kinds[tendons][model.redundancy.side[tendons] == 0.0] = int(GoalKind.MOTION)
         if goal.kind == GoalKind.TENSION and goal.tension is not None:
             tendon[s.TENSION_TARGET, tendons] = np.clip(
@@ -61,9 +61,9 @@ def write_goals(
 
 
 def _kind_of_control(goal: DigitGoal) -> GoalKind:
-    """Return the kind of control that a goal requires.
+    """Return the kind of control of a goal.
 
-    The kind is LIMP if the goal has no trajectory or tension although its kind requires one.
+    The kind is LIMP if the goal lacks the trajectory or the tension that it needs.
     """
     if (goal.kind == GoalKind.MOTION and goal.trajectory is None) or (
         goal.kind == GoalKind.TENSION and goal.tension is None
@@ -75,7 +75,7 @@ def _kind_of_control(goal: DigitGoal) -> GoalKind:
 def sample_trajectories(
     model: HandModel, layout: BlockLayout, block: BlockArray, goals: tuple[DigitGoal, ...], t: float
 ) -> None:
-    """Write the motion at time t [s] on those trajectories that only Python code can evaluate."""
+    """Write the motion at time t [s] on those trajectories that compiled code cannot evaluate."""
     for trajectory, since, places in sampled_goals(model, goals):
         layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, places] = (
             trajectory.motion_at(t - since)
@@ -86,7 +86,7 @@ def sample_trajectories(
 def sampled_goals(
     model: HandModel, goals: tuple[DigitGoal, ...]
 ) -> tuple[tuple[Trajectory, float, slice], ...]:
-    """Return trajectory, start time [s] and coordinates of each goal whose trajectory Python must evaluate."""
+    """Return trajectory, start time [s] and slice of coordinates of each goal that needs Python code."""
     rows = zip(goals, model.digit_coordinates, strict=True)
     return tuple(
         (goal.trajectory, goal.since, places)

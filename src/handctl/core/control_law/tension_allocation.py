@@ -1,10 +1,9 @@
-"""Conversion of joint torques to tendon tensions, by a bounded least-squares problem for each digit.
+"""Conversion of joint torque to tendon tensions: the bounded least-squares problem of a tendon-driven digit.
 
-The problem, with the mean moment arm r, is: minimise |R^T f - tau|^2 / r^2 + regularisation |f -
-f_min|^2 subject to f_min <= f <= f_max. If the equations R^T f = tau have a unique solution within
-the bounds, this solution is used. If no tensions within the bounds make the required torque, the
-tensions make the closest possible torque, and all coordinates have equal weights. The difference
-between required and possible torque is also returned.
+The problem is: minimise |R^T f - tau|^2 / r^2 + regularisation |f - f_min|^2 subject to f_min <= f
+<= f_max, with the mean moment arm r. If the equations R^T f = tau have a unique solution within the
+bounds, this solution is used. If no tensions within the bounds make the torque, the closest
+possible torque is used, with equal weights of all coordinates. The missing torque is then returned.
 Source: Lee & Tsai (1991).
 """
 
@@ -25,17 +24,16 @@ The weight is so small that it only selects one of several solutions with equal 
 def tensions_for_torque(
     moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector
 ) -> tuple[Vector, Vector]:
-    """Return the tensions of a digit that make a torque, and the part of the torque that they cannot make.
+    """Return the tensions of a digit that make a torque, and the part of the torque that they do not make.
 
     Args:
         moment_arms: (n_t, n_c) reduced moment arms [m].
-        torque: (n_c,) required torque in the digit's coordinates [N m].
-        floor: (n_t,) smallest allowed tensions [N].
-        ceiling: (n_t,) largest allowed tensions [N].
+        torque: (n_c,) torque in the digit's coordinates [N m].
+        floor: (n_t,) smallest tensions [N].
+        ceiling: (n_t,) largest tensions [N].
 
     Returns:
-        The tensions (n_t,) [N], and the part of the torque that the tensions cannot make (n_c,) [N
-        m].
+        The tensions (n_t,) [N], and the missing torque (n_c,) [N m].
     """
     tension = _unique_solution(moment_arms, torque)
     if tension is None or (tension < floor).any() or (tension > ceiling).any():
@@ -46,7 +44,7 @@ def tensions_for_torque(
 
 
 def _unique_solution(moment_arms: Vector, torque: Vector) -> Vector | None:
-    """Return the unique tensions that make a torque, without regard to the bounds of the tensions.
+    """Return the unique solution of the problem without bounds.
 
     Return None if the digit has more tendons than coordinates.
     """
@@ -58,13 +56,13 @@ def _unique_solution(moment_arms: Vector, torque: Vector) -> Vector | None:
 
 
 class _AllocationProblem(NamedTuple):
-    """Matrices of the quadratic program that finds a digit's tensions.
+    """Constants of a digit's quadratic program.
 
     Attributes:
         arms: (n_t, n_c) moment arms divided by their mean.
-        mean: mean of the moment arms [m].
+        mean: mean moment arm [m].
         weight: (n_t, n_t) matrix of the quadratic form.
-        unconstrained: (0, n_t) matrix without rows, because the program has no linear constraints.
+        unconstrained: (0, n_t) matrix of the linear constraints, of which there are none.
     """
 
     arms: Vector
@@ -79,9 +77,9 @@ MAX_CACHED_PROBLEMS = 64
 
 
 def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
-    """Return the quadratic program for given moment arms.
+    """Return the quadratic program for moment arms.
 
-    The program is kept for later calls with the same array, if the array of moment arms is
+    The quadratic program is cached under the identity of the array, if the array of arms is
     read-only.
     """
     result = _cached_problems.get(id(moment_arms))
@@ -102,21 +100,21 @@ def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
 def solve_bounded(
     moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector, preferred_tension: Vector
 ) -> Vector:
-    """Return the tensions (n_t,) within the bounds that solve the quadratic program, by the solver daqp.
+    """Return the tensions (n_t,) within the bounds that solve the quadratic program, by daqp.
 
     Args:
         moment_arms: see ``tensions_for_torque``.
         torque: see ``tensions_for_torque``.
         floor: see ``tensions_for_torque``.
         ceiling: see ``tensions_for_torque``.
-        preferred_tension: (n_t,) tensions at which the solver starts [N], for example the solution
-            without bounds. The solver first assumes that the bounds that these tensions violate are
-            active. Good start tensions halve the number of steps of the solver.
+        preferred_tension: (n_t,) start tensions [N], for example the solution without bounds. The
+            bounds that these tensions violate are the first active set of the solver. This halves
+            the number of steps of the solver.
     """
     arms, mean, weight, unconstrained = _cached_problem(moment_arms)
     linear = -(arms.dot(torque / mean) + REGULARISATION_WEIGHT * floor)
     start = np.minimum(np.maximum(preferred_tension, floor), ceiling)
-    # The bounds and the weights are copied, because daqp may change the arrays in its arguments.
+    # Bounds and weights are copied, because daqp may write into its arguments.
     result = solve(
         weight.copy(), linear, unconstrained, ceiling.copy(), floor.copy(), primal_start=start
     )

@@ -10,7 +10,7 @@ from handctl.core.tick_types import Vector
 
 
 class Trajectory(Protocol):
-    """Motion of a digit that starts and ends at rest."""
+    """Motion of a digit from rest to rest."""
 
     @property
     def duration(self) -> float:
@@ -27,16 +27,16 @@ class Trajectory(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BlendTrajectory:
-    """Part of a move that continues an earlier motion of the digit, and fades out.
+    """Part of a move that continues an earlier motion and fades out.
 
-    The added position is the sum of two polynomials of degree 5. At the start, the first polynomial
-    has a rate of 1, and the second has an acceleration of 1. All other values, rates and
-    accelerations of the two polynomials at the start and at the end are 0.
+    The part is the sum of two quintics. The first quintic has a rate of 1 at the start, and the
+    second quintic has an acceleration of 1. All other values, rates and accelerations at the start
+    and at the end are 0.
 
     Attributes:
-        speed: (n,) rate of the earlier motion at t = 0 [rad/s].
-        acceleration: (n,) acceleration of the earlier motion at t = 0 [rad/s^2].
-        duration: time in which the earlier motion fades out [s], > 0.
+        speed: (n,) rate at t = 0 [rad/s].
+        acceleration: (n,) acceleration at t = 0 [rad/s^2].
+        duration: time in which the part fades out [s], > 0.
     """
 
     speed: Vector
@@ -64,14 +64,13 @@ class BlendTrajectory:
 class MinimumJerk:
     """A straight move of a digit's coordinates with minimum jerk, which ends at rest.
 
-    Source: Flash & Hogan (1985), with the position 10 s^3 - 15 s^4 + 6 s^5, where s is the fraction
-        of the duration.
+    Source: Flash & Hogan (1985): position 10 s^3 - 15 s^4 + 6 s^5 of normalised time s.
 
     Attributes:
         start: (n,) coordinates at t = 0 [rad].
         end: (n,) coordinates at t = duration [rad].
         duration: duration of the move [s], > 0.
-        blend: part of the move that continues an earlier motion, or None if the move starts at
+        blend: part of the move that continues an earlier motion. None if the move starts at
             rest.
     """
 
@@ -93,9 +92,7 @@ class MinimumJerk:
 
 @dataclass(frozen=True, slots=True)
 class StreamedTrajectory:
-    """Motion of a digit along the targets that a client streams.
-
-    The targets are in the state block.
+    """Motion of a digit along the streamed targets of a client. The targets are in the state block.
 
     Attributes:
         duration: 0 [s], because the end of a stream is unknown.
@@ -106,15 +103,14 @@ class StreamedTrajectory:
 
 @dataclass(frozen=True, slots=True)
 class CurveTrajectory:
-    """Motion of a digit along a cubic spline through given points, at rest at both ends.
+    """A cubic spline through points, at rest at both ends.
 
-    The coordinates of a digit either all follow one spline, or each coordinate has its own spline.
+    The coordinates of a digit either share one spline, or have a spline each.
 
     Attributes:
         times: (k,) times of the points [s], in rising order from 0.
-        coefficients: (4, k - 1) coefficients of the cubic polynomial in each piece of the curve,
-            highest power first [rad/s^3 .. rad]. If each coordinate has its own spline, the shape
-            is (4, k - 1, n).
+        coefficients: (4, k - 1) coefficients of the cubic in each piece of the curve, highest power
+            first [rad/s^3 .. rad]. With one cubic for each coordinate, the shape is (4, k - 1, n).
         coordinates: number of the digit's coordinates.
     """
 
@@ -126,7 +122,7 @@ class CurveTrajectory:
     def through_points(
         times: tuple[float, ...], angles: tuple[float, ...] | Vector, coordinates: int
     ) -> "CurveTrajectory":
-        """Return the curve through the angles (k,) or (k, n) [rad] at the given times [s]."""
+        """Return the curve through angles (k,) or (k, n) [rad] at times [s]."""
         from scipy.interpolate import CubicSpline
 
         spline = CubicSpline(times, angles, bc_type="clamped")
@@ -157,9 +153,9 @@ class CurveTrajectory:
         return _equal_coordinates(values, self.coordinates)
 
     def peak_speed(self) -> float:
-        """Return the largest speed on the curve [rad/s].
+        """Return the peak speed [rad/s].
 
-        The largest speed occurs at an end of a piece, or where the acceleration is 0.
+        The peak occurs at an end of a piece, or where the acceleration is 0.
         """
         a, b, c, _ = self.coefficients
         length = np.diff(self.times).reshape(-1, *(1,) * (a.ndim - 1))
@@ -177,7 +173,7 @@ class SampledTrajectory:
         position: (n,) coordinates [rad].
         velocity: (n,) rates of the coordinates [rad/s].
         acceleration: (n,) accelerations of the coordinates [rad/s^2].
-        duration: 0 [s], because the end of the motion is unknown.
+        duration: 0 [s], because the end is unknown.
     """
 
     position: Vector
@@ -186,7 +182,7 @@ class SampledTrajectory:
     duration: float = 0.0
 
     def motion_at(self, t: float) -> Vector:
-        """Return position, velocity and acceleration (3, n), which are the same for every time t.
+        """Return the instant of motion (3, n), which is the same for every time.
 
         See ``Trajectory.motion_at``.
         """
@@ -195,17 +191,17 @@ class SampledTrajectory:
 
 @dataclass(frozen=True, slots=True)
 class ChirpTrajectory:
-    """Oscillation of a digit about a joint angle, with rising frequency.
+    """Oscillation about an angle.
 
-    The frequency of the oscillation rises linearly, and the amplitude grows and decays smoothly.
+    The frequency of the motion rises linearly, and the amplitude grows and decays smoothly.
 
     Attributes:
-        centre: mean joint angle [rad].
-        amplitude: largest amplitude of the oscillation [rad].
+        centre: mean angle [rad].
+        amplitude: largest amplitude [rad].
         low: frequency at the start [Hz].
         high: frequency at the end [Hz].
         duration: duration of the oscillation [s].
-        coordinates: number of the digit's coordinates, which all have the same motion.
+        coordinates: number of the digit's coordinates. All of them have the same motion.
     """
 
     centre: float
@@ -234,7 +230,7 @@ class ChirpTrajectory:
         return _equal_coordinates(values, self.coordinates)
 
     def _amplitude_envelope(self, t: float) -> tuple[float, float, float]:
-        """Return the factor of the amplitude at time t [s], and its first [1/s] and second [1/s^2] time derivative."""
+        """Return the factor on the amplitude at time t [s], with its rate [1/s] and its acceleration [1/s^2]."""
         ramp = 0.1 * self.duration
         left = min(t, self.duration - t)
         if left >= ramp:
@@ -249,7 +245,7 @@ class ChirpTrajectory:
 
 
 def _equal_coordinates(values: tuple[float, float, float], coordinates: int) -> Vector:
-    """Return position, rate and acceleration (3, n) of a motion in which all n coordinates move equally."""
+    """Return position, rate and acceleration of a motion with n equal coordinates, (3, n)."""
     return np.array([[value] * coordinates for value in values])
 
 
@@ -258,7 +254,7 @@ PEAK_SPEED_RATIO = 1.875
 
 
 def minimum_jerk_duration(distance: float, speed: float, shortest: float) -> float:
-    """Return the duration [s] of a minimum-jerk move over ``distance`` [rad] with the peak speed ``speed`` [rad/s].
+    """Return the duration [s] of a minimum-jerk move over ``distance`` [rad] with peak speed ``speed`` [rad/s].
 
     The result is at least ``shortest`` [s].
     """

@@ -1,1 +1,1 @@
-"""Compiled fault detectors, which compare the measurements of a tick with a model of the hand."""
+"""Compiled fault detectors: update of their memory between ticks, and search for the faults of a tick."""

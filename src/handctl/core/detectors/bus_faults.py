@@ -1,4 +1,4 @@
-"""Detectors of bus faults, rows B01 to B17 of the fault catalogue, see ``safety.faults.bus``."""
+"""Detectors of the bus faults, rows B01 to B17 of the fault catalogue, see ``safety.faults.bus``."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,9 +62,9 @@ def detect_bus_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: 
 
 @kernel_helper
 def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
-    """Find motors whose feedback is overdue.
+    """Find motors with overdue feedback.
 
-    If the host missed a tick, feedback is not overdue, because the host did not request it.
+    If the host missed a tick, feedback is not overdue, because the host requested none.
     """
     youngest = motor_ticks_overdue(x, c, 0, x.run_int[s.T_NS])
     for n in range(x.tendon.shape[1]):
@@ -81,7 +81,7 @@ def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Eviden
 
 @kernel_helper
 def _detect_lost_replies(x: StateTables, evidence: Evidence) -> None:
-    """Find nodes of which many replies are missing."""
+    """Find nodes that have not sent many of their replies."""
     for node in range(x.node_int.shape[1]):
         number = count_lost_replies(x, node)
         if number > HOLD_LOST_FRAMES:
@@ -92,7 +92,7 @@ def _detect_lost_replies(x: StateTables, evidence: Evidence) -> None:
 
 @kernel_helper
 def _detect_bad_frames(x: StateTables, evidence: Evidence) -> None:
-    """Find malformed frames, and nodes that sent two replies to one request."""
+    """Find malformed frames, and duplicate replies with equal or different bytes."""
     for node in range(x.node_int.shape[1]):
         if x.node_int[s.MALFORMED, node] & 1:
             number = count_set_bits(x.node_int[s.MALFORMED, node])

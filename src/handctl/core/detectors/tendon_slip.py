@@ -1,4 +1,4 @@
-"""Slip of each tendon: change of the difference between spool position and joint encoders while it is taut."""
+"""Slip of a tendon: change of the difference between spool and joint encoders, since the tendon became taut."""
 
 import math
 
@@ -33,8 +33,7 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
     for n in range(x.tendon.shape[1]):
         tension = monitored_tension(x, c, n, tared)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            # At least one tendon of a spool pair is always taut.
-            x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]
+            x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]  # one tendon of a spool pair is always taut
         elif tension < SLACK_N or _is_tautness_unknown(x, c, n):
             x.tendon[s.TAUT_S, n] = 0.0
         elif tension > TAUT_N:
@@ -60,13 +59,13 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
 def _is_tautness_unknown(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True for a tendon without load cell whose motor is commanded to make no torque.
 
-    After the torque of such a motor is cut, the motor turns freely, and its tendon becomes slack.
-    Without a load cell, the friction of a motor at rest looks like tension.
+    Such a motor turns freely when its tension is cut, and the tendon becomes slack. The friction of
+    a motor at rest looks like tension.
     """
     return c.tendon_int[h.CELL_GROUP, n] < 0 and math.isnan(x.tendon[s.COMMANDED_TENSION, n])
 
 
 @kernel_helper
 def derailed_limit(c: ConstantTables, n: int) -> float:
-    """Return the slip above which a tendon counts as derailed from its pulley [deg]."""
+    """Return the slip above which a tendon counts as derailed [deg]."""
     return DERAILED_WITHOUT_CELL_DEG if c.tendon_int[h.CELL_GROUP, n] < 0 else DERAILED_DEG

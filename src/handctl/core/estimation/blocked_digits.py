@@ -1,10 +1,9 @@
-"""Detection of digits that touch a stop or an object although no contact is planned.
+"""Detection of blocked digits: digits in an unplanned contact with a stop or an object.
 
-A digit is blocked if its tensions differ from the model by more than the largest error of the
-model. For digits that close, ``programs.task_program`` has a more sensitive test. The tension
-filter must know which digits are blocked, because the filter assumes that a digit that is not
-blocked follows its tendon. If the filter assumed that a blocked digit follows its tendon, the
-control loop would oscillate.
+A digit is blocked if its unexplained tension exceeds any error of the model. For closing digits,
+``programs.task_program`` has a finer test. The tension filter must know which digits are blocked,
+because it assumes that a free digit follows its tendon. If the filter assumed this of a blocked
+digit too, the control loop would oscillate.
 """
 
 from handctl.compiled import kernel_helper
@@ -36,7 +35,7 @@ limits.
 
 @kernel_helper
 def update_blocked(x: StateTables, c: ConstantTables) -> None:
-    """Find the digits that are blocked in the present tick."""
+    """Update whether each digit is blocked."""
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.TENDONS_FIRST, d]
         end = c.digit_int[h.TENDONS_END, d]
@@ -56,7 +55,7 @@ def update_blocked(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def reset_blocked(x: StateTables) -> None:
-    """Mark all digits as not blocked, because a contact cannot be observed without motor torque."""
+    """Mark all digits as not blocked, because contact cannot be observed without torque."""
     for d in range(x.digit.shape[1]):
         x.digit[s.TOUCH, d] = 0.0
         if x.digit_int[s.BLOCKED, d]:

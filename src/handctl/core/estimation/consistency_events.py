@@ -1,4 +1,4 @@
-"""Log events for tendons whose measurements start or stop to agree with the model, and for blocked digits."""
+"""Log events for tendons whose model becomes inconsistent or consistent again, and for blocked digits."""
 
 from typing import Any, Protocol
 
@@ -14,19 +14,19 @@ class NamedFields(Protocol):
     """State block whose fields are read by name."""
 
     def view(self, name: str) -> NDArray[Any]:
-        """Return the array of the field with the given name."""
+        """Return the array of a field."""
         ...
 
 
 def consistency_events(
     model: HandModel, before: NamedFields, after: NamedFields
 ) -> tuple[TickEvent, ...]:
-    """Return log events for tendons whose consistency changed and for digits that became blocked or free.
+    """Return the log events for changes of consistency and blocking between two ticks.
 
     Args:
         model: model of the hand.
-        before: state of the controller after the last tick.
-        after: state of the controller in the present tick.
+        before: state after the last tick.
+        after: state in the present tick.
     """
     events: list[TickEvent] = []
     doubtful = after.view("doubtful")

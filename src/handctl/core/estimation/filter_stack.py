@@ -1,4 +1,4 @@
-"""Arrays of the tension filter: states of a tendon, filter designs, and one filter for all tendons."""
+"""Arrays of the tension filter: states and regimes of a tendon, its filter designs, and one filter for all tendons."""
 
 import enum
 import functools
@@ -23,7 +23,7 @@ force on the motor [N], load-cell error [N], stretch offset [m].
 
 
 class TendonRegime(enum.IntEnum):
-    """Regime of a tendon: free, held or slack, each with its own relation between motor and digit."""
+    """Regime of a tendon: the way in which the filter's model couples motor and digit."""
 
     FREE = 0
     """The tendon is taut, and the digit follows it freely.
@@ -52,25 +52,23 @@ SLACK_REGIME = int(TendonRegime.SLACK)
 
 @dataclass(frozen=True, slots=True)
 class FilterBlock:
-    """Kalman filter with constant gains for one tendon in one regime.
+    """Steady-state filter of one tendon in one regime.
 
     Attributes:
-        F: (7, 7) transition of the states over a period.
-        B: (7, 2) effect of the inputs on the states over a period in which the inputs are constant.
-        H: (3, 7) expected measurements per unit of each state.
-        K: (7, 3) gain by which the differences of measurements and expected measurements correct
-            the states.
-        Q: (7, 7) covariance of the process noise over a period.
-        R: (2,) variances of encoder and load cell.
-        P: (7, 7) constant covariance of the predicted states.
-        cell_error_observable: True if the measurements distinguish a load-cell error from tension.
-        cell_error_variance: part of ``tension_variance`` that a load-cell error causes if no
-            measurement shows this error [N^2].
-        tension_row: (7,) tension per unit of each state.
+        F: transition over a period, (7, 7).
+        B: effect of the inputs over a period in which they are constant, (7, 2).
+        H: expected measurements per state, (3, 7).
+        K: steady-state gain of the update, (7, 3).
+        Q: process noise covariance of a period, (7, 7).
+        R: variances of encoder and load cell, (2,).
+        P: covariance of the prediction in steady state, (7, 7).
+        cell_error_observable: True if the load-cell error is observable.
+        cell_error_variance: part of ``tension_variance`` that an unobservable load-cell error
+            causes [N^2].
+        tension_row: tension per state, (7,).
         tension_variance: variance of the predicted tension [N^2].
-        innovation_information: (2, 2) inverse covariance of the innovations of encoder and load
-            cell.
-        cell_sigma: standard deviation of the innovation of the load cell [N].
+        innovation_information: inverse covariance of encoder and load-cell innovations, (2, 2).
+        cell_sigma: standard deviation of the load-cell innovation [N].
     """
 
     F: Matrix
@@ -89,13 +87,13 @@ class FilterBlock:
 
 
 class StateTransition(NamedTuple):
-    """Matrices that predict the filter states of all tendons over a control period.
+    """Transition of the states of all tendons over a period.
 
-    The 7 N states are the travels of all tendons, then the speeds of all tendons, and so on.
+    The 7 N states are the travels of all tendons, then their speeds, and so on.
 
     Attributes:
-        F: (7N, 7N) transition of the states.
-        B: (7N, 2N) effect of the inputs on the states.
+        F: transition of the states, (7N, 7N).
+        B: effect of the inputs, (7N, 2N).
     """
 
     F: Matrix
@@ -112,29 +110,28 @@ design kinds.
 
 @dataclass(frozen=True, slots=True)
 class FilterDesign:
-    """Filter designs of all tendons in all regimes.
+    """Filters of all tendons.
 
     Attributes:
-        blocks: filter of each tendon and each kind of design, ``blocks[tendon][kind]``. The number
-            of a kind is the regime, plus 3 for a filter with added process noise.
-        transition: function that returns the ``StateTransition`` of all tendons. The argument of
-            this function contains the kinds of design of the N tendons, as the bytes of int64
-            numbers. The results of ``transition`` are cached, because the kinds of design rarely
-            change.
+        blocks: filter of each tendon and kind, ``blocks[tendon][kind]``. The kind is the regime,
+            plus 3 for a filter with added process noise.
+        transition: function that returns the transition of all tendons. The argument of this
+            function contains the kinds of the N tendons, as the bytes of int64 numbers. The results
+            of this function are cached, because the kinds rarely change.
     """
 
     blocks: tuple[tuple[FilterBlock, ...], ...]
     transition: "Callable[[bytes], StateTransition]" = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Create the cache for the transition matrices."""
+        """Create the cache of the transition matrices."""
         object.__setattr__(
             self, "transition", functools.lru_cache(TRANSITION_CACHE_SIZE)(self._stacked_transition)
         )
 
     @property
     def held_sigma(self) -> Matrix:
-        """Return the standard deviation of each tendon's tension in the regime ``HELD`` (N,) [N]."""
+        """Return the standard deviation of each tendon's tension in the regime ``HELD``, (N,) [N]."""
         return np.sqrt([tendon[TendonRegime.HELD].tension_variance for tendon in self.blocks])
 
     def _stacked_transition(self, kinds: bytes) -> StateTransition:
@@ -149,13 +146,12 @@ class FilterDesign:
 
 
 def _stack_blocks(blocks: list[Matrix]) -> Matrix:
-    """Return a matrix for N tendons, made of one block of shape (rows, columns) for each tendon.
+    """Return a matrix for N tendons, made of one block (rows, columns) for each tendon.
 
-    In the rows and columns of the matrix, the tendon is the inner index.
+    The tendon is the inner index of the matrix's rows and columns.
     """
     n, (rows, columns), each = len(blocks), blocks[0].shape, np.arange(len(blocks))
-    # The indices are (row, tendon, column, tendon), because each tendon is coupled only with
-    # itself.
+    # Index (row, tendon, column, tendon): each tendon is coupled with itself only.
     matrix = np.zeros((rows, n, columns, n))
     matrix[:, each, :, each] = blocks
     return matrix.reshape(rows * n, columns * n)

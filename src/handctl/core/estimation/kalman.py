@@ -1,12 +1,11 @@
-"""Tension filter: estimates of tension, excursion and contact force from load cells and encoders.
+"""Tension filter: estimates of tension, excursion and contact force from load cells, motor and joint encoders.
 
-One linear Kalman filter contains the states of all tendons. ``correct_filter`` corrects the states
-by the measurements. The package ``filterpy`` predicts the states to the present tick, called by
-``controller.tick``. ``derive_estimate`` computes tensions and joint angles from the states. A
-measurement that is missing or saturated does not correct the states. After a missing measurement,
-the covariance is computed in every tick until it has its constant value again. If a single
-load-cell reading is far from its expected value, it is rejected. The measurements that arrive in a
-tick were taken one period earlier, just before the command of the previous tick took effect.
+One linear filter contains the states of all tendons. ``correct_filter`` corrects the states by the
+measurements. ``filterpy`` predicts the states to the present (called in ``controller.tick``).
+``derive_estimate`` derives the estimate from the states. A missing or saturated measurement has no
+innovation. After such a measurement, the covariance is propagated until it is steady again. A
+single outlier of a load cell is rejected. The measurements that arrive in a tick were taken one
+period earlier, just before the command of the previous tick took effect.
 """
 
 import math
@@ -103,17 +102,16 @@ MAX_NIS_SAMPLE = 100.0
 
 @kernel_helper
 def filter_kind(x: StateTables, n: int) -> int:
-    """Return the index of a tendon's filter design: the tendon's regime, plus 3 while process noise is added."""
+    """Return the index of a tendon's filter design: the regime of the tendon, plus 3 while process noise is added."""
     regime = x.tendon_int[s.REGIME, n]
     return regime + 3 if x.tendon[s.ADDED_NOISE_S, n] > 0.0 else regime
 
 
 @kernel_helper
 def correct_filter(x: StateTables, c: ConstantTables, missed: int) -> None:
-    """Correct the filter by the measurements of a tick, and judge slack, open stop and contact of each tendon.
+    """Correct the filter by the measurements of a tick, and judge the slack, the stop and the contact of each tendon.
 
-    A digit that is marked as ``PLANNED_CONTACT`` or ``BLOCKED`` counts as held, see
-    ``is_in_contact``.
+    A digit with ``PLANNED_CONTACT`` or ``BLOCKED`` counts as held, see ``is_in_contact``.
 
     Args:
         x: state tables.
@@ -122,8 +120,8 @@ def correct_filter(x: StateTables, c: ConstantTables, missed: int) -> None:
     """
     count = x.tendon.shape[1]
     for n in range(count):
-        # The kind of filter design may change in the code below. The measurements are still judged
-        # by the kind of design that predicted them.
+        # The kind of filter design may change below. The measurements are still judged by the kind
+        # of design that predicted them.
         x.tendon_int[s.FILTER_KIND, n] = x.tendon_int[s.FILTER_KIND_BEFORE, n] = filter_kind(x, n)
     z = _usable_measurements(x)
     innovation = _innovations(x, c, z)
@@ -152,7 +150,7 @@ def correct_filter(x: StateTables, c: ConstantTables, missed: int) -> None:
 
 @kernel_helper
 def _usable_measurements(x: StateTables) -> Matrix:
-    """Return the measurements (N, 3) of motor encoder, load cell and joint encoders that can correct the filter.
+    """Return the measurements (N, 3) of encoder, load cell and joint encoders.
 
     Missing measurements are NaN.
 
@@ -177,9 +175,9 @@ def _usable_measurements(x: StateTables) -> Matrix:
 
 @kernel_helper
 def _innovations(x: StateTables, c: ConstantTables, z: Matrix) -> Matrix:
-    """Return the innovations (N, 3), which are the measurements minus their expected values.
+    """Return the measurements minus their expected values, (N, 3).
 
-    The innovation of a missing measurement is NaN.
+    The result is NaN where a measurement is missing.
     """
     innovation = np.empty_like(z)
     for n in range(len(z)):
@@ -196,9 +194,9 @@ def _innovations(x: StateTables, c: ConstantTables, z: Matrix) -> Matrix:
 
 @kernel_helper
 def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> bool:
-    """Return True if a measurement is missing that the constant gains of the filter assume.
+    """Return True if a measurement is missing that the steady gains assume.
 
-    For a slack tendon, the constant gains assume no load-cell reading.
+    For a slack tendon, these gains assume no load-cell reading.
     """
     for n in range(len(z)):
         assumed = x.tendon_int[s.REGIME, n] != SLACK_REGIME and c.tendon_int[h.CELL_GROUP, n] >= 0
@@ -211,7 +209,7 @@ def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> boo
 def _write_steady_gain(
     c: ConstantTables, n: int, kind: int, gain: Matrix, information: Vector
 ) -> None:
-    """Write the constant gain (7, 3) of a tendon's filter, and the inverse covariance (3,) of the innovations."""
+    """Write the steady gain (7, 3) of a tendon's filter, and the inverse covariance (3,) of the innovations."""
     for i in range(STATE_COUNT):
         for m in range(3):
             gain[i, m] = c.design[n, kind, h.K_AT + 3 * i + m]
@@ -223,17 +221,15 @@ def _write_steady_gain(
 def _gate_and_correct(
     x: StateTables, c: ConstantTables, innovation: Matrix, gain: Matrix, cell_sigma: Vector
 ) -> None:
-    """Correct the states of the filter by the innovations.
-
-    A single outlier of a load cell is rejected, but two outliers in a row are accepted.
+    """Correct the states by the innovations. Reject a single outlier of a load cell, but accept two in a row.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        innovation: (N, 3) measurements minus their expected values. The innovation of a missing
-            measurement is NaN. Innovations that the function rejects become NaN.
+        innovation: (N, 3) innovations. The values are NaN if the measurement is missing. Rejected
+            innovations become NaN.
         gain: (N, 7, 3) gains.
-        cell_sigma: (N,) standard deviation of the innovation of each load cell [N].
+        cell_sigma: (N,) standard deviation of the load-cell innovation [N].
     """
     for n in range(len(innovation)):
         cell = innovation[n, 1]
@@ -252,7 +248,7 @@ def _gate_and_correct(
                 steady += (
                     c.design[n, kind, h.TENSION_ROW_AT + i] * c.design[n, kind, h.K_AT + 3 * i + 1]
                 )
-            # The code below adds the correction by the gain, so only the rest of STEP_FRACTION is
+            # The correction by the gain is added below, so only the rest of STEP_FRACTION is
             # applied here.
             jump = max(STEP_FRACTION - steady, 0.0) * cell
         if abs(sigmas) > OUTLIER_GATE_SIGMAS and not again:
@@ -262,18 +258,17 @@ def _gate_and_correct(
             for m in range(3):
                 if not math.isnan(innovation[n, m]):
                     x.tendon[s.TRAVEL + i, n] += gain[n, i, m] * innovation[n, m]
-        # At the same travel, more tension means more stretch of the tendon, and therefore less
-        # excursion.
+        # At the same travel, more tension means more stretch, and therefore less excursion.
         x.tendon[s.EXCURSION, n] -= jump / c.tendon[h.TENDON_STIFFNESS, n]
 
 
 @kernel_helper
 def _move_slack_with_taut(x: StateTables, c: ConstantTables) -> None:
-    """Correct the excursion of slack tendons by the other tendons, in digits with surplus tendons.
+    """Move the excursion of each slack tendon with the other tendons of a digit with surplus tendons.
 
-    The excursions of a digit are the product R q of its moment arms and joint angles. If one tendon
-    is slack, its excursion follows from the excursions of the other tendons. If several tendons are
-    slack, each tick is one step of an iterative (Gauss-Seidel) solution.
+    The excursions of a digit are R q. If one tendon is slack, its excursion follows from those of
+    the other tendons. If several tendons are slack, each tick is one iteration of a Gauss-Seidel
+    solution.
     """
     for n in range(x.tendon.shape[1]):
         if c.tendon_int[h.HAS_SURPLUS, n] and x.tendon_int[s.REGIME, n] == SLACK_REGIME:
@@ -290,12 +285,12 @@ def _move_slack_with_taut(x: StateTables, c: ConstantTables) -> None:
 def _normalised_innovation_squared(
     innovation: Vector, information: Vector, without_cell: bool
 ) -> float:
-    """Return the normalised innovation squared (NIS) of encoder and load cell.
+    """Return the normalised innovation squared of encoder and load cell.
 
-    Return NaN if the encoder or the load-cell measurement is missing.
+    Return NaN if either measurement is missing.
 
     For a tendon without a load cell (``without_cell``), the result is twice the value of the
-    encoder alone. In both cases, the result has a mean of 2 if the model is correct.
+    encoder alone. The ideal mean of the result is 2, as with a load cell.
     """
     if without_cell:
         return 2.0 * information[0] * innovation[0] * innovation[0]
@@ -310,11 +305,11 @@ def _normalised_innovation_squared(
 def _judge_consistency(
     x: StateTables, c: ConstantTables, innovation: Matrix, information: Matrix, full: bool
 ) -> None:
-    """Average the normalised innovation squared (NIS), and judge whether each tendon agrees with its model.
+    """Average the normalised innovations squared (NIS), and judge whether the model of each tendon is consistent.
 
-    The NIS is averaged over a long and over a short time. The long average decides when the
-    operator is informed. The short average decides when process noise is added. The short average
-    uses the covariance without added noise, because added noise would hide an error of the model.
+    NIS has a slow and a fast average. The slow average decides when the operator is informed. The
+    fast average decides when process noise is added. The fast average uses the covariance without
+    added noise, because added noise would hide an error of the model.
     """
     nominal = np.empty(3)
     for n in range(len(innovation)):
@@ -331,8 +326,7 @@ def _judge_consistency(
             continue
         nis = min(nis, MAX_NIS_SAMPLE)
         period = c.run[h.PERIOD]
-        # The averages are first-order low-pass filters. The control period is short compared with
-        # the averaging times.
+        # First-order low-pass. The period of a tick is short compared with the averaging time.
         x.tendon[s.NIS_MEAN, n] += period / NIS_AVERAGING_TIME_S * (nis - x.tendon[s.NIS_MEAN, n])
         if period <= ADDED_NOISE_MAX_PERIOD_S:
             x.tendon[s.NIS_FAST, n] += period / NOISE_NIS_S * (nis - x.tendon[s.NIS_FAST, n])
@@ -347,10 +341,10 @@ def _judge_consistency(
 
 @kernel_helper
 def _judge_noise(x: StateTables, c: ConstantTables) -> None:
-    """Decide by the short average of the NIS which tendons get added process noise.
+    """Decide by the fast average of NIS which tendons get added process noise.
 
     The added noise is kept for ``MAX_ADDED_NOISE_S``. A wrong friction in the model is visible only
-    while the tendon moves, and its effect is largest when the motion reverses.
+    while the tendon moves, and has the largest effect at the next reversal of its motion.
     """
     if c.run[h.PERIOD] > ADDED_NOISE_MAX_PERIOD_S:
         return
@@ -368,7 +362,7 @@ def _judge_noise(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def filtered_tension(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the tension of a tendon at its load cell [N], computed from the filter states.
+    """Return the tension of a tendon at its load cell, computed from the states of the filter [N].
 
     The computed tension may be negative.
     """
@@ -381,18 +375,18 @@ def filtered_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vector) -> None:
-    """Write the angles or rates (J,) that the joints would have if their digits were free, q = B R_r^+ s.
+    """Write the angles or rates (J,) that all joints would have if their digits were free, q = B R_r^+ s.
 
-    In this equation, B is the coupling of the joints. R_r are the reduced moment arms, and s are
-    the excursions or the rates of the excursions. With varying moment arms, the angles also have an
-    offset, see ``varying_moment_arms``.
+    B is the coupling of the joints. R_r are the reduced moment arms, and s are the excursions or
+    their rates. With varying moment arms, the angles also have an offset, see
+    ``varying_moment_arms``.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        row: row of the tendon table with the values s: ``EXCURSION`` for angles, ``EXCURSION_RATE``
+        row: row of the tendon table that contains s: ``EXCURSION`` for angles, ``EXCURSION_RATE``
             for rates.
-        result: (J,) result: angles [rad] or rates [rad/s].
+        result: (J,) angles [rad] or rates [rad/s].
     """
     for j in range(len(result)):
         result[j] = c.joint[h.ANGLE_OFFSET, j] if row == s.EXCURSION else 0.0
@@ -402,16 +396,15 @@ def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vecto
 
 @kernel_helper
 def _load_forces(x: StateTables, c: ConstantTables) -> Matrix:
-    """Return three forces of each tendon (3, N) [N]: the resistance, the pull with the sign of speed, and the pull.
+    """Return three forces of each tendon, (3, N) [N]: the resistance, the speed-signed pull and the pull.
 
     The resistance is the tension at the joints that balances springs and gravity. The pull is the
     estimated tension at the joints, after the loss by friction. For a moving tendon, the control
-    law predicts how much of the friction acts, and in which direction. For other tendons, the
-    friction is computed from the speed of the tendon at the spool. The friction is not computed
-    from the estimated speed of the digit, because the sign of this rough estimate would change in
-    every tick. For the pull with the sign of speed, the friction is always computed from the speed
-    of the tendon at the spool. The pull with the sign of speed is the first value that shows that a
-    digit leaves a stop.
+    law knows how far the friction of the tendon has developed. For other tendons, friction is
+    computed from the speed at the spool. The friction does not follow the estimated speed of the
+    digit, because the sign of this rough estimate would chatter. For the speed-signed pull,
+    friction is always computed from the speed of the tendon at the spool. The speed-signed pull is
+    the first sign that a digit leaves a stop.
     """
     count = x.tendon.shape[1]
     joints = x.joint.shape[1]
@@ -439,17 +432,17 @@ def _load_forces(x: StateTables, c: ConstantTables) -> Matrix:
 
 @kernel_helper
 def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
-    """Update the regime of each tendon, and set the stretch offset of each tendon that has become taut.
+    """Update the regime of each tendon, and set the stretch offset of a newly taut tendon.
 
-    The regime of a tendon depends on slack, on the open stop and on contact. Return the result of
-    ``_load_forces``, computed with the new regimes.
+    The regime depends on slack, on the open stop and on contact. Return the result of
+    ``_load_forces``, computed after this update.
     """
     force = _load_forces(x, c)
     changed = False
     for n in range(x.tendon.shape[1]):
         regime = x.tendon_int[s.REGIME, n]
         cell = x.tendon[s.MEASURED_TENSION, n]
-        # While a tendon is slack, only the encoder determines the length that must still be wound
+        # While a tendon is slack, the encoder alone determines the length that must still be wound
         # up.
         near = (
             regime == SLACK_REGIME and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and is_nearly_taut(x, n)
@@ -458,15 +451,15 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         points = x.tendon_int[s.REGIME_EVIDENCE, n]
         tension = filtered_tension(x, c, n)
         if blind:
-            # In the model of a slack tendon, the tension is 0. When the tendon has become taut, the
-            # estimated disturbance force therefore equals minus the tension.
+            # The model of a slack tendon has no tension. Once the tendon is taut, the estimated
+            # disturbance therefore equals minus its tension.
             cell = -x.tendon[s.DISTURBANCE, n]
             points = regime_evidence_without_cell(regime, points, tension, cell)
         else:
             points = regime_evidence(regime, points, tension, cell, x.tendon[s.CELL_ERROR, n], near)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            # The spool of a pair turns the joint in both directions. At least one tendon of a spool
-            # pair is always taut.
+            # The spool of a pair turns the joint in both directions. One tendon of the pair is
+            # always taut.
             points = 0
             regime = FREE_REGIME
         elif is_regime_over(regime, points, blind):
@@ -479,8 +472,7 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         was = x.tendon_int[s.ON_OPEN_STOP, n] == 1
         stopped = c.tendon_int[h.HAS_RETURN_SPRINGS, n] == 1
         if stopped:
-            # For a tendon that opens its digit, the pull and the excursion are negative in this
-            # test.
+            # For a tendon that opens its digit, the pull and the excursion are negative here.
             side = c.tendon[h.CLOSING_SIGN, n]
             opened = c.tendon[h.OPEN_EXCURSION, n]
             stopped = _is_at_stop(
@@ -492,9 +484,8 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         x.tendon_int[s.ON_OPEN_STOP, n] = stopped
         if regime != SLACK_REGIME:
             if stopped and not was:
-                # The digit has come to rest on its open stop. When a digit is on its open stop, the
-                # excursions of its tendons are known. The error of the estimated excursion is added
-                # to the stretch offset.
+                # The digit has come to rest on its open stop. The excursion is then known. The
+                # error of its estimate is added to the stretch offset.
                 opened = c.tendon[h.OPEN_EXCURSION, n]
                 x.tendon[s.STRETCH_OFFSET, n] += x.tendon[s.EXCURSION, n] - opened
                 x.tendon[s.EXCURSION, n] = opened
@@ -516,14 +507,14 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
 
 @kernel_helper
 def is_in_contact(x: StateTables, d: int) -> bool:
-    """Return True if a digit is blocked, or if the program reports a contact while the motors may make torque."""
+    """Return True if a digit is blocked, or if it touches an object according to the program while torque may act."""
     acting = ARMING_MODE <= x.run_int[s.MODE] <= RELAX_MODE
     return (acting and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[s.BLOCKED, d] == 1
 
 
 @kernel_helper
 def _is_at_stop(was_at_stop: bool, excursion: float, force: float, resistance: float) -> bool:
-    """Return True if springs hold a digit on its open stop against the pull of a tendon."""
+    """Return True if springs hold a digit on its open stop against the pull of the tendon."""
     if was_at_stop:
         return excursion < STOP_BAND_STAY_M and force < resistance * STOP_PULL_STAY
     return excursion < STOP_BAND_REST_M and force < resistance * STOP_PULL_REST
@@ -531,31 +522,31 @@ def _is_at_stop(was_at_stop: bool, excursion: float, force: float, resistance: f
 
 @kernel_helper
 def _choose_filter_kinds(x: StateTables) -> None:
-    """Choose for each tendon the filter design that predicts its states."""
+    """Choose the filter design of each tendon for the prediction."""
     for n in range(x.tendon.shape[1]):
         x.tendon_int[s.FILTER_KIND, n] = filter_kind(x, n)
 
 
 @kernel_helper
 def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) -> None:
-    """Write for each tendon the load force that springs, gravity and friction do not explain.
+    """Write the unexplained load force of each tendon.
 
-    The value is positive if the load force acts against the closing of the digit.
+    The value is positive if it acts against closing.
 
-    The value is 0 for a slack tendon, and while the digit is at its open stop.
+    The force is 0 for a slack tendon, and while the digit is at its open stop.
     """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0
         if x.tendon_int[s.REGIME, n] != SLACK_REGIME and not x.tendon_int[s.ON_OPEN_STOP, n]:
             damping = c.tendon[h.LOAD_DAMPING, n] * x.tendon[s.EXCURSION_RATE, n]
-            # The load force is the pull of the tendon minus the resistance of springs and gravity.
-            # If an object resists the closing digit, the load force is positive.
+            # The force is pull minus resistance. An object that resists the closing digit makes
+            # this difference positive.
             x.tendon[s.EXTERNAL_TENSION, n] = force[2, n] - force[0, n] - damping
 
 
 @kernel_helper
 def write_unknown_estimate(x: StateTables) -> None:
-    """Write the estimate of a tick before the first reading of every sensor: no contact and no innovation."""
+    """Write the estimate of a tick in which not all sensors have been read yet: no contact and no innovation."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0
         x.tendon[s.INNOVATION, n] = x.tendon[s.NIS, n] = math.nan
@@ -564,10 +555,10 @@ def write_unknown_estimate(x: StateTables) -> None:
 
 @kernel_helper
 def derive_estimate(x: StateTables, c: ConstantTables) -> None:
-    """Compute tensions, standard deviations and free joint angles from the predicted states of the filter."""
+    """Derive the estimate from the predicted states: tensions, standard deviations, angles of free digits."""
     for n in range(x.tendon.shape[1]):
         tension = filtered_tension(x, c, n)
-        # Only a spool pair can push, and a single tendon cannot.
+        # A tendon that is no spool pair cannot push.
         x.tendon[s.TENSION, n] = tension if c.tendon_int[h.IS_SPOOL_PAIR, n] else max(tension, 0.0)
         x.tendon[s.TENSION_SIGMA, n] = math.sqrt(
             c.design[n, x.tendon_int[s.FILTER_KIND, n], h.TENSION_VARIANCE_AT]

@@ -1,7 +1,7 @@
-"""Tip-equivalent force: a force on the last link, at the tip, with the same torque as the actual contact.
+"""Tip-equivalent force: a force normal to the last link, at the tip, that makes the torque of the actual contact.
 
-The tension of a finger with one tendon does not show the place of the contact. The tip is therefore
-assumed as the place of the contact.
+The tension of a finger with one tendon does not depend on the place of contact. The tip is
+therefore a convention.
 """
 
 import numpy as np
@@ -12,9 +12,9 @@ from handctl.hand.digit import DigitModel
 
 
 def joint_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the levers J^T n of a force at the tip about the joints, (n,) [m].
+    """Return the levers of a tip force about the joints: J^T n, (n,) [m].
 
-    The force at the tip acts along the y axis of the last link.
+    The force acts along the y axis of the last link.
 
     Args:
         digit: model of the digit.
@@ -27,20 +27,20 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
 
 
 def reduced_tip_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the levers B^T J^T n of a force at the tip about the digit's coordinates, (n_c,) [m].
+    """Return the levers of a tip force about the coordinates: B^T J^T n, (n_c,) [m].
 
-    The direction of the force is the same as in ``joint_lever``.
+    See ``joint_lever``.
     """
     return np.asarray(digit.coupling.T @ joint_lever(digit, q))
 
 
 def tip_force(digit: DigitModel, q: Vector, external: Vector) -> float:
-    """Return the force at the tip that makes the same torque as a contact of the digit [N].
+    """Return the tip-equivalent force of a contact with a digit [N].
 
     Args:
         digit: model of the digit.
         q: (n,) joint angles [rad].
-        external: (n_t,) tensions that balance the contact force [N].
+        external: (n_t,) tensions that balance the contact [N].
     """
     lever = reduced_tip_lever(digit, q)
     torque = digit.reduced_moment_arms.T @ external

@@ -1,4 +1,4 @@
-"""Gains of the controller, their bounds, and the files that contain them.
+"""Gains, their bounds and their files.
 
 The tension filter and the control loops are designed from the gains.
 """

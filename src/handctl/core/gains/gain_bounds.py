@@ -1,4 +1,4 @@
-"""Bounds of the gains: range, default and meaning of each key, and whether a key may change during a run."""
+"""Bounds of the gains as data: range, default and meaning of each key, and whether it may change during a run."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,18 +26,17 @@ allows.
 
 @dataclass(frozen=True, slots=True)
 class GainBounds:
-    """A key of the gains file, with the bounds of the value that belongs to it.
+    """A key of the gains, with the bounds of its value.
 
     Attributes:
         key: section and name, for example ``motion.force_N``.
-        low: smallest allowed value of the key. If ``open_low`` is True, the value must be greater
-            than ``low``.
-        high: largest allowed value of the key.
+        low: smallest value of the key. The value itself is excluded if ``open_low`` is True.
+        high: largest value.
         open_low: True if the value must be greater than ``low``.
-        default: default value of the key.
-        whole: True if the value must be an integer.
-        live: True if the value may be changed while the controller runs.
-        why: meaning of the key, in words. The text is empty if the name of the key is clear.
+        default: default value.
+        whole: True for integers.
+        live: True if a running controller accepts changes.
+        why: meaning of the key. The value is empty if the name is clear.
     """
 
     key: str
@@ -56,12 +55,12 @@ class GainBounds:
 
 
 class TendonKey(NamedTuple):
-    """Parts of a key that sets a force of a single tendon.
+    """Parts of a key for the force of a single tendon.
 
     Attributes:
         tendon: name of the tendon.
-        field: name of the force in ``TendonForces``.
-        shared: key of the same force for all tendons.
+        field: field of ``TendonForces`` that contains the force.
+        shared: key of the force for all tendons.
     """
 
     tendon: str
@@ -74,7 +73,7 @@ SHARED_KEYS = {"motion_force_N": "motion.force_N", "tension_force_N": "tension.f
 
 
 def tendon_key(key: str) -> TendonKey | None:
-    """Return the parts of a key that sets a force of a single tendon, or None for any other key."""
+    """Return the parts of a key for the force of a single tendon, or None for any other key."""
     section, _, rest = key.partition(".")
     tendon, _, field = rest.rpartition(".")
     if section != TENDON_SECTION or not tendon or field not in SHARED_KEYS:
@@ -84,7 +83,7 @@ def tendon_key(key: str) -> TendonKey | None:
 
 @cache
 def gain_bounds() -> Mapping[str, GainBounds]:
-    """Return the bounds of all keys for the whole hand, in the order in which ``Gains`` declares them."""
+    """Return the bounds of all keys that apply to the whole hand, in the order in which ``Gains`` declares them."""
     result = {}
     for section in GAIN_SECTIONS:
         model = cast(type[Document], Gains.model_fields[section].annotation)
@@ -100,7 +99,7 @@ def gain_bounds() -> Mapping[str, GainBounds]:
 
 
 def _range_of_field(metadata: list[Any]) -> tuple[float, float, bool]:
-    """Return smallest and largest allowed value of a field, and True if the smallest value is excluded."""
+    """Return the smallest and largest value of a field, and True if the smallest value is excluded."""
     low = float("-inf")
     high = float("inf")
     open_low = False
@@ -125,7 +124,7 @@ def bounds_of_key(key: str) -> GainBounds | None:
 
 
 def values_by_key(gains: Gains) -> dict[str, float]:
-    """Return the value of every key of the gains, including the keys for single tendons."""
+    """Return the value of every key, including the keys for the forces of single tendons."""
     values = {
         key: getattr(getattr(gains, key.partition(".")[0]), key.partition(".")[2])
         for key in gain_bounds()
@@ -141,9 +140,9 @@ def values_by_key(gains: Gains) -> dict[str, float]:
 
 
 def different_values(old_gains: Gains, new_gains: Gains) -> dict[str, tuple[float, float]]:
-    """Return the old and the new value of every key for which the two gains differ.
+    """Return the old and the new value of every key whose value differs.
 
-    If a tendon has no force of its own, the force for all tendons is compared.
+    A tendon without a separate force has the force that holds for all tendons.
     """
     old = values_by_key(old_gains)
     new = values_by_key(new_gains)
@@ -154,7 +153,7 @@ def different_values(old_gains: Gains, new_gains: Gains) -> dict[str, tuple[floa
 def _value_of(values: Mapping[str, float], key: str) -> float:
     """Return the value of a key.
 
-    If a single tendon has no value of its own, the value for all tendons is returned.
+    If a single tendon has no value, return the value for all tendons.
     """
     parts = tendon_key(key)
     return values[parts.shared] if parts and key not in values else values[key]
@@ -163,9 +162,7 @@ def _value_of(values: Mapping[str, float], key: str) -> float:
 def with_values(
     gains: Gains, values: Mapping[str, float], source_name: str, live: bool = False
 ) -> Gains:
-    """Return a copy of gains in which some values are replaced.
-
-    All new values are checked before any value is replaced.
+    """Return a copy of gains with some values replaced. All new values are checked first.
 
     Args:
         gains: gains to copy.
@@ -196,7 +193,7 @@ def with_values(
 
 
 def _set_tendon_force(content: dict[str, Any], parts: TendonKey, force: float) -> None:
-    """Set a force of a single tendon in the content of the gains [N]."""
+    """Set the force of a single tendon in the content of gains [N]."""
     entries = [dict(entry) for entry in content[TENDON_SECTION]]
     entry = next((one for one in entries if one["name"] == parts.tendon), None)
     if entry is None:
@@ -206,14 +203,14 @@ def _set_tendon_force(content: dict[str, Any], parts: TendonKey, force: float) -
 
 
 def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
-    """Check that every tendon with forces of its own in the gains is a tendon of the hand.
+    """Check that the hand has each tendon for which the gains contain separate forces.
 
     Args:
         gains: gains to check.
         tendons: names of the hand's tendons.
 
     Raises:
-        ConfigError: the gains contain a tendon that the hand does not have.
+        ConfigError: the gains name a tendon that the hand does not have.
     """
     for one in gains.tendon:
         if one.name not in tendons:
@@ -223,7 +220,7 @@ def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
 
 
 def bounds_after_check(key: str, value: float, source_name: str) -> GainBounds:
-    """Check a value of the gains, and return the bounds of its key.
+    """Check a value, and return the bounds of its key.
 
     Raises:
         ConfigError: the key is unknown, or the value is out of bounds.

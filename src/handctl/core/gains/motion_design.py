@@ -1,9 +1,8 @@
-"""Feedback gains of the motion loop and the tension loop, which are designed once before arming by LQR.
+"""Feedback gains of motion loop and tension loop, designed once before arming, by LQR on the discrete model.
 
-Both loops use states that the tension filter predicts over the delay of the bus. The loops
-therefore need no state for the delay. The prediction has errors that grow with the predicted time,
-and these errors reduce the phase margin. At control rates below 500 Hz, the force weights are
-therefore reduced.
+Both loops use the prediction of the tension filter, which includes the delay of the bus. The loops
+therefore have no state for the delay. Errors of the prediction grow with the prediction horizon,
+and reduce the phase margin. At control rates below 500 Hz, the force weights are therefore reduced.
 Source: Bryson's rule for the weights. The function that solves the Riccati equation comes from the
 package ``control``.
 """
@@ -28,13 +27,13 @@ with deferred_imports():
 
 @dataclass(frozen=True, slots=True)
 class MotionDesign:
-    """Feedback gains of the motion loop and the tension loop for the N tendons, each of shape (N,).
+    """Feedback gains of motion loop and tension loop, each (N,).
 
     Attributes:
-        stiffness: acceleration per excursion error in the motion loop [1/s^2].
-        damping: acceleration per speed error in the motion loop [1/s].
-        tension: motor force per newton of tension error in the tension loop [1].
-        tension_speed: motor force per m/s of tendon speed in the tension loop [N s/m].
+        stiffness: for the motion loop, acceleration per excursion error [1/s^2].
+        damping: for the motion loop, acceleration per speed error [1/s].
+        tension: for the tension loop, motor force per newton of tension error [1].
+        tension_speed: for the tension loop, motor force per m/s of tendon speed [N s/m].
     """
 
     stiffness: Vector
@@ -48,10 +47,10 @@ FULL_WEIGHT_PERIOD_S = 2e-3
 
 
 def largest_force_weight(force: float, period: float) -> float:
-    """Return a force weight [N], reduced if the control period is above ``FULL_WEIGHT_PERIOD_S`` [s].
+    """Return a force weight [N], reduced for control periods above ``FULL_WEIGHT_PERIOD_S`` [s].
 
-    The stiffness of a control loop is proportional to its force weight. The bandwidth of the loop
-    is proportional to the square root of the weight.
+    The stiffness of a loop is proportional to the weight. The bandwidth is proportional to the
+    square root of the weight.
     """
     return force * min(1.0, math.sqrt(FULL_WEIGHT_PERIOD_S / period))
 
@@ -61,7 +60,7 @@ def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesi
 
     Args:
         space: constants of the hand along the tendons.
-        gains: gains of the controller, which contain the weights of both loops.
+        gains: gains with the weights.
         period: control period [s].
 
     Raises:
@@ -76,17 +75,17 @@ def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesi
 
 
 def design_piece_count(space: TendonSpace) -> int:
-    """Return the number of pieces into which the design of all loops is divided.
+    """Return the number of pieces of the design.
 
-    In each tick, a running controller has time for only one piece of the design.
+    A tick of a running controller has time for only one piece.
     """
     return 2 * len(space.spool)
 
 
 def design_piece(space: TendonSpace, gains: Gains, period: float, piece_index: int) -> Vector:
-    """Return the feedback gains (2,) of one control loop.
+    """Return the gain (2,) of one control loop.
 
-    Pieces 0 to N - 1 of the design are motion loops, and pieces N to 2 N - 1 are tension loops.
+    Pieces 0 to N - 1 are motion loops, pieces N to 2 N - 1 are tension loops.
 
     Raises:
         ConfigError: no gains follow from the weights.
@@ -100,7 +99,7 @@ def design_piece(space: TendonSpace, gains: Gains, period: float, piece_index: i
 
 
 def design_from_pieces(space: TendonSpace, designed: list[Vector]) -> MotionDesign:
-    """Combine the feedback gains of all pieces into the design of all tendons."""
+    """Return the design of all tendons from the gains of all pieces."""
     n = len(space.spool)
     mass = space.motor_mass + space.load_mass
     motion = designed[:n]
@@ -116,8 +115,8 @@ def design_from_pieces(space: TendonSpace, designed: list[Vector]) -> MotionDesi
 def _sampled_lqr_gain(
     A: NDArray[np.float64], B: NDArray[np.float64], state: list[float], force: float, period: float
 ) -> Vector:
-    """Return the feedback gain (2,) by LQR for x' = A x + B u, sampled at the control period."""
-    # The inputs are constant within a period: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
+    """Return the LQR gain (2,) for x' = A x + B u, sampled at the period, with weights by Bryson's rule."""
+    # Zero-order hold: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
     sampled = expm(period * np.block([[A, B], [np.zeros((1, 3))]]))
     F = sampled[:2, :2]
     G = sampled[:2, 2:]
@@ -129,7 +128,7 @@ def _sampled_lqr_gain(
 
 
 def _design_motion_loop(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
-    """Design the motion loop, in which motor and digit are one mass on a rigid tendon.
+    """Design the motion loop, for motor and digit as one mass on a rigid tendon.
 
     The states are excursion error [m] and speed error [m/s].
     """
@@ -144,7 +143,7 @@ def _design_motion_loop(space: TendonSpace, i: int, gains: Gains, period: float)
 
 
 def _design_tension_loop(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
-    """Design the tension loop, in which the rotor pulls on the tendon of a blocked digit.
+    """Design the tension loop, for a rotor on the tendon of a blocked digit.
 
     The states are tension error [N] and tendon speed [m/s].
     """

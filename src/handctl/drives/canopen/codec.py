@@ -1,7 +1,7 @@
-"""CANopen frames that do not depend on the device profile: NMT, SDO transfers of up to four bytes, and others.
+"""Frames of a CANopen node that do not depend on its profile: identifiers, NMT, and SDO transfers of up to four bytes.
 
-All fields are little-endian. Most identifiers are the sum of a base, which the service determines,
-and the node number n. A hyphen in the last column means that the frame has no payload.
+All fields are little-endian. Most identifiers are the base of the service plus the node number n.
+An empty field (-) means that the frame has no payload.
 
     frame      identifier  to    bytes and fields
     NMT        0x000       node  0 command | 1 node number
@@ -17,8 +17,8 @@ Source: CiA 301 4.2.
 import struct
 from typing import NamedTuple
 
-# The following numbers are identifiers of frames. The numbers for NMT and SYNC are complete
-# identifiers. The node number is added to all other identifiers.
+# Identifiers. NMT and SYNC are complete identifiers. The node number is added to all other
+# identifiers.
 NMT = 0x000
 SYNC = 0x080
 EMERGENCY = 0x080
@@ -27,10 +27,10 @@ RPDO = 0x200
 SDO_REPLY = 0x580
 SDO_REQUEST = 0x600
 HEARTBEAT = 0x700
-# The following numbers are NMT commands.
+# NMT commands.
 START_NODE = 0x01
 PRE_OPERATIONAL = 0x80
-# The following numbers are NMT states in a heartbeat.
+# NMT states in a heartbeat.
 BOOT_UP = 0x00
 STOPPED = 0x04
 OPERATIONAL = 0x05
@@ -46,27 +46,25 @@ ABORT_TEXTS = {
 
 
 def abort_text(code: int) -> str:
-    """Return the meaning of an SDO abort code in words."""
+    """Return the text for an SDO abort code."""
     return ABORT_TEXTS.get(code, f"abort {code:#010x}")
 
 
 def upload_request(index: int, subindex: int) -> bytes:
-    """Return the payload of the SDO request that reads an object."""
-    # The command 0x40 starts an upload from the node to the host.
+    """Return the SDO payload to request the value of an object."""
+    # 0x40 starts an upload from the node to the host.
     return struct.pack("<BHB4x", 0x40, index, subindex)
 
 
 def upload_reply(index: int, subindex: int, value_bytes: bytes) -> bytes:
-    """Return the payload of the SDO reply with which a node sends the one to four bytes of an object."""
-    # The command 0x43 means that the reply contains the whole value. Bits 2..3 contain the number
-    # of unused bytes.
+    """Return the SDO payload with which a node sends an object of one to four bytes."""
+    # 0x43 is an expedited value. Bits 2..3 contain the number of unused bytes.
     return struct.pack("<BHB4s", 0x43 | (4 - len(value_bytes)) << 2, index, subindex, value_bytes)
 
 
 def download_request(index: int, subindex: int, value_bytes: bytes) -> bytes:
-    """Return the payload of the SDO request that writes one to four bytes to an object."""
-    # The command 0x23 means that the request contains the whole value. Bits 2..3 contain the number
-    # of unused bytes.
+    """Return the SDO payload that writes one to four bytes to an object."""
+    # 0x23 starts an expedited download. Bits 2..3 contain the number of unused bytes.
     return struct.pack("<BHB4s", 0x23 | (4 - len(value_bytes)) << 2, index, subindex, value_bytes)
 
 
@@ -82,7 +80,7 @@ class SdoReply(NamedTuple):
 def decode_sdo_reply(data: bytes) -> SdoReply | None:
     """Decode the 8 bytes of an SDO reply.
 
-    Return None if the bytes are not a reply to a read or a write.
+    Return None if they are not the reply to a read or a write.
     """
     specifier, index, sub = struct.unpack_from("<BHB", data)
     # 0x80 is an abort, 0x60 confirms a write. 0x43 is a value, with the number of unused bytes in

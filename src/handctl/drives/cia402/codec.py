@@ -1,7 +1,7 @@
 """CANopen frames of a CiA 402 drive: PDOs, power states, and errors.
 
-The numbers in all fields are little-endian. Each identifier is the sum of a base and the node
-number n. ``canopen.codec`` describes the frames that do not depend on CiA 402.
+All fields are little-endian. The identifier is a base plus the node number n. ``canopen.codec`` has
+the other frames.
 
     frame      identifier  to     bytes and fields
     EMCY       0x080 + n   host   0..1 error code | 2 error register | 3..7 of the maker
@@ -11,8 +11,8 @@ number n. ``canopen.codec`` describes the frames that do not depend on CiA 402.
     TPDO1      0x180 + n   host   0..1 status word | 2..5 position int32 [count] | 6..7 torque int16
                                   [1/1000 of rated]
 
-Torque and position are measured at the shaft of the motor. In mode 10, RPDO1 contains a torque.
-Source: CiA 402-2 (control word, status word, objects).
+Torque and position refer to the motor's shaft. RPDO1 carries a torque in mode 10. Source: CiA 402-2
+(control word, status word, objects).
 """
 
 import math
@@ -21,7 +21,7 @@ import struct
 from handctl.drives.canopen.codec import RPDO, TPDO
 from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
-# The following numbers are values of the control word.
+# Values of the control word.
 SHUTDOWN = 0x06
 SWITCH_ON = 0x07
 ENABLE_OPERATION = 0x0F
@@ -32,7 +32,7 @@ MAX_TORQUE_COUNT = 0x7FFF
 MAX_TARGET_COUNT = 0x7FFFFFFF
 """Largest target position or velocity in RPDO1 [count]."""
 
-# The following texts are the power states of a drive.
+# Power states of a drive in words.
 SWITCH_ON_DISABLED = "switch on disabled"
 READY_TO_SWITCH_ON = "ready"
 SWITCHED_ON = "switched on"
@@ -79,16 +79,16 @@ ENABLED_STATUS = 0x07 << 2 | 0x01
 
 
 def power_state(status: int) -> str:
-    """Return the power state that a status word contains, or an empty string if the code is undefined."""
+    """Return the power state in a status word, or an empty string if its code is undefined."""
     return next((state for mask, value, state in _POWER_STATES if status & mask == value), "")
 
 
 def feedback_message(
     node_id: int, counts: int, ratio: float, rated: float, zero: float
 ) -> CyclicMessage:
-    """Return the signal table of TPDO1, which contains status word, position [count] and torque.
+    """Return the signal table of TPDO1: status word, position [count], torque [1/1000 of rated].
 
-    Torque and position are measured at the shaft of the motor.
+    Position and torque refer to the motor's shaft.
 
     Args:
         node_id: node number of the drive.
@@ -96,13 +96,13 @@ def feedback_message(
         ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
         rated: rated torque of the drive at the shaft [N m].
-        zero: angle of the shaft when the spool angle is zero [rad].
+        zero: angle of the shaft at spool angle zero [rad].
     """
     count = math.tau / counts / ratio
     torque = rated / 1000 * ratio
     return CyclicMessage("tpdo1", TPDO + node_id, 8, (
-        # Bits 0..3 and 5..6 of the status word define the power state. Bit 4 (voltage) and the
-        # upper bits do not belong to the power state.
+        # Bits 0..3 and 5..6 define the power state. Bit 4 (voltage) and the upper bits do not
+        # belong to the power state.
         Signal("state", SignalQuantity.STATUS, 0, 4),
         Signal("voltage", SignalQuantity.UNUSED, 4, 1),
         Signal("stop", SignalQuantity.STATUS, 5, 2),
@@ -113,14 +113,14 @@ def feedback_message(
 
 
 def command_message(node_id: int, ratio: float, rated: float, limit: float) -> CyclicMessage:
-    """Return the signal table of RPDO1 with the control word and the target torque [1/1000 of rated].
+    """Return the signal table of RPDO1 to an enabled drive: control word, target torque [1/1000 of rated].
 
     Args:
         node_id: node number of the drive.
         ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
         rated: rated torque of the drive at the shaft [N m].
-        limit: largest torque that the host commands [N m at the spool].
+        limit: largest torque command [N m at the spool].
     """
     torque = Signal(
         "torque",
@@ -141,15 +141,15 @@ def command_message(node_id: int, ratio: float, rated: float, limit: float) -> C
 def position_message(
     node_id: int, counts: int, ratio: float, zero: float, limit: float
 ) -> CyclicMessage:
-    """Return the signal table of RPDO1 with the control word and the target position [count].
+    """Return the signal table of RPDO1 to an enabled drive: control word, target position [count].
 
     Args:
         node_id: node number of the drive.
         counts: position counts per turn of the shaft.
         ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
-        zero: angle of the shaft when the spool angle is zero [rad].
-        limit: largest position that the host commands [rad at the spool].
+        zero: angle of the shaft at spool angle zero [rad].
+        limit: largest position command [rad at the spool].
 
     Raises:
         ValueError: the largest position does not fit into the object of the drive.
@@ -170,13 +170,13 @@ def position_message(
 
 
 def velocity_message(node_id: int, unit: float, limit: float) -> CyclicMessage:
-    """Return the signal table of RPDO1 with the control word and the target velocity.
+    """Return the signal table of RPDO1 to an enabled drive: control word, target velocity.
 
     Args:
         node_id: node number of the drive.
         unit: value of one count of object 0x60FF [rad/s at the spool], negative if a positive count
             unwinds the tendon.
-        limit: largest velocity that the host commands [rad/s at the spool].
+        limit: largest velocity command [rad/s at the spool].
 
     Raises:
         ValueError: the largest velocity does not fit into the object of the drive.
@@ -199,5 +199,5 @@ def _motion_message(node_id: int, signal: Signal, limit: float, largest: float) 
 
 
 def error_text(code: int) -> str:
-    """Return the meaning of the error code in an emergency frame, in words."""
+    """Return the text for the error code of an emergency."""
     return ERROR_TEXTS.get(code, f"error {code:#06x}")

@@ -1,10 +1,10 @@
-"""State machine that configures, enables and disables a CiA 402 drive in cyclic synchronous torque mode.
+"""State machine to configure, enable, and disable a CiA 402 drive in cyclic synchronous torque mode.
 
 In each tick the host sends one RPDO (control word, target torque), and the drive sends one TPDO
 (status word, position, torque). The drive sends the TPDO at SYNC, a frame with the identifier
-0x080. On a bus with a sensor node, the SYNC for the sensor node has the same identifier, and also
+0x080. On a bus with a sensor node, the SYNC for the sensor node has this identifier and also
 requests the TPDO. On a bus without a sensor node, handctl sends SYNC if one of the drives has the
-option ``sync``. The watchdog of the drive supervises the heartbeat of this host. Only a status word
+option ``sync``. The drive's watchdog supervises the heartbeat of this host. Only a status word
 proves that the drive is enabled or disabled.
 """
 
@@ -91,26 +91,26 @@ OPTIONS = {
 
 @dataclass(frozen=True, slots=True)
 class Cia402Drive:
-    """Motor with a CiA 402 drive, which has the interface ``contract.Drive``.
+    """Motor on a CiA 402 drive, with the interface ``contract.Drive``.
 
     Attributes:
         name: name of the motor in the hand file.
         bus: index of the bus of the drive.
         node_id: node number, from 1 to 0x7e.
-        command_limit: largest torque that the host commands [N m at the spool].
+        command_limit: largest torque command [N m at the spool].
         ratio: turns of the motor's shaft per turn of the spool, negative if positive torque of the
             motor unwinds the tendon.
-        zero: angle of the shaft when the spool angle is zero [rad].
+        zero: angle of the shaft at spool angle zero [rad].
         rated: rated torque of the drive at the shaft [N m].
         counts: position counts per turn of the shaft.
-        steps: objects of the drive with the values that are required before arming.
+        steps: objects of the drive, with the values required before arming.
         sync: True if the host sends SYNC after the command of this drive.
         sends_heartbeat: True if the host sends its heartbeat after the command of this drive. All
             drives on a bus receive the same heartbeat, so one sender is enough.
         heartbeat_period_ns: period of this host's heartbeat [ns].
         life_sign_timeout_ns: time without a sign of life after which the drive counts as lost [ns].
-        command: signal table of RPDO1, built from the other fields.
-        feedback: signal table of TPDO1, built from the other fields.
+        command: signal table of RPDO1, built from the fields above.
+        feedback: signal table of TPDO1, built from the fields above.
     """
 
     name: str
@@ -148,9 +148,9 @@ class Cia402Drive:
         """Return the drive for a motor description.
 
         Args:
-            motor: Return the drive object for a motor description in the hand file.
-            bus: index of the bus to which the drive is connected.
-            options_override: options of the drive that replace the options in the description.
+            motor: description of the motor.
+            bus: index of the bus of the drive.
+            options_override: options to use instead of the options in the description.
             mode: mode of operation of the drive, see ``settings``.
 
         Raises:
@@ -207,8 +207,7 @@ class Cia402Drive:
             ),
             sync=sync,
             sends_heartbeat=True,
-            # The host sends three heartbeats per timeout of the watchdog, so that two of them may
-            # be lost.
+            # The host sends three heartbeats per watchdog timeout, so that two may be lost.
             heartbeat_period_ns=watchdog * 1_000_000 // 3,
             life_sign_timeout_ns=round(heartbeat * MAX_MISSED_HEARTBEATS * 1e6),
         )
@@ -220,7 +219,7 @@ class Cia402Drive:
 
     @property
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the frames with a rate that differs from the control rate: heartbeats and SDO requests."""
+        """Return the frames with rates of their own: heartbeats of drive and host, and SDO read-back while enabled."""
         beats = [(1, False, MAX_MISSED_HEARTBEATS * 1e9 / self.life_sign_timeout_ns)]
         if self.sends_heartbeat:
             beats.append((1, False, 1e9 / self.heartbeat_period_ns))
@@ -233,7 +232,7 @@ class Cia402Drive:
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers of the frames that the host sends: NMT, RPDO, SDO requests, and heartbeat."""
+        """Return the identifiers of the frames of the host: NMT, RPDO, SDO requests, and heartbeat."""
         return frozenset(
             (
                 canopen.NMT,
@@ -245,13 +244,13 @@ class Cia402Drive:
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return the identifiers of the frames that the drive sends: TPDO, SDO replies, emergency, and heartbeat."""
+        """Return the identifiers of the frames of the drive: TPDO, SDO replies, emergency, and heartbeat."""
         bases = (canopen.TPDO, canopen.SDO_REPLY, canopen.EMERGENCY, canopen.HEARTBEAT)
         return frozenset(base + self.node_id for base in bases)
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return an empty tuple, because the host reads back every setting of the drive."""
+        """Return an empty tuple, because every setting is read back."""
         return ()
 
     @property
@@ -261,12 +260,12 @@ class Cia402Drive:
 
     @property
     def one_reply_per_command(self) -> bool:
-        """Return True, because the drive sends one TPDO for each SYNC."""
+        """Return True, because the drive sends one TPDO per SYNC."""
         return True
 
     @property
     def position_step(self) -> float:
-        """Return the angle of the spool per encoder count [rad]."""
+        """Return the angle of one encoder count [rad at the spool]."""
         return math.tau / (self.counts * abs(self.ratio))
 
     @property
@@ -276,14 +275,14 @@ class Cia402Drive:
 
     @property
     def cyclic_messages(self) -> CyclicMessages:
-        """Return the signal tables of RPDO and TPDO, and of SYNC if the option ``sync`` is set."""
+        """Return the signal tables of RPDO and TPDO, and also of SYNC if the option ``sync`` is set."""
         sync = (CyclicMessage("sync", canopen.SYNC, 0, answers=False),) if self.sync else ()
         return CyclicMessages(
             (self.feedback.message,), (self.command.message, *sync), self.life_sign_timeout_ns
         )
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status of the drive after this host has enabled it, or NO_STEADY_STATUS."""
+        """Return the status that feedback shows after this host has enabled the drive, otherwise NO_STEADY_STATUS."""
         progress = progress_of(state)
         steady = state.phase == ENABLED and progress.enable_sent and progress.disabling_ns < 0
         return codec.ENABLED_STATUS if steady else NO_STEADY_STATUS
@@ -296,14 +295,14 @@ class Cia402Drive:
 
     @property
     def rechecked_settings(self) -> tuple[setup.SetupStep, ...]:
-        """Return the objects that the host reads again while the drive is enabled."""
+        """Return the objects read again while the drive is enabled."""
         return tuple(
             step for step in self.steps if (step.number, step.sub) in settings.PROTECTION_OBJECTS
         )
 
     @property
     def rechecks(self) -> tuple[SettingRecheck, ...]:
-        """Return request and reply for each object that the host reads again, see ``contract.Drive``."""
+        """Return request and reply of each object that is read again, see ``contract.Drive``."""
         return tuple(
             SettingRecheck(
                 step.name,
@@ -325,7 +324,7 @@ class Cia402Drive:
         return DriveState(private=Cia402Progress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state of the drive after a received frame, see ``contract.Drive``."""
+        """Return the state after a received frame, see ``contract.Drive``."""
         if frame.bus != self.bus or frame.can_id not in self.node_ids:
             return state
         service = frame.can_id - self.node_id
@@ -337,13 +336,13 @@ class Cia402Drive:
             return on_heartbeat(state, frame)
         if service == canopen.SDO_REPLY:
             return self._on_sdo_reply(state, frame.data)
-        # After the tests above, the frame can only be an emergency. Code 0 of an emergency reports
-        # that all errors have ended.
+        # The only service left is the emergency. Code 0 of an emergency reports that all errors
+        # have ended.
         code = int.from_bytes(frame.data[:2], "little")
         return state._replace(private=progress_of(state)._replace(code=code)) if code else state
 
     def _on_sdo_reply(self, state: DriveState, data: bytes) -> DriveState:
-        """Return the state of the drive after its SDO reply."""
+        """Return the state after an SDO reply of the drive."""
         progress = progress_of(state)
         reply = canopen.decode_sdo_reply(data)
         if reply is not None and state.phase == ENABLED and state.recheck.waiting:
@@ -360,7 +359,7 @@ class Cia402Drive:
         return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def _on_recheck_reply(self, state: DriveState, reply: canopen.SdoReply) -> DriveState:
-        """Compare the value of an object, read again from the enabled drive, with the required value."""
+        """Compare an object, read again from the enabled drive, with the required value."""
         step = self.rechecked_settings[state.recheck.step]
         if reply[:2] != (step.number, step.sub) or not (reply.raw or reply.abort):
             return state
@@ -380,10 +379,10 @@ class Cia402Drive:
         )
 
     def _on_feedback(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state of the drive after a TPDO, with the received values and the power state.
+        """Return the state after a TPDO, with the values and the power state.
 
-        Before the read-back is complete, it is unknown which objects the TPDO contains. Values that
-        arrive before the end of the read-back are not used.
+        The mapping of the TPDO is unknown until the read-back is complete. Values that arrive
+        before are not used.
         """
         progress = progress_of(state)
         if progress.cursor.step < len(self.steps):
@@ -403,11 +402,11 @@ class Cia402Drive:
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
+        """Return the next state and the frames to send, see ``contract.Drive``."""
         if target == LISTEN:
             return state, ()
-        # A status word also shows that the drive is alive. Compiled code may have received the
-        # latest status word.
+        # A status word is a sign of life, too. Compiled code may have received the latest status
+        # word.
         if (
             0
             <= max(progress_of(state).life_sign_ns, state.feedback_t_ns)
@@ -424,9 +423,9 @@ class Cia402Drive:
     def _follow_target(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames that lead to the requested state of the drive.
+        """Return the next state and the frames for the requested drive state.
 
-        The frames do not include heartbeat and SYNC.
+        Heartbeat and SYNC are not included.
         """
         progress = progress_of(state)
         if target == DISABLE or (
@@ -454,11 +453,11 @@ class Cia402Drive:
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames that disable the drive.
 
-        A drive that may be enabled counts as enabled until a status word reports that it is
+        A drive that may be enabled counts as enabled until a status word reports the state
         disabled.
 
-        The drive sends status words only in the NMT state operational. The host therefore repeats
-        the NMT start as long as no feedback arrives.
+        The drive sends status words only in the NMT state operational. NMT start is therefore
+        repeated as long as no feedback arrives.
         """
         phase = ENABLED if progress.may_be_enabled else state.phase
         since = progress.disabling_ns if progress.disabling_ns >= 0 else t_ns
@@ -492,14 +491,14 @@ class Cia402Drive:
     def _start_node(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the frames that set the node to the NMT state operational.
+        """Return the next state, and the frames to set the node to the NMT state operational.
 
-        The host repeats these frames until a status word arrives. If the operator has cleared a
-        fault, these frames reset the fault.
+        The frames are repeated until a status word arrives. If the operator has cleared a fault,
+        the frames reset it.
         """
         if progress.clearing and progress.power == codec.FAULT:
-            # The control word alternates between two values, because a fault is reset only when bit
-            # 7 changes from 0 to 1.
+            # The control word alternates between two values, because only the rising edge of bit 7
+            # resets a fault.
             control_word = codec.FAULT_RESET if progress.clearing % 2 else codec.DISABLE_VOLTAGE
             return state._replace(private=progress), (self._rpdo_frame(control_word, 0.0),)
         if t_ns - progress.started_ns < REPEAT_PERIOD_NS:
@@ -512,7 +511,7 @@ class Cia402Drive:
         )
 
     def _rpdo_frame(self, control: int, command: float) -> Frame:
-        """Return the frame RPDO1 with the given control word and command, in the unit of ``command_limit``."""
+        """Return RPDO1 with the given control word and command, in the unit of ``command_limit``."""
         try:
             data = struct.pack("<H", control) + self.command.pack(command)[2:]
         except ValueError as error:
@@ -520,7 +519,7 @@ class Cia402Drive:
         return Frame(canopen.RPDO + self.node_id, data, 0, self.bus)
 
     def _rest_command(self, state: DriveState) -> float:
-        """Return a command of zero torque, for a drive that is being enabled."""
+        """Return the command to a drive that is being enabled: zero torque."""
         return 0.0
 
     def _sdo_frame(self, data: bytes) -> Frame:
@@ -528,7 +527,7 @@ class Cia402Drive:
         return Frame(canopen.SDO_REQUEST + self.node_id, data, 0, self.bus)
 
     def _nmt_frame(self, order: int) -> Frame:
-        """Return the frame of an NMT command to the drive."""
+        """Return the frame of an NMT command to the node."""
         return Frame(canopen.NMT, bytes((order, self.node_id)), 0, self.bus)
 
     def identity(self, state: DriveState) -> str:
@@ -536,25 +535,23 @@ class Cia402Drive:
         return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
-        """Return the cause of an error code of the drive, see ``contract.Drive``."""
+        """Return the cause of an error code, see ``contract.Drive``."""
         return CAUSE_BY_ERROR.get(
             error_code,
             DriveFaultCause.OTHER if error_code in codec.ERROR_TEXTS else DriveFaultCause.UNKNOWN,
         )
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return an RPDO with a target torque [N m at the spool], whose control word keeps the power stage off."""
+        """Return an RPDO with a target torque [N m at the spool] and a control word that leaves the power stage off."""
         return (self._rpdo_frame(codec.DISABLE_VOLTAGE, torque),)
 
     def cut_frames(self) -> tuple[Frame, ...]:
         """Return the frames that remove the torque: DISABLE_VOLTAGE, then NMT pre-operational.
 
-        When the node enters the NMT state pre-operational, object 0x6007 makes the drive go into
-        fault.
+        In the NMT state pre-operational, object 0x6007 makes the drive go into fault.
 
-        DISABLE_VOLTAGE must be sent before NMT pre-operational. The reason is that a node reads
-        PDOs only in the NMT state operational. CiA 402-2 does not require that a drive loses its
-        torque when it enters pre-operational.
+        The order of the two frames matters. A node reads PDOs only in the NMT state operational.
+        CiA 402-2 does not require that a drive loses its torque when it enters pre-operational.
         """
         return (
             self._rpdo_frame(codec.DISABLE_VOLTAGE, 0.0),
@@ -562,9 +559,9 @@ class Cia402Drive:
         )
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return the SDO request that ends the drive's supervision of the host's heartbeat.
+        """Return the SDO request after which the drive no longer supervises the host's heartbeat.
 
-        Without this request, the drive would latch a fault, because the host sends no heartbeat
+        Without this request the drive would latch a fault, because the host sends no heartbeat
         after a run.
         """
         if state.phase != READY:
@@ -573,9 +570,9 @@ class Cia402Drive:
         return (self._sdo_frame(data),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames that reset the fault of the drive.
+        """Return the state and the frames that reset the fault.
 
-        After the reset, the host reads back all objects again.
+        All objects are then read back again.
         """
         power = progress_of(state).power
         fresh = Cia402Progress(power="" if power == codec.FAULT else power, clearing=CLEAR_TRIES)

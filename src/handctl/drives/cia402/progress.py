@@ -1,4 +1,4 @@
-"""Progress of the state machine of a CiA 402 drive, and effects of status words and heartbeats."""
+"""Progress of the state machine of a CiA 402 drive, and the effects of status words and heartbeats."""
 
 from typing import NamedTuple, cast
 
@@ -12,8 +12,7 @@ from handctl.drives.state_machine import enter_fault
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
-# The following error codes are added by handctl. These codes are larger than the 16-bit error codes
-# in emergency frames.
+# Error codes added by handctl. These codes are larger than the 16-bit error codes of emergencies.
 DROPPED_OUT_ERROR = 0x1_0000
 SETTING_MISMATCH_ERROR = 0x1_0001
 DRIVE_LOST_ERROR = 0x1_0002
@@ -34,19 +33,19 @@ CLEAR_TRIES = 20
 
 
 class Cia402Progress(NamedTuple):
-    """Values that the state machine of a CiA 402 drive keeps from one frame to the next.
+    """State of the CiA 402 state machine between frames, stored in ``DriveState.private``.
 
     Attributes:
-        cursor: position in the list of objects that the host reads back.
-        power: power state in the latest status word, or an empty text before the first status word.
-        code: error code in the latest emergency frame.
-        life_sign_ns: time of the latest heartbeat or status word of the drive [ns], or -1 before
-            the first one.
+        cursor: position in the list of objects to read back.
+        power: power state in the latest status word, empty before the first status word.
+        code: error code of the latest emergency.
+        life_sign_ns: time of the latest heartbeat or status word of the drive [ns], -1 before the
+            first.
         started_ns: time of the latest NMT start [ns].
         heartbeat_sent_ns: time of this host's latest heartbeat [ns].
-        enable_sent: True from the enable command until the drive reports that it is disabled.
-        disabling_ns: time of the first disable command [ns], or -1 if none was sent.
-        clearing: number of status words whose fault must still be ignored while the fault is being
+        enable_sent: True from the enable command until the drive reports the state disabled.
+        disabling_ns: time of the first disable command [ns], -1 if none was sent.
+        clearing: number of status words with a fault still to be ignored, while the fault is being
             cleared.
         serial: serial number of the drive, 0 if unknown.
     """
@@ -71,15 +70,12 @@ class Cia402Progress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> Cia402Progress:
-    """Return the CiA 402 values in the state of a drive."""
+    """Return the CiA 402 progress in a drive state."""
     return cast(Cia402Progress, state.private)
 
 
 def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState:
-    """Return the state of a drive after a status word.
-
-    The argument ``progress`` already contains the power state of this status word.
-    """
+    """Return the state after a status word. ``progress`` already has its power state."""
     power = progress.power
     updated = state._replace(private=progress)
     if power == codec.FAULT:
@@ -110,7 +106,7 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
 
 
 def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState:
-    """Return the state of a drive that has reported a fault, with the error code of the latest emergency frame."""
+    """Return the state after the drive has reported a fault, with the error code of the latest emergency."""
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     off = state._replace(private=progress._replace(enable_sent=False, disabling_ns=-1))
@@ -123,10 +119,10 @@ def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState
 
 
 def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
-    """Return the state of a drive after its heartbeat.
+    """Return the state after a heartbeat of the drive.
 
-    If the drive has left the NMT state operational, it was stopped, or it has restarted and has
-    lost its settings.
+    If the drive has left the NMT state operational, it was stopped, or it has restarted and lost
+    its settings.
     """
     progress = progress_of(state)._replace(life_sign_ns=frame.t_ns)
     if (
@@ -142,10 +138,10 @@ def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
 
 
 def state_after_timeout(state: DriveState) -> DriveState:
-    """Return the state of a drive from which no frame has arrived for too long.
+    """Return the state of a drive that has been silent for too long.
 
-    If the drive was enabled, it is then in fault. A disabled drive may have restarted, so the host
-    reads back its objects again.
+    An enabled drive is then in fault. A disabled drive may have restarted, so its objects are read
+    back again.
     """
     progress = progress_of(state)
     if state.phase == FAULT or progress.disabling_ns >= 0:

@@ -1,9 +1,9 @@
-"""State machine that sets up a CiA 404 measuring amplifier, so that it answers every SYNC.
+"""State machine that sets up a CiA 404 measuring amplifier, until the amplifier answers every SYNC.
 
-The host sets the amplifier to the NMT state pre-operational, reads and writes its objects, and then
-starts the amplifier. Received TPDOs of the amplifier are used only after this start. If an
-amplifier restarts, the host sets it up again before the next arming. The host never sets up an
-amplifier while motors may make torque. No frame of this module moves a motor.
+The host sets the amplifier to the NMT state pre-operational, reads and writes its objects, and
+starts it. TPDOs of the amplifier are used only after this start. If an amplifier restarts, it is
+set up again before the next arming. An amplifier is never set up while motors may make torque. No
+frame of this module moves a motor.
 """
 
 from dataclasses import dataclass
@@ -19,14 +19,14 @@ SILENT, CONFIGURING, READY = DrivePhase.SILENT, DrivePhase.CONFIGURING, DrivePha
 
 
 class AmplifierState(NamedTuple):
-    """State of an amplifier while the host sets it up.
+    """State of an amplifier in its set-up.
 
     Attributes:
         node_id: node number of the amplifier.
-        phase: phase of the set-up: SILENT, CONFIGURING, READY or FAULT.
-        cursor: position in the list of objects that the host reads back.
+        phase: SILENT, CONFIGURING, READY or FAULT.
+        cursor: position in the list of objects to read back.
         started_ns: time of the latest NMT start [ns].
-        error_text: problem in words, or an empty text without a problem.
+        error_text: problem in words, empty without a problem.
     """
 
     node_id: int
@@ -46,10 +46,10 @@ class LoadCellAmplifier:
     """Measuring amplifier with one or more load cells. Objects are immutable.
 
     Attributes:
-        bus: index of the bus to which the amplifier is connected.
+        bus: index of the bus of the amplifier.
         node_id: node number, from 1 to 0x7e.
-        tpdo_ids: identifiers of the frames in which the amplifier sends tensions.
-        steps: objects of the amplifier with the values that are required before arming.
+        tpdo_ids: identifiers of the frames with tensions from the amplifier.
+        steps: objects of the amplifier, with the values required before arming.
     """
 
     bus: int
@@ -69,7 +69,7 @@ class LoadCellAmplifier:
         )
 
     def receive(self, state: AmplifierState, frame: Frame) -> AmplifierState:
-        """Return the state of the amplifier after a received frame.
+        """Return the state after a received frame.
 
         Frames of other nodes, or with a wrong length, have no effect.
         """
@@ -84,7 +84,7 @@ class LoadCellAmplifier:
         return state
 
     def _on_life_sign(self, state: AmplifierState) -> AmplifierState:
-        """Return the state of the amplifier after a frame that it sends only in the NMT state operational.
+        """Return the state after a frame that shows the NMT state operational.
 
         Such a frame has an effect only after the set-up and the start of the amplifier.
         """
@@ -93,7 +93,7 @@ class LoadCellAmplifier:
         return state._replace(phase=READY, error_text="")
 
     def _on_heartbeat(self, state: AmplifierState, nmt: int) -> AmplifierState:
-        """Return the state of the amplifier after its heartbeat.
+        """Return the state after a heartbeat.
 
         An amplifier that has restarted or was stopped must be set up again.
         """
@@ -104,7 +104,7 @@ class LoadCellAmplifier:
         return state
 
     def _on_sdo_reply(self, state: AmplifierState, data: bytes) -> AmplifierState:
-        """Return the state of the amplifier after its SDO reply."""
+        """Return the state after an SDO reply of the amplifier."""
         reply = codec.decode_sdo_reply(data)
         if reply is None or state.cursor.step >= len(self.steps):
             return state
@@ -115,9 +115,9 @@ class LoadCellAmplifier:
     def advance(
         self, state: AmplifierState, t_ns: int, target: DriveTarget
     ) -> tuple[AmplifierState, tuple[Frame, ...]]:
-        """Return the next state of the amplifier and the frames to send.
+        """Return the next state and the frames to send.
 
-        The host sets up the amplifier only if the target is ``DriveTarget.POLL``.
+        The amplifier is set up only with ``DriveTarget.POLL``.
         """
         if target != DriveTarget.POLL or state.phase in (READY, DrivePhase.FAULT):
             return state, ()
@@ -133,9 +133,9 @@ class LoadCellAmplifier:
     def _configure(
         self, state: AmplifierState, t_ns: int
     ) -> tuple[AmplifierState, tuple[Frame, ...]]:
-        """Return the next state of the amplifier and the next SDO request.
+        """Return the next state and the next SDO request.
 
-        Before the first request, the host sends the NMT command pre-operational.
+        NMT pre-operational precedes the first request.
         """
         cursor, data, problem = setup.next_request(state.cursor, self.steps, t_ns)
         updated = state._replace(cursor=cursor)

@@ -1,7 +1,6 @@
-"""Load cells on CiA 404 measuring amplifiers, and the frames that amplifiers and host exchange in a tick.
+"""Load cells on CiA 404 measuring amplifiers: the frames that a tick exchanges with them.
 
-The identifier of a TPDO is the sum of a base and the node number n. The hyphen in the last column
-means that SYNC has no payload.
+The identifiers of TPDOs are a base plus the node number n. SYNC has no payload (-).
 
     frame    identifier                 to          bytes and fields
     SYNC     0x080                      amplifiers  -
@@ -10,8 +9,8 @@ means that SYNC has no payload.
 
 A channel is the process value in newton, little-endian, as INTEGER32 (object 0x9130, with decimal
 digits) or REAL32 (object 0x6130). A frame has no counter, so only its arrival time shows which SYNC
-the frame answers. A frame is stale if it arrives before an answer to the latest SYNC can arrive. A
-frame that arrives later counts as fresh. Source: docs/facts/cia404.md.
+it answers. A frame is stale if it arrives before an answer to the latest SYNC can arrive. A later
+frame counts as fresh. Source: docs/facts/cia404.md.
 """
 
 from dataclasses import dataclass
@@ -46,7 +45,7 @@ value is a margin for errors of the time stamp.
 
 
 class AmplifierDescription(Protocol):
-    """Keys of the section ``sensor_node`` in the hand file, for load cells on CiA 404 amplifiers."""
+    """Keys for this module, in the section ``sensor_node`` of the hand file."""
 
     @property
     def sync_id(self) -> int:
@@ -65,7 +64,7 @@ class AmplifierDescription(Protocol):
 
     @property
     def amplifier_channels(self) -> tuple[int, ...]:
-        """Return for each amplifier the number of channels to which a load cell is connected."""
+        """Return the number of channels of each amplifier that have a load cell."""
         ...
 
     @property
@@ -75,7 +74,7 @@ class AmplifierDescription(Protocol):
 
     @property
     def process_value(self) -> str:
-        """Return the format of the process value in frames, ``int32`` or ``real32``."""
+        """Return the coding of the process value in frames: ``int32`` or ``real32``."""
         ...
 
     @property
@@ -89,12 +88,12 @@ class Cia404LoadCells:
     """Load cells on CiA 404 amplifiers, with the interface ``sensors.contract.SensorInterface``. Objects are immutable.
 
     Attributes:
-        bus: index of the bus to which the amplifiers are connected.
+        bus: index of the bus of the amplifiers.
         sync_id: identifier of the SYNC frame.
-        amplifiers: measuring amplifiers that the host sets up.
-        group_ranges: for each amplifier, the indices of its frames in ``ids``.
-        ids: identifier of each frame that contains tensions.
-        channels: for each frame in ``ids``, the indices of its tendons in the hand.
+        amplifiers: measuring amplifiers for the host to set up.
+        group_ranges: indices in ``ids`` of the frames from each amplifier.
+        ids: identifier of each frame with tensions.
+        channels: indices of the tendons in each of these frames, as numbered in the hand.
         frame_of: index of the frame with the load cell of each tendon of the hand, -1 for a tendon
             without a load cell.
         range_n: rated load of the load cells [N].
@@ -121,7 +120,7 @@ class Cia404LoadCells:
 
         Args:
             node: description of the amplifiers in the hand file.
-            bus: index of the bus to which the amplifiers is connected.
+            bus: index of the bus of the amplifiers.
             tendons: all tendon names of the hand, in order.
         """
         assert node.range_N is not None  # the checks of the hand file guarantee that it has a value
@@ -188,8 +187,7 @@ class Cia404LoadCells:
     def cell_range(self) -> tuple[float, float]:
         """Return the rated load of the load cells with both signs, as the limits of the range [N].
 
-        An amplifier reports an overload as NaN or as -2^31 counts, which are both outside this
-        range.
+        An amplifier reports an overload as NaN or -2^31 counts, which are outside this range.
         """
         return -self.range_n, self.range_n
 
@@ -215,10 +213,7 @@ class Cia404LoadCells:
 
     @property
     def messages(self) -> tuple[CyclicMessage, ...]:
-        """Return the signal tables of the frames.
-
-        In each signal, ``Signal.channel`` is the index of the tendon.
-        """
+        """Return the signal tables of the frames. ``Signal.channel`` is the index of the tendon."""
         messages = []
         for amplifier, groups in zip(self.amplifiers, self.group_ranges, strict=True):
             for tpdo, group in enumerate(groups):
@@ -260,10 +255,7 @@ class Cia404LoadCells:
         return True
 
     def lost_frame_count(self, syncs: int, accepted: int, stale: int) -> int:
-        """Return the number of lost frames.
-
-        Missing answers to the last SYNC are not counted, because they may still arrive.
-        """
+        """Return the number of lost frames. Answers to the last SYNC are not counted."""
         return max(0, (syncs - 1) * len(self.ids) - accepted - stale)
 
     def group_of_tendon(self, tendon_index: int) -> int:

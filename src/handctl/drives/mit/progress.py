@@ -9,8 +9,7 @@ from handctl.drives.state_machine import enter_fault, state_when_off, state_when
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
-# The following error codes are added by handctl. These codes are larger than the state nibbles of
-# the motor.
+# Error codes added by handctl. These codes are larger than the state nibbles of the motor.
 #
 # In this order, the motor has disabled itself without a command, has a wrong register value,
 # reports an unknown state, or was enabled by another host.
@@ -40,18 +39,18 @@ While the error is being cleared, the motor sends two frames per tick.
 
 
 class MitProgress(NamedTuple):
-    """Values that the MIT state machine keeps from one frame to the next, in ``DriveState.private``.
+    """State of the MIT state machine between frames, stored in ``DriveState.private``.
 
     Attributes:
-        cursor: position in the list of registers that the host reads back.
-        configured: True if all registers have their required values. The feedback can be decoded
-            only after all registers have their required values.
+        cursor: position in the list of registers to read back.
+        configured: True if all registers have their required values. Feedback can be decoded only
+            then.
         enabled_by_other: True if the motor reports the state enabled without a command of this
             host.
-        enable_sent: True from the enable command until the motor reports that it is disabled.
+        enable_sent: True from the enable command until the motor reports the state disabled.
         disabling: True while the motor is being disabled.
         disabling_ns: time of the first disable command [ns].
-        clearing: number of feedback frames whose error must still be ignored while the error is
+        clearing: number of feedback frames with an error still to be ignored, while the error is
             being cleared.
         ready_ns: time at which the last register was verified [ns].
         serial: serial number of the motor, 0 if unknown.
@@ -74,7 +73,7 @@ class MitProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> MitProgress:
-    """Return the MIT values in the state of a drive."""
+    """Return the MIT progress in a drive state."""
     progress: MitProgress = state.private
     return progress
 
@@ -82,7 +81,7 @@ def progress_of(state: DriveState) -> MitProgress:
 def apply_status(state: DriveState, nibble: int) -> DriveState:
     """Return the state after feedback with a state nibble.
 
-    The argument ``state`` already contains the values of the same feedback.
+    ``state`` already has the values of the same feedback.
     """
     progress = progress_of(state)
     if nibble == codec.ENABLED:

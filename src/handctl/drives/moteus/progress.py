@@ -15,8 +15,7 @@ from handctl.drives.state_machine import (
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
-# The following error codes are added by handctl. These codes are larger than the fault codes of the
-# drive.
+# Error codes added by handctl. These codes are larger than the fault codes of the drive.
 DROPPED_OUT_ERROR = 0x100
 SETTING_MISMATCH_ERROR = 0x101
 ENABLED_BY_OTHER_HOST_ERROR = 0x102
@@ -34,18 +33,18 @@ SERIAL_NUMBER_TRIES = 3
 
 
 class MoteusProgress(NamedTuple):
-    """Values that the moteus state machine keeps from one frame to the next, in ``DriveState.private``.
+    """State of the moteus state machine between frames, stored in ``DriveState.private``.
 
     Attributes:
-        cursor: position in the list of settings that the host reads back.
+        cursor: position in the list of settings to read back.
         channel: state of the exchange over the diagnostic text channel.
         configured: True if all settings have their required values.
         mode: mode of the drive in the latest feedback.
         enabled_by_other: True if the drive may make torque without a command of this host.
-        enable_sent: True from the enable command until the drive reports that it is stopped.
+        enable_sent: True from the enable command until the drive reports the state stopped.
         disabling: True while the drive is being stopped.
         disabling_ns: time of the first stop command [ns].
-        clearing: number of feedback frames whose error must still be ignored while the error is
+        clearing: number of feedback frames with an error still to be ignored, while the error is
             being cleared.
         ready_ns: time at which the last setting was verified [ns].
         serial: serial number of the drive, 0 if unknown.
@@ -70,7 +69,7 @@ class MoteusProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> MoteusProgress:
-    """Return the moteus values in the state of a drive."""
+    """Return the moteus progress in a drive state."""
     progress: MoteusProgress = state.private
     return progress
 
@@ -78,7 +77,7 @@ def progress_of(state: DriveState) -> MoteusProgress:
 def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
     """Return the state after feedback with a mode and a fault code.
 
-    The argument ``state`` already contains the values of the same feedback.
+    ``state`` already has the values of the same feedback.
     """
     progress = progress_of(state)
     was_preparing = progress.mode in codec.PREPARING_MODES

@@ -156,7 +156,7 @@ def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) ->
         node_id: node number of the drive.
         ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
-        zero: angle of the shaft when the spool angle is zero [rad].
+        zero: angle of the shaft at spool angle zero [rad].
         requested: True if every tick requests the message. The drive also sends it by itself, by
             default every 10 ms.
     """
@@ -192,7 +192,7 @@ def torque_message(node_id: int, ratio: float, limit: float) -> CyclicMessage:
         node_id: node number of the drive.
         ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
-        limit: largest torque that the host commands [N m at the spool].
+        limit: largest torque command [N m at the spool].
     """
     # The torque at the spool is ratio * torque at the shaft.
     signal = _float_signal("torque", SignalQuantity.TORQUE, 0, ratio, 0.0, "N m")
@@ -206,8 +206,8 @@ def position_message(node_id: int, ratio: float, zero: float, limit: float) -> C
         node_id: node number of the drive.
         ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
-        zero: angle of the shaft when the spool angle is zero [rad].
-        limit: largest position that the host commands [rad at the spool].
+        zero: angle of the shaft at spool angle zero [rad].
+        limit: largest position command [rad at the spool].
     """
     signals = (
         _float_signal(
@@ -248,7 +248,7 @@ def velocity_message(node_id: int, ratio: float, limit: float) -> CyclicMessage:
         node_id: node number of the drive.
         ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
-        limit: largest velocity that the host commands [rad/s at the spool].
+        limit: largest velocity command [rad/s at the spool].
     """
     signals = (
         _float_signal("velocity", SignalQuantity.VELOCITY, 0, math.tau / ratio, 0.0, "rad/s"),

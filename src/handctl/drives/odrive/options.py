@@ -66,9 +66,7 @@ class OdriveOptions(NamedTuple):
 
 
 def pop_options(options: MutableMapping[str, Any], key_path: str) -> OdriveOptions:
-    """Return the values of the options, and remove their keys.
-
-    The options that name endpoints remain.
+    """Return the values of the options, and remove their keys. The keys of endpoints remain.
 
     Args:
         options: options of the motor, modified in place.

@@ -14,8 +14,8 @@ from handctl.drives.state_machine import (
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
-# The following error codes are added by handctl. These codes use the two bits between the faults in
-# feedback and those in the fault report.
+# Error codes added by handctl. These codes use the two bits between the faults in feedback and
+# those in the fault report.
 DROPPED_OUT_ERROR = 1 << 6
 SETTING_MISMATCH_ERROR = 1 << 7
 ENABLED_BY_OTHER_HOST_ERROR = 3 << 6
@@ -40,10 +40,10 @@ WATCHDOG_TEXT = "disabled by itself: it restarted, or its watchdog fired"
 
 
 class RobstrideProgress(NamedTuple):
-    """Values that the RobStride state machine keeps from one frame to the next, in ``DriveState.private``.
+    """State of the RobStride state machine between frames, stored in ``DriveState.private``.
 
     Attributes:
-        cursor: position in the list of parameters that the host reads back.
+        cursor: position in the list of parameters to read back.
         configured: True if all parameters have their required values.
         enabled_by_other: True if the motor may make torque without a command of this host.
         enable_sent: True from the enable command until the motor reports reset mode.
@@ -72,7 +72,7 @@ class RobstrideProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> RobstrideProgress:
-    """Return the RobStride values in the state of a drive."""
+    """Return the RobStride progress in a drive state."""
     progress: RobstrideProgress = state.private
     return progress
 
@@ -80,7 +80,7 @@ def progress_of(state: DriveState) -> RobstrideProgress:
 def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
     """Return the state after feedback with a mode and faults.
 
-    The argument ``state`` already contains the values of the same feedback.
+    ``state`` already has the values of the same feedback.
     """
     if fault:
         return apply_fault(state, mode, fault)
@@ -96,7 +96,7 @@ def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
 def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
     """Return the state after a fault.
 
-    A motor in reset mode makes no torque. In any other mode, the motor may still make torque.
+    A motor in reset mode makes no torque. In any other mode, it may still make torque.
     """
     progress = progress_of(state)
     if progress.clearing:

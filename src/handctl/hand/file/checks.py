@@ -1,4 +1,4 @@
-"""Checks of a hand file across its sections: references, lengths of lists, tendon routing, limits, identifiers."""
+"""Checks across the sections of a hand file: references, lengths of lists, tendon routing, limits, CAN identifiers."""
 
 from __future__ import annotations
 
@@ -110,11 +110,11 @@ MistakeIterator = Iterator[FileMistake]
 def check_hand(hand: Hand) -> MistakeIterator:
     """Yield the mistakes that concern several sections of a hand.
 
-    Checks that need valid references or shapes run only if no mistake was found in references and
-    shapes.
+    Checks that need valid references or shapes run only if the checks of references and shapes
+    found no mistake.
 
     Args:
-        hand: hand whose single sections are already valid.
+        hand: hand with valid sections.
     """
     wrong = [*check_names(hand), *check_sections(hand.digit, hand.tendon)]
     wrong += check_mesh_keys(hand.mount, "palm_mesh", PALM_POSE_KEYS, "mount")
@@ -137,7 +137,7 @@ def check_hand(hand: Hand) -> MistakeIterator:
 
 
 def check_names(hand: Hand) -> MistakeIterator:
-    """If two sections of the same kind have the same name, yield a mistake."""
+    """Yield a mistake for each name that two sections of the same kind have."""
     for key in ("bus", "digit", "tendon", "motor"):
         yield from _check_unique(
             [section.name for section in getattr(hand, key)], key + "[{}].name"
@@ -145,9 +145,9 @@ def check_names(hand: Hand) -> MistakeIterator:
 
 
 def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> MistakeIterator:
-    """Yield the mistakes that concern only a single digit or a single tendon.
+    """Yield the mistakes within single digits and single tendons.
 
-    For these checks, no other sections of the file are necessary.
+    These checks need no other sections of the file.
     """
     for digit in digits:
         yield from _check_digit(digit)
@@ -157,9 +157,9 @@ def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> Mistak
 
 
 def _check_unique(names: Iterable[str], where: str) -> MistakeIterator:
-    """Yield a mistake for each name that occurs more than once.
+    """Yield a mistake for each repeated name.
 
-    In the key path ``where``, this name takes the place of {}.
+    The repeated name replaces {} in the key path ``where``.
     """
     seen: set[str] = set()
     for name in names:
@@ -210,7 +210,7 @@ def _check_digit(digit: Digit) -> MistakeIterator:
 
 
 def _check_joint_values(digit: Digit, where: str) -> MistakeIterator:
-    """Check that the keys of revolute and prismatic joints have one value for each joint of their type."""
+    """Check that the keys of revolute and of prismatic joints have a value per joint of their type."""
     sliding = digit.is_prismatic.count(True)
     turning = len(digit.is_prismatic) - sliding
     keys = [
@@ -237,7 +237,7 @@ def _check_joint_values(digit: Digit, where: str) -> MistakeIterator:
 def _check_coupled_types(
     digit: Digit, coupling: tuple[tuple[float, ...], ...], where: str
 ) -> MistakeIterator:
-    """In a digit with coupled joints, check that each coordinate moves joints of only one type."""
+    """Check that each coordinate of a coupled digit moves joints of one type."""
     for i, column in enumerate(zip(*coupling, strict=False)):
         kinds = {
             kind for kind, ratio in zip(digit.is_prismatic, column, strict=False) if ratio != 0.0
@@ -251,7 +251,7 @@ def _check_coupled_types(
 def check_mesh_keys(
     section: Digit | Mount, mesh: str, keys: Iterable[str], where: str
 ) -> MistakeIterator:
-    """Check that a section without meshes has no scale and no pose for meshes, and that no scale is 0."""
+    """Check that a section without meshes has no scale and no pose of meshes, and that no scale is 0."""
     for key in keys:
         if getattr(section, mesh) is None and getattr(section, key) is not None:
             yield FileMistake(
@@ -265,10 +265,10 @@ def check_mesh_keys(
 
 
 def _check_body(digit: Digit, i: int, where: str) -> MistakeIterator:
-    """Check that the centre of mass and the inertia of link i are possible for a link of this size."""
+    """Check that centre of mass and inertia of link i are possible for the size of the link."""
     com = digit.link_com_m[i]
     length = digit.link_length_m[i]
-    # No part of a link can be farther from the centre of mass than the larger of length and width.
+    # No part of a link is farther from its centre of mass than the link's length or width.
     size = max(length, 2 * digit.link_radius_m)
     if isinstance(com, float):
         if com > length:
@@ -307,7 +307,7 @@ def _check_coupling(
 
 
 def _check_references(hand: Hand) -> MistakeIterator:
-    """Check that every name to which the file refers exists, and that each motor drives one tendon."""
+    """Check that every referenced name exists, and that each motor drives one tendon."""
     node = hand.sensor_node
     yield from _check_name("sensor_node.bus", node.bus, hand.bus_names)
     for key, names, valid in (
@@ -329,7 +329,7 @@ def _check_references(hand: Hand) -> MistakeIterator:
 
 
 def _check_joint_type(hand: Hand, key: str, joint: str, where: str) -> MistakeIterator:
-    """Check that a tendon has moment arms at revolute joints, and excursion ratios at prismatic joints."""
+    """Check that a tendon has moment arms at revolute joints, and excursion ratios at prismatic ones."""
     slides = hand.is_prismatic[hand.joints.index(joint)]
     if slides and key == "moment_arm_m":
         yield FileMistake(
@@ -357,7 +357,7 @@ def _check_motors(hand: Hand) -> MistakeIterator:
         driven[tendon.motor] = tendon.name
     yield from wrong
     for motor in hand.motor:
-        # If a tendon names a wrong motor, the right motor has no tendon as a consequence. In this
+        # If a tendon names a wrong motor, another motor has no tendon as a consequence. In this
         # case, only the wrong name is reported.
         if motor.name not in driven and not wrong:
             yield FileMistake(
@@ -372,9 +372,9 @@ def _check_name(where: str, name: str, valid: tuple[str, ...]) -> MistakeIterato
 
 
 def _check_mounts(hand: Hand) -> MistakeIterator:
-    """Check that each carried digit comes after the digit that carries it in the file.
+    """Check that each carried digit comes after the digit that carries it.
 
-    Between both, there may only be digits that the same digit carries, directly or through others.
+    Between them may only be digits that the same digit carries, directly or through others.
     """
     line: list[str] = []
     for digit in hand.digit:
@@ -395,10 +395,9 @@ def _check_mounts(hand: Hand) -> MistakeIterator:
 
 
 def _check_tendon_order(hand: Hand) -> MistakeIterator:
-    """Check that each tendon moves a single digit, and that the tendons are in the order of the digits.
+    """Check that each tendon moves one digit, and that the tendons are in the order of the digits.
 
-    A tendon may cross the joints of its digit, and otherwise only joints of digits that carry its
-    digit.
+    Besides the joints of its digit, a tendon may only pass joints of digits that carry its digit.
     """
     latest = 0
     for tendon in hand.tendon:
@@ -428,9 +427,9 @@ def _check_tendon_order(hand: Hand) -> MistakeIterator:
 
 
 def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
-    """Check the size and the sign of a moment arm over the range of its joint.
+    """Check size and sign of a moment arm over the range of its joint.
 
-    A table of moment arms must cover the whole range and must be smooth.
+    A table of moment arms must cover the range and must be smooth.
     """
     arm = tendon.arms[joint]
     where = f"tendon[{tendon.name}].{tendon.arm_key(joint)}.{joint}"
@@ -483,7 +482,7 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
 
 
 def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
-    """Check that the tendons of a digit can move every coordinate (R B has full column rank), and cross every joint."""
+    """Check that the tendons of a digit move each coordinate (R B has full column rank) and cross each joint."""
     tendons = hand.digit_tendons[digit.name]
     joints = hand.digit_joints[digit.name]
     arms = hand.moment_arms[tendons, joints]
@@ -515,13 +514,13 @@ def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
 
 
 def arm_key_of(hand: Hand, joint: str) -> str:
-    """Return the key that a tendon uses for a joint, which is ``excursion_ratio`` for a prismatic joint."""
+    """Return the key of a tendon for a joint: ``excursion_ratio`` for a prismatic one."""
     slides = hand.is_prismatic[hand.joints.index(joint)]
     return "excursion_ratio" if slides else "moment_arm_m"
 
 
 def _moment_arm_rank(arms: NDArray[np.float64]) -> int:
-    """Return the rank of the matrix R B of a digit."""
+    """Return the rank of a matrix of reduced moment arms."""
     values = np.linalg.svd(arms, compute_uv=False)
     return (
         int((values > MIN_SINGULAR_VALUE_RATIO * values.max(initial=0.0)).sum())
@@ -531,7 +530,7 @@ def _moment_arm_rank(arms: NDArray[np.float64]) -> int:
 
 
 def _check_limits(tendon: Tendon) -> MistakeIterator:
-    """Check that the tension limits of a tendon increase in the order from the floor to the breaking force."""
+    """Check that the tension limits of a tendon increase from the floor to the breaking force."""
     values = {key: getattr(tendon, key) for key in LIMIT_KEYS}
     strength = tendon.rated_breaking_force_N
     too_high = False
@@ -540,8 +539,8 @@ def _check_limits(tendon: Tendon) -> MistakeIterator:
     ):
         value = values[key]
         next_value = values[above]
-        # The limit before this one has been reported as too high. Therefore this limit is not also
-        # reported as too low.
+        # The limit before this one was reported as too high. Therefore this limit is not reported
+        # as too low.
         too_low = below is not None and value <= values[below] and not too_high
         bounds = [] if below is None else [f"more than {below} = {values[below]:g} N"]
         if above == STRENGTH_KEY or strength < next_value:
@@ -558,12 +557,12 @@ def _check_limits(tendon: Tendon) -> MistakeIterator:
 
 
 def _check_pretension(tendon: Tendon) -> MistakeIterator:
-    """Check the pretension of a spool pair, and check that the pair has no tension floor.
+    """Check the pretension of a spool pair, and that the pair has no tension floor.
 
-    The pretension must not make the tension of one tendon of the pair larger than the limits for
-    the net tension.
+    The pretension must not bring a single tendon of the pair above the limits of the net tension.
 
-    For a net tension u and a pretension p, the pulling tendon has the tension max(p + u / 2, u).
+    With the net tension u and the pretension p, the pulling tendon has the tension max(p + u / 2,
+    u).
     """
     pretension = tendon.pretension_N
     if pretension is None:
@@ -580,7 +579,7 @@ def _check_pretension(tendon: Tendon) -> MistakeIterator:
 
 
 def _check_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
-    """Check that a digit with spool pairs has one pair per coordinate, and no single tendons, springs or cells."""
+    """Check that a digit with spool pairs has one pair per coordinate, and no single tendons, springs or load cells."""
     tendons = hand.tendon[hand.digit_tendons[digit.name]]
     pairs = [tendon for tendon in tendons if tendon.pretension_N is not None]
     if not pairs:
@@ -612,7 +611,7 @@ def _check_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
 
 
 def _check_drive(tendon: Tendon, motor: Motor) -> MistakeIterator:
-    """Check that the torque limit of a drive suits ``drive_limit_N`` of its tendon, and that the motor reaches it."""
+    """Check that a drive's torque limit fits the tendon's ``drive_limit_N``, and that the motor can reach the limit."""
     where = f"motor[{motor.name}].torque_max_N_m"
     limit = tendon.drive_limit_N * motor.spool_radius_m
     if abs(motor.torque_max_N_m - limit) > 0.01 * limit:
@@ -627,9 +626,9 @@ def _check_drive(tendon: Tendon, motor: Motor) -> MistakeIterator:
 
 
 def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> MistakeIterator:
-    """Check the keys that concern the position loop in a drive.
+    """Check the keys for the position loop in a drive.
 
-    Only a drive with ``control = "position"`` may have them.
+    Only a drive with ``control = "position"`` may have these keys.
     """
     where = f"motor[{motor.name}]"
     if not motor.holds_position:
@@ -652,10 +651,7 @@ def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> MistakeIterator:
 
 
 def _check_stream(stream: StreamLimits) -> MistakeIterator:
-    """If a client stops its stream of targets, the hand must hold its position before it relaxes.
-
-    Check the times for this.
-    """
+    """Check that the hand holds before it relaxes when a client stops its stream of targets."""
     if stream.relax_after_ms <= stream.hold_after_ms:
         right = f"more than hold_after_ms = {stream.hold_after_ms:g} ms"
         yield FileMistake(f"{stream.relax_after_ms:g}", "stream.relax_after_ms", right)
@@ -681,9 +677,9 @@ def _check_identifiers(hand: Hand) -> MistakeIterator:
 
 
 def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
-    """Yield (bus, identifier, key path) for all CAN frames of a hand.
+    """Yield (bus, identifier, key path) of all CAN frames of a hand.
 
-    If the protocol of a motor is not known here, its name and the node number take the place of the
+    If the protocol of a motor is unknown here, protocol and node number take the place of the
     identifier.
     """
     for protocol, identifier, what in SHARED_IDS:
@@ -702,28 +698,27 @@ def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
 
 
 def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
-    """Yield (identifier, key path) for all CAN frames of a motor."""
+    """Yield (identifier, key path) of the CAN frames of a motor."""
     where = f"motor[{motor.name}].node_id"
     if motor.protocol == "mit":
         yield motor.node_id, where
         yield _mit_reply_id(motor, where)
     elif motor.protocol == "odrive":
-        # An ODrive uses the identifiers of all 32 commands with its node number.
+        # An ODrive occupies the identifiers of all 32 commands with its node number.
         for message in range(32):
             yield motor.node_id << 5 | message, where
     elif motor.protocol == "cia402":
         for service in CANOPEN_SERVICES:
             yield service + motor.node_id, where
     elif motor.protocol == "moteus":
-        # These are the identifiers of the requests. They contain the source 0 and the bit that asks
-        # for a reply. The identifiers of the replies follow. They have 11 bits if the number is
-        # small enough.
+        # The requests come first. They have the source 0 and the reply bit. The replies follow,
+        # with an 11-bit identifier if the number fits.
         yield EXTENDED_ID_FLAG | 0x8000 | motor.node_id, where
         number = motor.node_id << 8
         yield number if number < STANDARD_IDS else number | EXTENDED_ID_FLAG, where
     elif motor.protocol == "robstride":
-        # These are the identifiers of the requests of type 0. The feedback of a running motor to
-        # the default host comes after them.
+        # The requests of type 0 come first. The feedback of a running motor to the default host
+        # follows.
         yield EXTENDED_ID_FLAG | 0xFD00 | motor.node_id, where
         yield EXTENDED_ID_FLAG | 0x0280_00FD | motor.node_id << 8, where
     else:
@@ -731,7 +726,7 @@ def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
 
 
 def _mit_reply_id(motor: Motor, where: str) -> tuple[object, str]:
-    """Return the CAN identifier with which an MIT drive replies, and the key path that sets this identifier."""
+    """Return the CAN identifier of the replies of an MIT drive, and the key path that sets the identifier."""
     reply = motor.options.get("reply_id")
     if reply is None:
         return motor.node_id + MIT_REPLY_OFFSET, where
@@ -739,7 +734,7 @@ def _mit_reply_id(motor: Motor, where: str) -> tuple[object, str]:
 
 
 def _check_reply_id(motor: Motor) -> MistakeIterator:
-    """Check the CAN identifier with which an MIT drive replies."""
+    """Check the CAN identifier of the replies of an MIT drive."""
     reply = motor.options.get("reply_id")
     if motor.protocol != "mit" or reply is None:
         return

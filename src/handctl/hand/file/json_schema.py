@@ -1,4 +1,4 @@
-"""JSON Schema of hand files, by which editors complete and check them.
+"""JSON Schema of hand files, for completion and checks in editors.
 
 ``handctl config schema`` prints the schema.
 """
@@ -30,10 +30,10 @@ VALUE_DEFINITIONS = {kind: f"{name}Values" for kind, name in SECTION_DEFINITIONS
 def hand_schema() -> dict[str, Any]:
     """Return the JSON Schema of a hand file of schema 2.
 
-    Hand files of schema 1 also satisfy this JSON Schema.
+    Hand files of schema 1 also conform to this JSON Schema.
 
-    In it, every key of a digit, tendon or motor is optional, because a default or a template can
-    contain the key. The command ``handctl config check`` reports keys that are missing.
+    In the schema, every key of a digit, tendon or motor is optional, because a default or template
+    can have the key. ``handctl config check`` reports missing keys.
     """
     schema = Hand.model_json_schema(by_alias=True, schema_generator=DescribedSchema)
     definitions = schema["definitions"] = schema.pop("$defs")
@@ -86,7 +86,7 @@ def hand_schema_text() -> str:
 
 
 def _extend_digit(definition: dict[str, Any]) -> None:
-    """Add to the definition of a digit those forms that only hand files of schema 2 may contain."""
+    """Add to the definition of a digit the forms that are valid only in hand files of schema 2."""
     properties = definition["properties"]
     for kind in DIGIT_KINDS:
         properties[kind] = _table_array_schema(
@@ -102,7 +102,7 @@ def _extend_digit(definition: dict[str, Any]) -> None:
 
 
 def _table_array_schema(kind: str, description: str) -> dict[str, Any]:
-    """Return the JSON Schema of a table that contains named tables of one kind."""
+    """Return the JSON Schema of a table of named tables of one kind."""
     return {
         "type": "object",
         "description": description,
@@ -111,14 +111,14 @@ def _table_array_schema(kind: str, description: str) -> dict[str, Any]:
 
 
 def _reference_to(name: str) -> dict[str, Any]:
-    """Return a reference to one of the definitions in the JSON Schema."""
+    """Return a reference to a definition of the JSON Schema."""
     return {"$ref": f"#/definitions/{name}"}
 
 
 def _in_draft_vocabulary(node: Any) -> Any:
-    """Convert a JSON Schema to the keywords of draft 7.
+    """Return a JSON Schema with the keywords of draft 7.
 
-    Titles that only repeat a key are removed from the schema.
+    Titles that only repeat a key are removed.
     """
     if isinstance(node, list):
         return [_in_draft_vocabulary(entry) for entry in node]
@@ -128,7 +128,7 @@ def _in_draft_vocabulary(node: Any) -> Any:
         node = {**node, "items": node["prefixItems"]}
         del node["prefixItems"]
     if isinstance(node.get("$ref"), str):
-        # In draft 7, a reference makes all keywords beside it ineffective.
+        # In draft 7, other keywords beside a reference have no effect.
         node = {"$ref": node["$ref"].replace("#/$defs/", "#/definitions/")}
     return {
         key: value.replace("``", "`")

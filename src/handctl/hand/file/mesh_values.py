@@ -1,4 +1,4 @@
-"""Types of the values that the keys for meshes in a hand file can have."""
+"""Types of the values that the mesh keys of a hand file can have."""
 
 from pathlib import PurePath
 from typing import Annotated, Any
@@ -20,10 +20,7 @@ SMALLEST_MESH_SCALE = 1e-6
 
 
 def _check_mesh_file(value: Any) -> str:
-    """Check that a value is a valid path of a mesh file, and return it.
-
-    An empty string means that there is no mesh.
-    """
+    """Return the value if it is a valid path of a mesh file. An empty string means no mesh."""
     printable = isinstance(value, str) and value.isprintable()
     if not printable or (value and PurePath(value).suffix.lower() not in MESH_SUFFIXES):
         raise validation_error(f'a file of type {" or ".join(MESH_SUFFIXES)}, or "" for none')

@@ -1,7 +1,7 @@
-"""Types of the values in a hand file. Each type has the range that is plausible for a robot hand.
+"""Types of the values in a hand file, each with the range that is plausible for a robot hand.
 
-These ranges include all usual hands, but not values in wrong units. For example, the length of a
-link in millimetres would be wrong by a factor of 1000.
+The ranges include all usual hands, but refuse values in wrong units. For example, a link length
+given in millimetres is wrong by a factor of 1000.
 """
 
 import re
@@ -28,16 +28,16 @@ The checks refuse this text for every key.
 
 
 def validation_error(valid_value: str) -> PydanticCustomError:
-    """Return a validation error whose text contains a valid value.
+    """Return a validation error that states a valid value.
 
-    The module ``error_text`` prints this value after the invalid one.
+    ``error_text`` prints this value after the invalid one.
     """
     return PydanticCustomError("hand", "expected {right}", {"right": valid_value})
 
 
 @dataclass(frozen=True, eq=False)
 class CheckedType:
-    """Validation of one type of value, with the method ``check`` for pydantic and the attribute ``schema`` for editors.
+    """Validation of one type of value. pydantic calls ``check``, and editors use ``schema``.
 
     Attributes:
         check: function that returns a valid value, and raises an error for an invalid value.
@@ -62,15 +62,13 @@ class CheckedType:
 
 @dataclass(frozen=True)
 class NumberRange:
-    """Check that a value is a finite real number within [low, high].
-
-    The result of the check is a float.
+    """Check of a finite real number within [low, high]. The result is a float.
 
     Attributes:
         low: smallest plausible value.
         high: largest plausible value.
-        unit: unit of the value and of both limits.
-        hint: question about the likely cause if a value is too large, such as "in metres?".
+        unit: unit of value and limits.
+        hint: question about the likely cause of a value that is too large, such as "in metres?".
     """
 
     low: float
@@ -79,11 +77,11 @@ class NumberRange:
     hint: str = ""
 
     def __call__(self, value: Any) -> float:
-        """Check a value, and return it as a float."""
+        """Return the value as a float."""
         right = f"a number from {self.low:g} to {self.high:g} {self.unit}".rstrip()
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise validation_error(right)
-        # The comparison is negated so that it also refuses NaN.
+        # NaN is refused because the comparison is negated.
         if not self.low <= value <= self.high:
             raise validation_error(
                 f"{right} ({self.hint})" if self.hint and value > self.high else right
@@ -97,16 +95,16 @@ class NumberRange:
 
 
 def in_range(low: float, high: float, unit: str = "", hint: str = "") -> CheckedType:
-    """Return the validation of a number that must be within [low, high], see ``NumberRange``."""
+    """Return the validation of a number within [low, high], see ``NumberRange``."""
     number = NumberRange(low, high, unit, hint)
     return CheckedType(number, number.schema)
 
 
 def whole_in_range(low: int, high: int) -> CheckedType:
-    """Return the validation of an integer that must be within [low, high]."""
+    """Return the validation of an integer within [low, high]."""
 
     def check_value(value: Any) -> int:
-        """Check that a value is valid, and return it."""
+        """Return the value if it is valid."""
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
             raise validation_error(f"a whole number from {low} to {high}")
         return value
@@ -118,7 +116,7 @@ def one_of(*words: str) -> CheckedType:
     """Return the validation of a text that must be one of the given words."""
 
     def check_value(value: Any) -> str:
-        """Check that a value is one of the given words, and return it."""
+        """Return the value if it is one of the given words."""
         if not isinstance(value, str) or value not in words:
             raise validation_error(" or ".join(f'"{word}"' for word in words))
         return value
@@ -127,14 +125,14 @@ def one_of(*words: str) -> CheckedType:
 
 
 def _check_direction(value: Any) -> int:
-    """Check that a value is a valid direction, which is 1 or -1, and return it."""
+    """Return the value if it is a valid direction, which is 1 or -1."""
     if isinstance(value, bool) or not isinstance(value, int) or value not in (1, -1):
         raise validation_error("1 or -1")
     return value
 
 
 def _check_name(value: Any) -> str:
-    """Check that a value is a valid name, and return it."""
+    """Return the value if it is a valid name."""
     if (
         not isinstance(value, str)
         or not NAME_PATTERN.fullmatch(value)
@@ -145,17 +143,17 @@ def _check_name(value: Any) -> str:
 
 
 def _check_text(value: Any) -> str:
-    """Check that a value is a valid string, and return it."""
+    """Return the value if it is a valid string."""
     if not isinstance(value, str):
         raise validation_error("a string")
     return value
 
 
 def _check_options(value: Any) -> dict[str, bool | int | float | str]:
-    """Check that a value is a table of finite numbers, strings and booleans, and return it."""
+    """Return the value if it is a table that contains only finite numbers, strings, and booleans."""
     if not isinstance(value, dict):
         raise validation_error("a table")
-    # The comparison is negated so that it also refuses NaN and infinity.
+    # NaN and infinity are refused because the comparison is negated.
     for key, entry in value.items():
         if not isinstance(entry, bool | int | float | str) or (
             isinstance(entry, float) and not abs(entry) < 1e300
@@ -165,11 +163,11 @@ def _check_options(value: Any) -> dict[str, bool | int | float | str]:
 
 
 def zero_or_in_range(low: float, high: float, unit: str, hint: str) -> CheckedType:
-    """Return the validation of a number that must be 0 or within [low, high], see ``NumberRange``."""
+    """Return the validation of a number that is 0 or within [low, high], see ``NumberRange``."""
     number = NumberRange(low, high, unit, hint)
 
     def check_value(value: Any) -> float:
-        """Check a value, and return it as a float."""
+        """Return the value as a float."""
         zero = isinstance(value, int | float) and not isinstance(value, bool) and value == 0
         if zero:
             return 0.0
@@ -187,14 +185,14 @@ def number_or_list(
     """Return the validation of a value that may be a number or a list of numbers.
 
     Args:
-        number_range: check for a value that is a single number.
-        entry_range: check for each number in a list.
-        counts: lengths that a list may have.
+        number_range: check of a single number.
+        entry_range: check of each number of a list.
+        counts: valid lengths of a list.
     """
     right = f"a number, or a list of {' or '.join(str(count) for count in counts)} numbers"
 
     def check_value(value: Any) -> float | tuple[float, ...]:
-        """Check a value, and return it as a float or as a tuple of floats."""
+        """Return the number as a float, or the list as a tuple of floats."""
         if not isinstance(value, list | tuple):
             return number_range(value)
         if len(value) not in counts:
@@ -219,10 +217,7 @@ MAX_TABLE_ENTRIES = 1000
 
 
 def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
-    """Check that a value is a valid moment arm, and return it.
-
-    It may be a number, a polynomial or a table.
-    """
+    """Return the value if it is a valid moment arm: a number, a polynomial, or a table."""
     if isinstance(value, list | tuple):
         raise validation_error(
             f"a number from {MOMENT_ARM_RANGE.low:g} to {MOMENT_ARM_RANGE.high:g} m, {ARM_FORMS}"
@@ -251,11 +246,11 @@ def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
 def _checked_numbers(
     values: Any, key: str, min_length: int, max_length: int, largest: float
 ) -> tuple[float, ...]:
-    """Check that a list has an allowed length and numbers from ``-largest`` to ``largest``, and return it."""
+    """Return the list at a key, if it has ``min_length`` to ``max_length`` numbers from ``-largest`` to ``largest``."""
     right = f"{min_length} to {max_length} numbers from {-largest:g} to {largest:g} in {key}"
     if not isinstance(values, list | tuple) or not min_length <= len(values) <= max_length:
         raise validation_error(right)
-    # The comparison is negated so that it also refuses NaN.
+    # NaN is refused because the comparison is negated.
     if any(
         isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= largest
         for one in values
@@ -265,13 +260,13 @@ def _checked_numbers(
 
 
 def _list_schema(min_length: int, max_length: int, largest: float) -> dict[str, Any]:
-    """Return the JSON Schema of the lists that ``_checked_numbers`` accepts."""
+    """Return the JSON Schema of a list that ``_checked_numbers`` accepts."""
     entry = {"type": "number", "minimum": -largest, "maximum": largest}
     return {"type": "array", "items": entry, "minItems": min_length, "maxItems": max_length}
 
 
 def _table_schema(**lists: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON Schema of a table that consists of exactly the given lists."""
+    """Return the JSON Schema of a table with exactly the given lists."""
     return {
         "type": "object",
         "properties": lists,
@@ -378,8 +373,7 @@ JointSpeed = Annotated[float, in_range(1.0, 3000.0, "deg/s", "in degrees?")]
 JointAcceleration = Annotated[float, in_range(10.0, 1e6, "deg/s2", "in degrees?")]
 TensionRate = Annotated[float, in_range(1.0, 1e5, "N/s")]
 StaleTime = Annotated[float, in_range(1.0, 60_000.0, "ms", "in milliseconds?")]
-# Smallest and largest bit rate that is accepted for classical CAN and for the data phase of CAN FD
-# [bit/s].
+# Smallest and largest accepted bit rate of classical CAN and of the data phase of CAN FD [bit/s].
 MIN_BITRATE_BIT_S = 10_000
 MAX_BITRATE_BIT_S = 8_000_000
 Bitrate = Annotated[int, whole_in_range(MIN_BITRATE_BIT_S, MAX_BITRATE_BIT_S)]

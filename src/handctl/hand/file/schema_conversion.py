@@ -1,9 +1,7 @@
-"""Conversion of a hand file of schema 1 to schema 2.
+"""Conversion of a hand file of schema 1 to schema 2. Schema 2 writes repeated values once. Comments stay in the file.
 
-A file of schema 2 contains repeated values only once. The comments of the file are kept.
-
-Each value is written in the same way as before, for example as ``0x1A0`` or ``6.384e-3``. Each
-comment stays next to the value to which it belongs.
+Each value is written as before, for example as ``0x1A0`` or ``6.384e-3``. A comment stays beside
+its value.
 """
 
 import re
@@ -41,14 +39,13 @@ MIN_SECTIONS_TO_SHARE = 2
 
 @dataclass
 class TomlEntry:
-    """Line of a hand file: a key with its value and a comment after it, or only a comment.
+    """Line of a hand file: a key with its value and the comment behind it, or only a comment.
 
     Attributes:
-        key: key of the line, or an empty text for a blank line and for a line that is only a
-            comment.
-        text: text of the value in the file. In a line without a key, it is the whole line.
-        value: parsed value, or None in a line without a key.
-        comment: comment after the value, with its #, or an empty text.
+        key: key of the line, empty for a blank line and for a line with only a comment.
+        text: text of the value. In a line without a key, the whole line.
+        value: parsed value, None in a line without a key.
+        comment: comment behind the value, with its #, or an empty text.
     """
 
     key: str
@@ -69,9 +66,9 @@ class TomlTable:
 
     Attributes:
         entries: lines of the table, in order.
-        before: comment lines before the header of the table.
-        comment: comment after the header of the table.
-        held: tables of the tendons and motors that a digit contains, by kind and short name.
+        before: comment lines in front of the table's header.
+        comment: comment behind the header.
+        held: tables of the tendons and motors within a digit, by kind and short name.
     """
 
     entries: list[TomlEntry]
@@ -93,11 +90,11 @@ class TomlTable:
 
 
 def convert_to_schema_2(text: str, source: str) -> str:
-    """Convert the text of a hand file of schema 1 to schema 2.
+    """Return the text of a hand file of schema 1, converted to schema 2.
 
     Args:
         text: text of a valid hand file of schema 1.
-        source: name of the file, for error messages.
+        source: name of the file, for messages.
 
     Raises:
         ConfigError: the text is not TOML.
@@ -130,10 +127,7 @@ def convert_to_schema_2(text: str, source: str) -> str:
 
 
 def _parse_blocks(document: tomlkit.TOMLDocument) -> tuple[TomlTable, list[tuple[str, TomlTable]]]:
-    """Return the root and the tables of a document in order.
-
-    Each table has the comments before its header.
-    """
+    """Return the root and the tables of a document in order, each with the comments before its header."""
     root = TomlTable([])
     tables: list[tuple[str, TomlTable]] = []
     last = root
@@ -151,7 +145,7 @@ def _parse_blocks(document: tomlkit.TOMLDocument) -> tuple[TomlTable, list[tuple
 
 
 def _parse_entry(key: str, item: Item) -> list[TomlEntry]:
-    """Return the lines of one TOML item, which is a key, a comment, or blank lines."""
+    """Return the lines of one TOML item: a key, a comment, or blank lines."""
     if isinstance(item, Whitespace):
         return []
     if isinstance(item, Comment):
@@ -178,7 +172,7 @@ def _trailing_comments(block: TomlTable) -> list[str]:
 
 
 def _take_common_values(kind: str, blocks: Sequence[TomlTable]) -> list[TomlEntry]:
-    """Remove those values from all sections of a kind that are the same in all of them, and return their lines."""
+    """Remove the values that all sections of a kind have in common, and return their lines."""
     if kind == "digit":
         for block in blocks:
             _shorten_lists_per_link(block)
@@ -191,7 +185,7 @@ def _take_common_values(kind: str, blocks: Sequence[TomlTable]) -> list[TomlEntr
 def _take_shared_values(
     blocks: Sequence[TomlTable], can_be: Callable[[str, Any], bool]
 ) -> list[TomlEntry]:
-    """Remove those values from all tables that all of them share, and return their lines with all comments."""
+    """Remove the values that all tables have in common, and return their lines with the comments of all tables."""
     first = blocks[0].values()
     others = [block.values() for block in blocks[1:]]
     keys = [
@@ -214,22 +208,22 @@ def _take_shared_values(
 
 
 def _are_equal(value: Any, other_value: Any) -> bool:
-    """Return True if two values are equal. A boolean never equals a number.
+    """Return True if two values are equal and both or neither are booleans.
 
-    In TOML, true is not the same as 1.
+    In TOML, true is not 1.
     """
     return bool(value == other_value) and isinstance(value, bool) == isinstance(other_value, bool)
 
 
 def _shorten_lists_per_link(block: TomlTable) -> None:
-    """If a list has one number for each link and all are equal, replace it by a single number."""
+    """Replace each list of equal numbers, one per link, by a single number."""
     for entry in block.entries:
         values = entry.value
         if entry.key not in KEYS_ONE_FOR_ALL_LINKS or not isinstance(values, list) or not values:
             continue
         if isinstance(values[0], int | float) and all(value == values[0] for value in values):
-            # The text between the bracket and the first comma is the number as the file spells it.
-            # This text is copied.
+            # The text between the bracket and the first comma is the spelling of the number in the
+            # file. It is copied.
             entry.text = entry.text.strip("[] \n").split(",")[0].strip()
             entry.value = values[0]
 
@@ -237,7 +231,7 @@ def _shorten_lists_per_link(block: TomlTable) -> None:
 def _shorten_sensor_node(
     others: Sequence[tuple[str, TomlTable]], sections: dict[str, list[TomlTable]]
 ) -> None:
-    """If a list in the sensor node contains all tendons or all joints, replace it by ``"all"``."""
+    """Replace a list of all tendons or of all joints in the sensor node by ``"all"``."""
     digits = [block.values() for block in sections["digit"]]
     names = {
         "tendons": [block.values().get("name") for block in sections["tendon"]],
@@ -254,7 +248,7 @@ def _shorten_sensor_node(
 
 
 def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
-    """Move each tendon or motor into the digit with whose name its name begins, if this is possible for all of them."""
+    """Move the tendons or motors into the digits whose names they begin with, if this is possible for all of them."""
     moved: list[tuple[TomlTable, str, TomlTable]] = []
     digits = {block.values()["name"]: block for block in sections["digit"]}
     for block in sections[kind]:
@@ -273,7 +267,7 @@ def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
         id(block)
         for *_, block in sorted(moved, key=lambda row: list(digits.values()).index(row[0]))
     ] != [id(block) for block in sections[kind]]:
-        return  # moving them would change the order of the tendons or motors
+        return  # this would change the order of tendons or motors
     comments: list[str] = []
     if sections[kind]:
         comments, sections[kind][0].before = sections[kind][0].before, []
@@ -297,7 +291,7 @@ def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
 
 
 def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
-    """Remove those values that digits with equal links share, and return templates with these values."""
+    """Remove the values that digits with equal links have in common, and return templates with these values."""
     groups: dict[str, list[TomlTable]] = {}
     for block in digits:
         groups.setdefault(str(block.values().get("link_length_m")), []).append(block)
@@ -309,9 +303,9 @@ def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
             _take_shared_values(group, lambda key, value: key not in INDIVIDUAL_KEYS["digit"])
         )
         for kind in DIGIT_KINDS:
-            # In the resolved file, the tendons and motors of a template come before those of the
-            # digit itself. But the order of tendons and motors must not change. Therefore only
-            # those before the first difference between the digits are moved into the template.
+            # Tendons and motors of a template come before those that only the digits have. The
+            # order of tendons and motors must not change. Therefore only those before the first
+            # difference between the digits move into the template.
             for short in group[0].held[kind]:
                 if not all(short in block.held[kind] for block in group):
                     break
@@ -334,7 +328,7 @@ def _kind_lines(
     templates: dict[str, TomlTable],
     sections: Sequence[TomlTable],
 ) -> list[str]:
-    """Return the lines of the new file for one kind of section: default, templates and sections."""
+    """Return the lines of the file for one kind of section: the default, the templates and the sections."""
     lines = ["", *(sections[0].before if sections else [])]
     if default:
         lines += [f"[default.{kind}]", *(entry.line() for entry in default), ""]
@@ -352,12 +346,12 @@ def _kind_lines(
 
 
 def _header_comment(block: TomlTable) -> str:
-    """Return the text of the comment after the header of a table."""
+    """Return the text of the comment behind the header of a table."""
     return f"   {block.comment}" if block.comment else ""
 
 
 def _table_lines(block: TomlTable, header: str) -> list[str]:
-    """Return the lines of a table, with those of the tendons and motors that it contains."""
+    """Return the lines of a table, and of the tendons and motors in it."""
     lines = [entry.line() for entry in block.entries]
     tables: list[str] = []
     for kind, held in block.held.items():

@@ -18,10 +18,10 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Return a copy in which the given fields are replaced.
+        """Return a copy with the given fields replaced.
 
-        pydantic would also copy cached properties, which belong to the old values of the fields. In
-        this copy, they are computed again.
+        pydantic also copies the cached properties, which belong to the fields before the change. The
+        copy computes them again.
         """
         copied = super().model_copy(update=update, deep=deep)
         for name in copied.__dict__.keys() - type(self).model_fields.keys():
@@ -152,12 +152,12 @@ class SensorNode(Section):
 
     @property
     def is_cia404(self) -> bool:
-        """Return True if CANopen amplifiers of the profile CiA 404 measure the tensions."""
+        """Return True if CANopen measuring amplifiers according to CiA 404 measure the tensions."""
         return self.protocol == CIA404_PROTOCOL
 
     @property
     def amplifier_channels(self) -> tuple[int, ...]:
-        """Return, for each CiA 404 amplifier, the number of channels to which a load cell is connected."""
+        """Return for each CiA 404 amplifier the number of channels that have a load cell."""
         size = self.channels_per_node
         return tuple(
             min(max(len(self.tendons) - size * i, 0), size)
@@ -166,7 +166,7 @@ class SensorNode(Section):
 
     @property
     def tension_ids(self) -> tuple[int, ...]:
-        """Return the CAN identifiers of the frames that contain tensions."""
+        """Return the CAN identifiers of the tension frames."""
         if self.is_cia404:
             return tuple(
                 base + node_id
@@ -180,7 +180,7 @@ class SensorNode(Section):
 
     @property
     def joint_ids(self) -> tuple[int, ...]:
-        """Return the CAN identifiers of the frames that contain joint angles."""
+        """Return the CAN identifiers of the joint frames."""
         groups = math.ceil(len(self.joints) / CHANNELS_PER_FRAME)
         return tuple(self.base_id + JOINT_FRAME_OFFSET + group for group in range(groups))
 
@@ -373,10 +373,10 @@ class Digit(Section):
     @model_validator(mode="before")
     @classmethod
     def _without_springs(cls, given: Any) -> Any:
-        """If a digit has no springs, add return springs with the stiffness 0.
+        """Add return springs with stiffness 0 to a digit without springs.
 
-        Antagonistic tendons then open the digit. A digit without revolute joints may also lack the
-        keys for such joints.
+        Antagonistic tendons open such a digit. A digit without revolute joints needs none of the
+        keys of such joints.
         """
         if not isinstance(given, dict):
             return given
@@ -396,24 +396,24 @@ class Digit(Section):
 
     @property
     def is_prismatic(self) -> tuple[bool, ...]:
-        """Return True for each prismatic joint, in the order from the palm to the tip."""
+        """Return True for each prismatic joint, from the palm outwards."""
         if self.joint_type is None:
             return (False,) * len(self.link_length_m)
         return tuple(kind == PRISMATIC for kind in self.joint_type)
 
     @property
     def axes(self) -> tuple[tuple[float, float, float], ...]:
-        """Return the axis of each joint in the frame of its link, from the file or by default."""
+        """Return the axis of each joint in the frame of its link, as in the file or by default."""
         if self.joint_axis is not None:
             return self.joint_axis
         return tuple(Y_AXIS if slides else Z_AXIS for slides in self.is_prismatic)
 
     def joint_values(self, key: str) -> tuple[float, ...]:
-        """Return a value for each joint, from a key for revolute joints or from the corresponding key in metres.
+        """Return the value of each joint for a key of revolute joints or its counterpart in metres.
 
         Args:
-            key: one of ``REVOLUTE_KEYS``. The values of prismatic joints are in SI units. Those of
-                revolute joints have the unit of the key.
+            key: one of ``REVOLUTE_KEYS``. The values of prismatic joints are in SI units, those of
+                revolute joints in the unit of the key.
         """
         turning = iter(getattr(self, key))
         sliding = iter(getattr(self, PRISMATIC_KEYS[REVOLUTE_KEYS.index(key)]))
@@ -446,7 +446,7 @@ class Digit(Section):
 
     @property
     def rated_loads(self) -> tuple[float, ...] | None:
-        """Return the largest torque or force that each joint withstands [N m or N], or None if one is not known."""
+        """Return the largest torque or force that each joint withstands [N m or N], None if one is unknown."""
         turning = self.joint_rated_torque_N_m
         sliding = self.joint_rated_force_N
         slides = self.is_prismatic
@@ -457,7 +457,7 @@ class Digit(Section):
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Return the names of the digit's joints, in the order from the palm to the tip."""
+        """Return the names of the digit's joints from the palm outwards."""
         return tuple(f"{self.name}_j{i + 1}" for i in range(len(self.link_length_m)))
 
 
@@ -523,10 +523,10 @@ class Tendon(Section):
     @model_validator(mode="before")
     @classmethod
     def _without_floor(cls, given: Any) -> Any:
-        """Add those keys that the file may leave out.
+        """Add keys that a tendon may omit.
 
-        The tension floor of a spool pair is 0, because its net tension may have both signs. A
-        tendon that moves only prismatic joints has no moment arms.
+        A spool pair has a tension floor of 0, because the net tension of the pair has both signs. A
+        tendon that moves prismatic joints only has no moment arms.
         """
         if not isinstance(given, dict):
             return given
@@ -538,11 +538,11 @@ class Tendon(Section):
 
     @property
     def arms(self) -> dict[str, Any]:
-        """Return the entries of R for this tendon by joint: moment arms [m], or ratios for prismatic joints."""
+        """Return the entries of R by joint: moment arms [m], and excursion ratios of prismatic joints."""
         return {**self.moment_arm_m, **self.excursion_ratio}
 
     def arm_key(self, joint: str) -> str:
-        """Return the key that contains the tendon's entry of R for a joint, for error messages."""
+        """Return the key with the tendon's entry of R for a joint, for messages."""
         return "excursion_ratio" if joint in self.excursion_ratio else "moment_arm_m"
 
 
@@ -602,5 +602,5 @@ class Motor(Section):
 
     @property
     def holds_position(self) -> bool:
-        """Return True if the control loop for the position of a moving digit runs in the drive."""
+        """Return True if the drive closes the position loop of a moving digit."""
         return self.control == "position"

@@ -1,4 +1,4 @@
-"""Checks of the section ``sensor_node`` in a hand file: keys of the protocol, sensor channels, measuring range."""
+"""Checks of the section ``sensor_node`` of a hand file: keys of its protocol, sensor channels, and measuring range."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def check_sensor_node(hand: Hand) -> Iterator[FileMistake]:
 
 
 def _check_amplifiers(node: SensorNode) -> Iterator[FileMistake]:
-    """Check the SYNC identifier, the node numbers, and that there is an amplifier channel for each load cell."""
+    """Check the SYNC identifier and the node numbers, and that the amplifiers have a channel for each load cell."""
     if node.sync_id != CANOPEN_SYNC:
         yield FileMistake(
             f"0x{node.sync_id:X}",
@@ -78,7 +78,7 @@ def _check_amplifiers(node: SensorNode) -> Iterator[FileMistake]:
 
 
 def _check_range(hand: Hand) -> Iterator[FileMistake]:
-    """Check that the largest tension is within the measuring range, and that the number format contains it."""
+    """Check that the largest tension is within the measuring range, and that the process value can hold the range."""
     node, where = hand.sensor_node, "sensor_node.range_N"
     if node.range_N is None:
         yield FileMistake("missing", where, "a value: rated load of the load cells [N]")
@@ -95,7 +95,7 @@ def _check_range(hand: Hand) -> Iterator[FileMistake]:
 
 
 def amplifier_identifiers(node: SensorNode) -> Iterator[tuple[int, str]]:
-    """Yield (identifier, key path) for the CAN frames of CiA 404 amplifiers."""
+    """Yield (identifier, key path) of the CAN frames of CiA 404 amplifiers."""
     if not node.is_cia404:
         return
     for identifier in node.tension_ids:

@@ -1,9 +1,7 @@
-"""Resolution of a hand file of schema 2.
+"""Resolution of a hand file of schema 2: defaults and templates are replaced by the values that they stand for.
 
-Defaults and templates are replaced by the values for which they stand.
-
-In a file of schema 2, a value that is repeated is written only once. The resolved content has the
-form of schema 1, where every section contains all of its values. These rules apply in order:
+In a file of schema 2, a repeated value is written once. The resolved content has the form of schema
+1, in which every section has all its values. These rules apply in order:
 
 1. A digit, tendon or motor has the values of ``[default.KIND]``. Values of its template
    ``[KIND_template.NAME]`` replace these, and values in the section itself replace both. Tables are
@@ -60,9 +58,9 @@ KeyPathOrigins = dict[str, str]
 
 
 class ValueLayer(NamedTuple):
-    """Values for a section that come from one place in the file, with the key path of this place.
+    """Values for a section from one place in the file, and the key path of this place.
 
-    Values of a later layer replace values of an earlier layer.
+    Values of later layers replace values of earlier ones.
     """
 
     values: TableContent
@@ -74,8 +72,8 @@ class ResolvedContent(NamedTuple):
 
     Attributes:
         content: content of the file in the form of schema 1.
-        origins: key path in the file, for each value that has a different key path in ``content``.
-        mistakes: mistakes in the use of defaults and templates that were found.
+        origins: key path in the file of each value whose key path in ``content`` is another one.
+        mistakes: mistakes in the use of defaults and templates.
     """
 
     content: dict[str, Any]
@@ -84,12 +82,10 @@ class ResolvedContent(NamedTuple):
 
 
 def resolve_templates(content: TableContent) -> ResolvedContent:
-    """Replace the defaults and templates of a hand file by the values for which they stand.
+    """Replace defaults and templates by values. Content of schema 1 is not changed.
 
-    Content of schema 1 is not changed.
-
-    If a value that is not a table stands in the place of a section, it is not changed either. The
-    later validation describes such a mistake better.
+    A value that stands in the place of a section but is no table is not changed either. The later
+    validation describes a wrong section better.
     """
     tables = [key for key in ("default", *TEMPLATE_KEYS.values()) if key in content]
     if content.get("schema") != WRITTEN_SCHEMA and not tables:
@@ -119,7 +115,7 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
     for kind in DIGIT_KINDS:
         if isinstance(sections[kind], list):
             sections[kind] = resolver.of_digits[kind] + sections[kind]
-    # If a section is missing, it is not added, so that the validation reports it as missing.
+    # An absent section stays absent, so that the validation reports it as missing.
     resolved |= {kind: section for kind, section in sections.items() if section or kind in content}
     node = content.get("sensor_node")
     if isinstance(node, Mapping):
@@ -128,20 +124,20 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
 
 
 class _TemplateResolver:
-    """Resolution of one hand file, with the content of the file and the results so far."""
+    """Resolution of one hand file: the content of the file, and the results so far."""
 
     def __init__(self, content: TableContent) -> None:
-        """Begin to resolve the content of a hand file."""
+        """Start the resolution with the content of a hand file."""
         self.content = content
         self.origins: KeyPathOrigins = {}
         self.mistakes: list[FileMistake] = []
         self.of_digits: dict[str, list[dict[str, Any]]] = {kind: [] for kind in DIGIT_KINDS}
 
     def check_tables(self) -> None:
-        """Find mistakes in the defaults and templates of the file.
+        """Find mistakes in defaults and templates.
 
-        All of them must be tables. They must not contain the keys ``name`` and ``template``, which
-        belong to a section itself.
+        Defaults and templates must be tables. They must not have the keys ``name`` and
+        ``template``, which belong to a section itself.
         """
         default = self.content.get("default", {})
         if not isinstance(default, Mapping):
@@ -173,11 +169,11 @@ class _TemplateResolver:
     def entry(
         self, kind: str, own: Sequence[ValueLayer], name: str | None = None
     ) -> dict[str, Any]:
-        """Return one digit, tendon or motor with all of its values.
+        """Return one digit, tendon or motor with all its values.
 
         Args:
             kind: kind of section.
-            own: layers of the section itself, without those of the default and the template.
+            own: layers of the section itself, without those of its default and its template.
             name: name of the section, or None if the layers contain the name.
         """
         layers = [*self.shared(kind, own), *own]
@@ -193,12 +189,12 @@ class _TemplateResolver:
         return values
 
     def shared(self, kind: str, own: Sequence[ValueLayer]) -> Iterator[ValueLayer]:
-        """Yield the layers of the default for a kind of section, and of the template that the section names."""
+        """Yield the layers of the default of a kind, and of the template that a section names."""
         given = self.content.get("default")
         default: TableContent = given if isinstance(given, Mapping) else {}
         for key, values in default.items():
-            # If a kind is misspelt, its default is used nevertheless. Otherwise all values of this
-            # default would also be reported as missing.
+            # The default of a misspelt kind is used. Otherwise the values in this default would
+            # also be reported as missing.
             misspelt = (
                 key not in SECTION_KINDS
                 and kind not in default
@@ -220,8 +216,8 @@ class _TemplateResolver:
             self.mistakes.append(
                 FileMistake(toml_spelling(name), f"{named[-1].path}.template", right)
             )
-            # If a template does not exist, the template with the most similar name is used.
-            # Otherwise all values of the template would also be reported as missing.
+            # The most similar template is used. Otherwise the values in this template would also be
+            # reported as missing.
             name = right if right in valid else next(iter(valid), None)
         if isinstance(templates, Mapping) and isinstance(templates.get(name), Mapping):
             yield ValueLayer(_without_entry_keys(templates[name]), f"{key}.{name}")
@@ -229,13 +225,13 @@ class _TemplateResolver:
     def _resolve_digit(
         self, layers: Sequence[ValueLayer], values: dict[str, Any], path: str
     ) -> None:
-        """Take the tendons and motors out of a digit, and extend single numbers to lists with a value per link."""
+        """Take tendons and motors out of a digit, and extend single numbers to lists with a value per link."""
         digit = values.get("name")
         inner = {kind: _template_layers_by_name(layers, kind) for kind in DIGIT_KINDS}
         for kind in DIGIT_KINDS:
             held = values.get(kind)
             if not isinstance(held, Mapping):
-                continue  # either there are none, or the later validation describes the mistake
+                continue  # there are none, or the later validation describes the mistake
             del values[kind]
             for name, table in held.items():
                 where = self.origins[f"{path}.{kind}.{name}"]
@@ -261,7 +257,7 @@ class _TemplateResolver:
     def _of_digit(
         self, kind: str, digit: Any, name: str, own: list[ValueLayer], motors: TableContent
     ) -> dict[str, Any]:
-        """Return a tendon or motor that a digit contains, with the full names of itself, its motor and its joints.
+        """Return a tendon or motor that a digit holds, with full names of itself, its motor and its joints.
 
         Args:
             kind: kind of section.
@@ -289,10 +285,10 @@ class _TemplateResolver:
     def _write_full_joint_names(
         self, values: dict[str, Any], path: str, key: str, digit: str
     ) -> None:
-        """In a table of a tendon, replace the short names of joints by their full names.
+        """Replace short names of joints in a table of a tendon by full names.
 
         Args:
-            values: values of the tendon, which are modified in place.
+            values: values of the tendon, modified in place.
             path: key path of the table.
             key: key of the table.
             digit: name of the digit.
@@ -321,12 +317,12 @@ def _value_count(key: str, links: int, types: Any) -> int:
 def join_mistakes_of_default(
     mistakes: Iterable[FileMistake], content: TableContent
 ) -> list[FileMistake]:
-    """If a key is missing in all sections of a kind, join the mistakes about it.
+    """Join the mistakes about a key that is missing in all sections of a kind.
 
-    The joined mistake says that the key is missing in the default of this kind.
+    The joined mistake says that the key is missing in the default.
 
     Args:
-        mistakes: mistakes whose key paths belong to the resolved content.
+        mistakes: mistakes with key paths of the resolved content.
         content: resolved content.
     """
     found = list(mistakes)
@@ -347,13 +343,11 @@ def join_mistakes_of_default(
 def _merge_layers(
     layers: Sequence[ValueLayer], depth: int
 ) -> tuple[dict[str, Any], KeyPathOrigins]:
-    """Merge several layers of values for a section.
-
-    Values of a later layer replace those of an earlier layer. Tables are merged key by key.
+    """Merge layers. Values of later layers replace those of earlier ones, and tables are merged key by key.
 
     Returns:
-        The merged values. For each value, by its key path within the section, also the key path in
-        the file.
+        The merged values, and the key path in the file of each value, by its key path within the
+        section.
     """
     values: dict[str, Any] = {}
     origins: KeyPathOrigins = {}
@@ -375,14 +369,14 @@ def _merge_layers(
 
 
 def _copy_list(value: Any) -> Any:
-    """If a value is a list, return a copy, because two sections must not share one list."""
+    """Return a copy of a list, because two sections must not share one list."""
     return [_copy_list(entry) for entry in value] if isinstance(value, list) else value
 
 
 def _template_layers_by_name(
     layers: Sequence[ValueLayer], kind: str
 ) -> dict[str, list[ValueLayer]]:
-    """Return the layers of each tendon or motor that a digit contains, by the short name."""
+    """Return the layers of each tendon or motor that a digit holds, by its short name."""
     held: dict[str, list[ValueLayer]] = {}
     for layer in layers:
         tables = layer.values.get(kind)
@@ -393,7 +387,7 @@ def _template_layers_by_name(
 
 
 def _expand_all_names(node: TableContent, sections: TableContent) -> dict[str, Any]:
-    """Return the sensor node, where names take the place of ``"all"``."""
+    """Return the sensor node with the names that ``"all"`` stands for."""
     names = {
         "tendons": [tendon.get("name") for tendon in _list_of_tables(sections["tendon"])],
         "joints": [
@@ -412,22 +406,16 @@ def _without_entry_keys(values: TableContent) -> dict[str, Any]:
 
 
 def _is_list_of_tables(value: Any) -> bool:
-    """Return True for a list that contains only tables. An empty list is one of them."""
+    """Return True for a list that contains only tables, and for an empty list."""
     return isinstance(value, list | tuple) and all(isinstance(entry, Mapping) for entry in value)
 
 
 def _list_of_tables(value: Any) -> list[TableContent]:
-    """Check that a value is a list of tables, and return it.
-
-    For any other value, return an empty list.
-    """
+    """Return a list of tables. For any other value, return an empty list."""
     return list(value) if _is_list_of_tables(value) else []
 
 
 def _section_label(section: TableContent, position: int) -> str:
-    """Return the name of a section, as key paths contain it.
-
-    If the section has no name, return its position.
-    """
+    """Return the name of a section for key paths. Without a name, return the section's position."""
     name = section.get("name")
     return name if isinstance(name, str) and name else str(position)

@@ -1,6 +1,6 @@
-"""TOML text of the resolved content of a hand file, which is stored in the log.
+"""TOML text of the resolved content of a hand file, for the log.
 
-A hand that is read from this text is equal to the original hand.
+A hand that is read from this text equals the original hand.
 """
 
 import json
@@ -11,9 +11,9 @@ from handctl.printing import escape_surrogates
 
 
 def toml_text(content: Mapping[str, Any]) -> str:
-    """Write content as TOML text: first plain values, then tables and arrays of tables.
+    """Write content as TOML: plain values first, then tables and arrays of tables.
 
-    Values that are None, and empty inline tables, are left out.
+    Values that are None and empty inline tables are left out.
     """
     lines = _value_lines(content)
     for key, value in content.items():
@@ -26,7 +26,7 @@ def toml_text(content: Mapping[str, Any]) -> str:
 
 
 def _value_lines(table: Mapping[str, Any], inline_tables: bool = False) -> list[str]:
-    """Return the lines for those values of a table that are written in one line."""
+    """Return the lines of a table for all values that are written in one line."""
 
     def is_entry(value: Any) -> bool:
         """Return True for a value that is written in one line of the table."""
@@ -55,7 +55,7 @@ def _is_table_array(value: Any) -> bool:
 def _value_text(value: Any) -> str:
     """Return the text of a value.
 
-    Python's repr of a float is the shortest text that gives the same float, and it is valid TOML.
+    Python's repr of a float is the shortest exact text, and is valid TOML.
     """
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -75,14 +75,14 @@ def _value_text(value: Any) -> str:
 def quoted_string(text: str) -> str:
     """Return a text as a TOML basic string, with quotes.
 
-    Characters that UTF-8 cannot encode are written as the text of an escape sequence, because TOML
-    has no escape for them.
+    Characters without a UTF-8 encoding become the text of an escape sequence, because TOML has no
+    escape for them.
     """
     return json.dumps(escape_surrogates(text), ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _key_text(key: str) -> str:
-    """Return the text of a key. If quotes are necessary, add them."""
+    """Return the text of a key, with quotes if they are necessary."""
     return (
         key
         if key.isascii() and key.replace("_", "").replace("-", "").isalnum()

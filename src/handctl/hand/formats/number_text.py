@@ -4,10 +4,10 @@ import numpy as np
 
 
 def number_text(value: float) -> str:
-    """Return the shortest text from which an equal number can be read."""
+    """Return the shortest text that reads back as an equal number."""
     return repr(float(value))
 
 
 def numbers_text(values: object) -> str:
-    """Return a text with numbers that are separated by spaces."""
+    """Return numbers separated by spaces."""
     return " ".join(number_text(value) for value in np.asarray(values, dtype=float).tolist())

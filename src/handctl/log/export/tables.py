@@ -1,4 +1,4 @@
-"""Export of a log as a CSV file or as text in the format of candump.
+"""Export of a log as CSV and as candump text.
 
 This module also makes the tables of ticks that all exports use.
 """
@@ -50,12 +50,11 @@ The unit of a field is the same with and without such a suffix.
 
 
 class TableBlock(NamedTuple):
-    """Table with some consecutive ticks of a log.
+    """Part of a log as a table: some consecutive ticks.
 
     Attributes:
         k, t_ns, late_ns: (rows,) number, time and lateness of each tick, as in TickIn [ns].
-        mode, phase, action: names of the mode, the grasp phase and the reaction to faults in each
-            tick.
+        mode, phase, action: names of the mode, the grasp phase and the safety action in each row.
         numbers: (rows, columns) telemetry of each tick.
     """
 
@@ -81,12 +80,11 @@ def column_names(log: RunLog) -> tuple[str, ...]:
 
 
 def column_unit(column: str, prismatic: Collection[str] = ()) -> str:
-    """Return the unit of a column with numbers: `rad` for `q/index_j1`, `ns` for `t_ns`, and 1 for none.
+    """Return the unit of a numeric column: `rad` for `q/index_j1`, `ns` for `t_ns`, 1 for a number without a unit.
 
     Args:
         column: name of the column.
-        prismatic: names of those joints of the hand that are prismatic. The positions of these
-            joints are in m.
+        prismatic: names of the prismatic joints of the hand. Their positions are in m.
     """
     if column in INTEGER_COLUMNS:
         return INTEGER_COLUMNS[column]
@@ -97,9 +95,9 @@ def column_unit(column: str, prismatic: Collection[str] = ()) -> str:
 
 
 def column_title(column: str, prismatic: Collection[str] = ()) -> str:
-    """Return the title of a column, for example `tension/index_tendon [N]`.
+    """Return the title of a column: `tension/index_tendon [N]`.
 
-    If the name of the column already contains the unit, the title is the name.
+    If the name already contains the unit, the title is the name.
 
     The arguments are those of `column_unit`.
     """
@@ -127,12 +125,11 @@ def table_blocks(log: RunLog) -> Iterator[TableBlock]:
 def export_csv(log: RunLog, path: Path) -> int:
     """Write a log as CSV with one row for each tick, and return the number of rows.
 
-    The numbers have so many digits that a reader can restore the same bits. A NaN becomes an empty
-    field. The first row contains the titles of the columns with their units, for example
-    `tension/index_tendon [N]`.
+    The numbers are written with enough digits to restore the same bits. NaN becomes an empty field.
+    The first row contains the titles of the columns with their units: `tension/index_tendon [N]`.
 
     Raises:
-        OSError: the file already exists or cannot be written.
+        OSError: the file exists already or cannot be written.
     """
     count = 0
     prismatic = prismatic_joints(log.header)
@@ -149,13 +146,12 @@ def export_csv(log: RunLog, path: Path) -> int:
 
 
 def export_candump(log: RunLog, path: Path) -> int:
-    """Write all CAN frames of a log in the format of can-utils' log files, and return the number of frames.
+    """Write all CAN frames of a log in the log format of can-utils, and return the number of frames.
 
-    The letter R marks a frame that the host has received, and T marks a frame that the host has
-    sent.
+    The letter R marks a frame that the host received, and T marks a frame that it sent.
 
     Raises:
-        OSError: the file already exists or cannot be written.
+        OSError: the file exists already or cannot be written.
     """
     count = 0
     buses = log.header.buses
@@ -168,12 +164,12 @@ def export_candump(log: RunLog, path: Path) -> int:
 
 
 def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
-    """Yield the time [ns], the direction (R or T) and the content of all CAN frames, in the order of their times.
+    """Yield the time [ns], direction (R or T) and content of all CAN frames, in the order of their times.
 
-    The time of a received frame is the time at which it arrived. The time of a sent frame is the
-    start of the tick in which it was sent. If a frame arrived in the same tick after its start, the
-    time of the latest arrival is used instead. On a local bus, a frame counts as arrived when the
-    tick reads it, which is after the start of the tick.
+    The time of a received frame is its arrival. The time of a sent frame is the start of its tick.
+    If a frame arrived in that tick later than this, the time of the latest arrival is used. On a
+    local bus, the arrival of a frame is the moment at which the tick reads it, after the start of
+    the tick.
     """
     pending: list[tuple[int, str, Frame]] = []
     complete_ns = 0
@@ -184,9 +180,9 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
         pending += [(frame.t_ns, "R", frame) for frame in received]
         pending += [(max(start_ns, sent_ns), "T", frame) for frame in tick.frames]
         pending.sort(key=itemgetter(0))
-        # Frames that the next tick reads arrive after the start of the present tick. However, the
-        # kernel may deliver a frame slightly later than the frame's time stamp says. Therefore each
-        # frame is yielded one tick later.
+        # Frames that the next tick reads arrive after the start of this tick. However, the kernel
+        # may deliver a frame slightly later than the time in its stamp. Therefore each frame is
+        # yielded one tick later.
         ready = bisect_left(pending, complete_ns, key=itemgetter(0))
         yield from pending[:ready]
         pending = pending[ready:]
@@ -199,8 +195,8 @@ def _candump_line(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: st
 
     Source: can-utils `lib.c`, `snprintf_canframe`.
     """
-    # Extended identifiers and error frames have eight hexadecimal digits, and standard identifiers
-    # have three.
+    # Extended identifiers and error frames are written with eight hexadecimal digits, standard
+    # identifiers with three.
     long_id = frame.can_id & (EXTENDED_FLAG | ERROR_FLAG)
     can_id = f"{frame.can_id & 0x3FFF_FFFF:08X}" if long_id else f"{frame.can_id & 0x7FF:03X}"
     data = frame.data.hex().upper()
@@ -209,6 +205,6 @@ def _candump_line(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: st
     else:
         body = f"#R{len(frame.data) or ''}" if frame.can_id & REMOTE_FLAG else f"#{data}"
     bus = buses[frame.bus] if frame.bus < len(buses) else "unknown"
-    # In the format of can-utils' log files, times are in microseconds. If the time of a frame is
-    # negative, 0 is written.
+    # The log format of can-utils has times in microseconds. A negative time of a frame is written
+    # as 0.
     return f"({max(t_ns, 0) // 10**9}.{max(t_ns, 0) % 10**9 // 1000:06d}) {bus} {can_id}{body} {direction}\n"

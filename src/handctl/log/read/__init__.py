@@ -1,1 +1,1 @@
-"""Reader of logs. The reader also accepts log files that are incomplete or damaged."""
+"""Reader of logs. The reader also accepts incomplete and damaged log files."""

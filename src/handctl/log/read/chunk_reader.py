@@ -1,7 +1,6 @@
-"""Reader of the messages in an uncompressed chunk of a log.
+"""Reader for the messages of an uncompressed chunk.
 
-The reader returns the messages in blocks. A block contains consecutive messages that have the same
-length.
+The reader returns blocks. A block contains consecutive messages of equal length.
 
 Layout of a Message record: opcode u8 = 5, length u64, channel u16, sequence u32, log time u64 [ns],
 publish time u64 [ns], data.
@@ -38,12 +37,12 @@ _MESSAGE_DATA_OFFSET = 31
 
 
 class MessageRows(NamedTuple):
-    """Consecutive messages of a chunk with the same channel and the same length.
+    """Consecutive messages of a chunk that have the same channel and the same length.
 
     Attributes:
         channel: id of the channel.
         start: offset of the first record in the chunk [bytes].
-        records: (n, size of a record) bytes of all records.
+        records: (n, size of a record) bytes of each record.
     """
 
     channel: int
@@ -72,7 +71,7 @@ class MessageRows(NamedTuple):
 
 
 class ChunkDefinitions(NamedTuple):
-    """Schemas and channels that are defined in a chunk.
+    """Schemas and channels that a chunk defines.
 
     Attributes:
         schemas: (id, name, encoding, data) of each schema.
@@ -86,12 +85,12 @@ class ChunkDefinitions(NamedTuple):
 def iter_messages(
     content: bytes, packed: int, channels: frozenset[int] | None = None
 ) -> Iterator[MessageRows]:
-    """Yield the messages of the given channels in blocks.
+    """Yield the messages of the given channels, or of all channels, in blocks.
 
     Args:
         content: the uncompressed chunk.
-        packed: size of the compressed chunk [bytes]. This size limits the number of blocks, so that
-            a small file cannot cause a lot of work.
+        packed: compressed size of the chunk [bytes]. This size limits the number of blocks, so that
+            a small file cannot cause much work.
         channels: ids of the channels to read. If it is None, all channels are read.
 
     Raises:
@@ -145,8 +144,8 @@ def _count_equal(content: bytes, at: int, size: int) -> int:
             return count
         count += 1
         after += size
-    # Each step compares four times as many records as the step before. So a long block needs few
-    # comparisons. An `ndarray` with a stride reads only the first bytes of each record.
+    # Each step compares four times as many records as the step before, so that a long block needs
+    # few comparisons. An `ndarray` with a stride reads only the headers of the records.
     while count < max_count:
         number = min(step, max_count - count)
         heads = np.ndarray(number, _RECORD_HEADERS, content, at + count * size, (size,)).tobytes()
@@ -159,9 +158,9 @@ def _count_equal(content: bytes, at: int, size: int) -> int:
 
 
 def _count_equal_heads(heads: bytes, head: bytes, number: int) -> int:
-    """Count how many elements at the start of `heads` equal `head`.
+    """Count the elements at the start of `heads` that equal `head`.
 
-    At least one element of `heads` must differ from `head`.
+    At least one element of `heads` must differ from it.
     """
     low = 0
     while number - low > 1:
@@ -174,7 +173,7 @@ def _count_equal_heads(heads: bytes, head: bytes, number: int) -> int:
 
 
 def schemas_and_channels(content: bytes) -> ChunkDefinitions:
-    """Return the schemas and channels whose definitions are at the start of a chunk.
+    """Return the schemas and channels that are defined at the start of a chunk.
 
     This function raises the same errors as `iter_messages`.
     """
@@ -196,19 +195,13 @@ def schemas_and_channels(content: bytes) -> ChunkDefinitions:
 
 
 def _read_text(body: bytes, at: int) -> tuple[str, int]:
-    """Read a string that a record contains.
-
-    Return the string, and the offset of the byte after it.
-    """
+    """Read a string of a record. Return the string and the offset after it."""
     raw, at = _read_bytes(body, at)
     return raw.decode(), at
 
 
 def _read_bytes(body: bytes, at: int) -> tuple[bytes, int]:
-    """Read a byte array that a record contains.
-
-    Return the array, and the offset of the byte after it.
-    """
+    """Read a byte array of a record. Return the array and the offset after it."""
     (size,) = struct.unpack_from("<I", body, at)
     if at + 4 + size > len(body):
         raise ValueError("a text extends beyond the end of its record")
@@ -216,7 +209,7 @@ def _read_bytes(body: bytes, at: int) -> tuple[bytes, int]:
 
 
 def _decode_schema(body: bytes) -> tuple[int, str, str, bytes]:
-    """Decode a Schema record with the fields id u16, name, encoding, data."""
+    """Decode a Schema record: id u16, name, encoding, data."""
     (number,) = struct.unpack_from("<H", body)
     name, at = _read_text(body, 2)
     encoding, at = _read_text(body, at)
@@ -224,7 +217,7 @@ def _decode_schema(body: bytes) -> tuple[int, str, str, bytes]:
 
 
 def _decode_channel(body: bytes) -> tuple[int, int, str, str, dict[str, str]]:
-    """Decode a Channel record with the fields id u16, schema id u16, topic, encoding, metadata (texts by key)."""
+    """Decode a Channel record: id u16, schema id u16, topic, encoding, metadata as key and value texts."""
     number, schema = struct.unpack_from("<HH", body)
     topic, at = _read_text(body, 4)
     encoding, at = _read_text(body, at)

@@ -1,6 +1,6 @@
 """Access to a log file that may be truncated, damaged, or malicious.
 
-Before memory is allocated, every size that the file declares is checked.
+A size that the file declares is checked before memory of that size is allocated.
 
 Source: the faults of damaged and of malicious log files (I08, I09) in the catalogue of faults.
 """
@@ -30,17 +30,17 @@ DAMAGE_ERRORS = (
 
 
 class LogErrorContext:
-    """Context manager for code that reads a file, used as `with LogErrorContext(where)`.
+    """Context `with LogErrorContext(where)`.
 
-    If a bad file causes an exception in the context, a LogError with the position in the file is
-    raised instead. A log is read in thousands of pieces, and each piece needs a context. Therefore
-    this context is a class, because a generator would be slower.
+    If a bad file causes an exception in the context, the context raises a LogError with the
+    position instead. A log is read in thousands of pieces, and each piece has its own context. The
+    context is a class, because a generator would be slower.
     """
 
     __slots__ = ("where",)
 
     def __init__(self, where: str) -> None:
-        """Store the position in the file, which an error message will contain."""
+        """Store the position in the file, for the message of an error."""
         self.where = where
 
     def __enter__(self) -> None:
@@ -68,11 +68,11 @@ class ChunkLocation(NamedTuple):
     """Location and checksum of a chunk in the file.
 
     Attributes:
-        offset, end: start and end of the chunk's record [bytes].
+        offset, end: start and end of the record of the chunk [bytes].
         data_offset: offset of the compressed bytes in the file.
         first_ns, last_ns: times of the first and last message of the chunk [ns].
         size: uncompressed size of the chunk [bytes].
-        crc: CRC-32 of the uncompressed bytes, or 0 if the file gives no checksum for the chunk.
+        crc: CRC-32 of the uncompressed bytes, or 0 if the chunk has no checksum.
         compression: name of the compression: "", "lz4" or "zstd".
     """
 
@@ -103,7 +103,7 @@ class LogFile:
         self.name = printable_text(str(path))
         self._latest: tuple[ChunkLocation, bytes] | None = None
         try:
-            # Without O_NONBLOCK, opening a named pipe that has no writer would wait forever.
+            # Without O_NONBLOCK, the opening of a named pipe that has no writer would never end.
             self._fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0))
         except OSError as error:
             raise LogError(f"cannot open: {error.strerror}", self.name, "a log") from error
@@ -118,14 +118,14 @@ class LogFile:
         os.close(self._fd)
 
     def position_text(self, offset: int) -> str:
-        """Return a position in the file as text for an error message."""
+        """Return a position in the file as text for error messages."""
         return f"{self.name}, byte {offset}"
 
     def read_range(self, offset: int, size: int) -> bytes:
         """Read exactly `size` bytes of the file.
 
         Raises:
-            LogError: the file is shorter than it was when it was opened.
+            LogError: the file has become shorter since it was opened.
         """
         data = os.pread(self._fd, size, offset)
         if len(data) != size:
@@ -137,12 +137,12 @@ class LogFile:
         return data
 
     def range_crc(self, start: int, end: int, value: int = 0) -> int:
-        """Compute the CRC-32 of a part of the file, or continue a CRC-32.
+        """Compute the CRC-32 of a part of the file.
 
         Args:
             start: start of the part [bytes].
             end: end of the part [bytes].
-            value: CRC-32 of the bytes that come before the part.
+            value: CRC-32 of the bytes before the part.
         """
         while start < end:
             data = self.read_range(start, min(1 << 20, end - start))
@@ -151,9 +151,7 @@ class LogFile:
         return value
 
     def chunk_content(self, chunk: ChunkLocation, checked: bool = True) -> bytes:
-        """Return the uncompressed bytes of a chunk.
-
-        The result never has more bytes than the chunk declares.
+        """Return the uncompressed bytes of a chunk. The result never has more bytes than declared.
 
         Args:
             chunk: location of the chunk.
@@ -179,9 +177,9 @@ class LogFile:
 
 
 def _decompress_chunk(packed: bytes, chunk: ChunkLocation) -> bytes:
-    """Return the decompressed bytes of a chunk, but at most one byte more than the size that the chunk declares."""
-    # If a chunk is longer than it declares, the additional byte shows this. In this case, the rest
-    # of the chunk need not be decompressed.
+    """Return the decompressed bytes of a chunk, at most one byte more than the declared size."""
+    # If a chunk is longer than declared, this extra byte shows it. The rest of the chunk need not
+    # be decompressed then.
     if chunk.compression == "lz4":
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=chunk.size + 1))
     if chunk.compression == "zstd":

@@ -1,4 +1,1 @@
-"""Topics of a log, which are the named series of messages in it.
-
-The modules of this folder convert batches of ticks to blocks of messages.
-"""
+"""Topics of a log. The modules in this folder convert batches of ticks to blocks of messages."""

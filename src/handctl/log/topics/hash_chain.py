@@ -1,10 +1,8 @@
-"""Hash chain over all ticks of a log.
+"""Hash chain over the ticks of a log. If a byte of a tick is changed, the chain breaks at this tick.
 
-If a byte of a tick is changed, the hash of this tick is no longer right.
-
-So the chain shows that a log was damaged, or that attached files were exchanged. The chain is not a
-signature. An attacker who changes the log can compute all hashes again. The end record of the log
-contains the last hash. If somebody keeps a copy of the last hash elsewhere, every change of the log
+The chain detects damage to the log, and attached files that were exchanged. The chain is not a
+signature, because an attacker can compute all hashes after a change again. The last hash is in the
+end record of the log. If a copy of the last hash is kept in another place, any change of the log
 can be detected.
 """
 
@@ -28,9 +26,9 @@ HASH_SIZE = 8
 def first_hash(
     metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Mapping[str, bytes]
 ) -> bytes:
-    """Compute the hash with which the hash chain begins.
+    """Compute the hash with which the chain begins.
 
-    The hash covers all data of the header, except those about the machine and the date.
+    The hash covers all data of the header except the data about the machine and the date.
     """
     digest = hashlib.blake2b(digest_size=HASH_SIZE)
     texts = {
@@ -38,7 +36,7 @@ def first_hash(
         for group, table in (("m", metadata), ("g", gains))
         for name, text in table.items()
     }
-    # Each text follows after its name and its length. So different sets of texts never give the
+    # Each text comes after its name and its length, so that different sets of texts never give the
     # same bytes.
     for name, data in sorted(
         (texts | {f"a.{name}": data for name, data in attachments.items()}).items()
@@ -49,7 +47,7 @@ def first_hash(
 
 
 def first_hash_of_run(header: RunHeader) -> bytes:
-    """Return the hash with which the hash chain of a run begins."""
+    """Return the hash with which the chain of a run begins."""
     return first_hash(
         header.metadata,
         header.gains,
@@ -58,11 +56,11 @@ def first_hash_of_run(header: RunHeader) -> bytes:
 
 
 def tick_hash(before: bytes, message: bytes, numbers: bytes) -> bytes:
-    """Compute the hash of a tick in the hash chain.
+    """Compute the chain hash of a tick.
 
     Args:
-        before: hash of the previous tick. For the first tick of the run, it is the hash with which
-            the chain begins.
+        before: hash of the previous tick. For the first tick, it is the hash with which the chain
+            begins.
         message: the Tick message.
         numbers: packed telemetry of the tick.
     """
@@ -73,8 +71,8 @@ def tick_hashes(before: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator
     """Yield the chain hashes of consecutive ticks.
 
     Args:
-        before: hash of the tick before the first of these ticks. For the first tick of the run, it
-            is the hash with which the chain begins.
+        before: hash of the tick before the first of these ticks. For the first tick, the hash with
+            which the chain begins.
         ticks: the Tick message and the packed telemetry of each tick.
     """
     for message, numbers in ticks:
@@ -91,10 +89,10 @@ def chain_message() -> MessageTemplate:
 
 
 class ChainTopic:
-    """Topic with the hash of every tick in the hash chain.
+    """Topic with the chain hash of every tick.
 
     Attributes:
-        last_hash: hash of the latest tick in the chain.
+        last_hash: chain hash of the latest tick.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:

@@ -1,4 +1,4 @@
-"""Topics for the diagnostics of motors, buses and controller, and for the motor temperatures."""
+"""Topics for the diagnostics of motors, buses and the controller, and for the temperatures of motors."""
 
 from dataclasses import dataclass, field
 
@@ -69,9 +69,9 @@ def encode_diagnostic_array(t_ns: int, statuses: list[DiagnosticStatus]) -> byte
 def temperature_template() -> MessageTemplate:
     """Return the template of a sensor_msgs/Temperature message with unknown variance.
 
-    The frame_id of the message is the frame of the palm, because the motors are mounted behind the
-    palm. If /tf did not contain this frame, the viewer Rerun would find several root frames and
-    show no hand.
+    The frame_id of the message names the frame of the palm, because the motors are mounted behind
+    the palm. If the frame of the message were not in /tf, the viewer Rerun would find several root
+    frames and show no hand.
     """
     out = TemplateWriter()
     out.put_header(ROOT_FRAME)
@@ -83,8 +83,8 @@ def temperature_template() -> MessageTemplate:
 class HealthTopics:
     """Topics with the status of motors, buses and controller, and with the temperatures of the motors.
 
-    One status message is written every second. A further one is written after each change of the
-    mode, of the reaction to faults, or of the state of a drive.
+    A status message is written every second. A status message is also written after a change of the
+    mode, of the safety action or of the state of a drive.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
@@ -132,7 +132,7 @@ class HealthTopics:
     def _temperature_runs(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the temperature messages.
 
-        Each message contains the values of the first tick in its interval of time.
+        Each message has the values of the first tick in an interval.
         """
         periods = batch.t_ns // TEMPERATURE_PERIOD_NS
         selected = np.flatnonzero(np.diff(periods, prepend=self._last_temperature))
@@ -147,8 +147,8 @@ class HealthTopics:
         ]
 
     def _status_ticks(self, batch: TickBatch) -> NDArray[np.intp]:
-        """Return the indices of the ticks for which a status message is written."""
-        # NaN does not equal NaN. Without this line, an unknown state of a drive would look like a
+        """Return the indexes of the ticks that get a status message."""
+        # NaN is not equal to NaN. Without this line, an unknown state of a drive would count as a
         # change in every tick.
         phases = np.nan_to_num(batch.numbers[:, self._columns["drive_phase"]], nan=-1.0)
         state = np.column_stack([batch.mode, batch.action, phases])
@@ -160,7 +160,7 @@ class HealthTopics:
         return np.flatnonzero(changed | (np.diff(periods, prepend=last_period) != 0))
 
     def _count_frames(self, batch: TickBatch, start: int, end: int) -> None:
-        """Count the frames and io events of the ticks whose indices are from `start` to `end` - 1."""
+        """Count the frames and io events of the ticks with indexes from `start` to `end` - 1."""
         for direction, frames in enumerate((batch.received, batch.sent)):
             first, last = np.searchsorted(frames.tick_indexes, (start, end))
             bus = np.bincount(frames.frames["bus"][first:last], minlength=len(self._frames))
@@ -193,7 +193,7 @@ class HealthTopics:
         return [controller, *self._bus_statuses(), *self._motor_statuses(batch.numbers[index])]
 
     def _count_texts(self) -> dict[str, str]:
-        """Return the counts of io events as texts, by the name of the event."""
+        """Return the counts of io events as texts, by name."""
         return {f"io {name}": str(number) for name, number in self._io_events.items()}
 
     def _bus_statuses(self) -> list[DiagnosticStatus]:

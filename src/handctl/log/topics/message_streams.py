@@ -1,7 +1,4 @@
-"""Channels of a log, each of which carries the messages of one topic.
-
-Many messages of a channel are encoded by a single call.
-"""
+"""Channels of a log. Many messages of a channel are encoded in one call."""
 
 from dataclasses import dataclass, field
 
@@ -29,9 +26,9 @@ Durability 1 is transient_local, 2 is volatile.
 
 @dataclass(slots=True)
 class TopicRegistry:
-    """Registry of all schemas and channels of a log.
+    """Registry of the schemas and channels of a log.
 
-    They are numbered in the order in which they are registered.
+    Schemas and channels are numbered in the order of registration.
     """
 
     schemas: dict[str, Schema] = field(default_factory=dict)
@@ -45,8 +42,7 @@ class TopicRegistry:
         Args:
             topic: name of the topic.
             message_type: message type, for example "sensor_msgs/JointState".
-            latched: True for a topic with a single message, which is written at the start of the
-                run.
+            latched: True for a topic whose single message is written at the start of the run.
             note: note about the topic, which is stored in the metadata of the channel.
         """
         if message_type not in self.schemas:
@@ -78,7 +74,7 @@ class MessageStamps:
     sequence: NDArray[np.uint32]
 
     def selected(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "MessageStamps":
-        """Return the log times and sequence numbers of some of these messages."""
+        """Return the log times and sequence numbers of a selection of the messages."""
         return MessageStamps(self.log_times[index], self.sequence[index])
 
 
@@ -101,11 +97,11 @@ class MessageStream:
     """Channel whose messages have a constant layout."""
 
     def __init__(self, channel: int, template: MessageTemplate) -> None:
-        """Build the layout of a Message record, which is a header of 31 bytes and the template."""
+        """Build the layout of a Message record: a header of 31 bytes, then the template."""
         self._channel = channel
         self._stamps = len(template.stamp_offsets)
-        # The opcode 5 marks a Message record. The length counts all bytes after the length field:
-        # 22 bytes of the header, and the data.
+        # Opcode 5 marks a Message record. The length field counts the bytes that follow it: 22
+        # bytes of header and the data.
         self._record = (
             MESSAGE_STRUCT.pack(5, 22 + len(template.data), channel, 0, 0, 0) + template.data
         )
@@ -125,17 +121,16 @@ class MessageStream:
         values: dict[str, NDArray[np.generic]],
         measured: TimeArray | None = None,
     ) -> MessageBlock:
-        """Encode some messages of the channel, and return them as one block.
+        """Encode messages of the channel, and return them as a block.
 
         Args:
             stamps: log times and sequence numbers of the messages.
-            values: values of those fields that differ from message to message, by name, each (n,
-                size of the field).
+            values: values of the variable fields by name, each (n, size of the field).
             measured: (n,) times at which the values were measured [ns]. By default, they are equal
                 to the log times.
         """
         number = len(stamps.log_times)
-        # All messages begin as copies of the template. In a structured array, a single assignment
+        # All messages begin as copies of the template. With a structured array, a single assignment
         # then writes one field of all messages.
         rows = np.frombuffer(bytearray(self._record * number), self._dtype)
         measured = stamps.log_times if measured is None else measured
@@ -154,7 +149,7 @@ class MessageStream:
 def variable_length_block(
     channel: int, stamps: MessageStamps, messages: list[bytes]
 ) -> MessageBlock:
-    """Join messages of different lengths to one block."""
+    """Join messages of variable length to one block."""
     parts = []
     for sequence, t_ns, message in zip(
         stamps.sequence.tolist(), stamps.log_times.tolist(), messages, strict=True

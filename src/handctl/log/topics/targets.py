@@ -19,9 +19,9 @@ from handctl.programs.requests import (
 
 
 class TargetTopic:
-    """Topic with one message for each streamed target.
+    """Topic with a message for each streamed target.
 
-    Targets of a wrong form are not in this topic, but only in the topic `/tick`.
+    Malformed targets appear only in the topic `/tick`, and not here.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
@@ -45,10 +45,10 @@ class TargetTopic:
         ]
 
     def _targets_among(self, requests: tuple[TickRequest, ...]) -> Iterator[StreamTarget]:
-        """Yield those requests that are streamed targets.
+        """Yield the streamed targets among some requests.
 
-        The request that opens a stream gives the names for the values in all later targets of the
-        stream.
+        The request that opens a stream contains the names of the values in all later targets of
+        this stream.
         """
         for request in requests:
             if isinstance(request, StreamTarget) or is_stream_target(request):

@@ -1,4 +1,4 @@
-"""Set of all topics in a log."""
+"""All topics of a log."""
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -34,7 +34,7 @@ Nearly all other topics can be computed from these topics and from the header.
 class TopicSet:
     """Converter from ticks to the messages of all topics.
 
-    The result does not depend on the way in which the ticks are divided into batches.
+    The division of the ticks into batches has no effect on the messages.
     """
 
     def __init__(self, header: RunHeader) -> None:
@@ -69,7 +69,7 @@ class TopicSet:
         return list(self._registry.channels.values())
 
     def latched(self) -> list[MessageBlock]:
-        """Return the messages that are written only once, when the time of the run is 0."""
+        """Return the messages that are written once, at t = 0 of the run."""
         stamps = MessageStamps(
             np.array([self._header.offset_ns], np.uint64), np.zeros(1, np.uint32)
         )
@@ -90,11 +90,11 @@ class TopicSet:
 
     @property
     def last_digest(self) -> bytes:
-        """Return the hash of the latest tick in the hash chain."""
+        """Return the chain hash of the latest tick."""
         return self._chain.last_hash
 
     def clock_pair(self, t_ns: int, k: int, wall_ns: int, monotonic_ns: int) -> MessageBlock:
-        """Return a message with the readings of the wall clock and the monotonic clock.
+        """Return a message with a reading of the wall clock and of the monotonic clock.
 
         Args:
             t_ns: time of the tick since the start of the run [ns].
@@ -120,8 +120,8 @@ class TopicSet:
             variable_length_block(self._tick, stamps, batch.messages),
             *self._chain.blocks(batch, stamps),
         ]
-        # If the controller has failed, its numbers may overflow in these calculations. The log
-        # contains the results nevertheless.
+        # If the controller fails, its numbers may overflow in these calculations. The log stores
+        # such results as they are.
         with np.errstate(all="ignore"):
             for part in self._parts:
                 blocks += part.blocks(batch, stamps)

@@ -1,6 +1,6 @@
-"""The controller's end of the pipe to the recorder process.
+"""Sending end of the pipe from the controller to the recorder process.
 
-In real time, the controller never waits when it sends a record.
+In real time, the controller sends a record without waiting.
 """
 
 import fcntl
@@ -53,7 +53,7 @@ event of the recorder stops the hand.
 
 
 def _enlarge_pipe(descriptor: int) -> int:
-    """Ask the system for a larger pipe. Return the size that the system has granted [bytes]."""
+    """Request a larger size for a pipe. Return the size that the system has granted [bytes]."""
     for size in PIPE_BYTES if hasattr(fcntl, "F_SETPIPE_SZ") else ():
         with suppress(OSError):
             return fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, size)
@@ -61,9 +61,7 @@ def _enlarge_pipe(descriptor: int) -> int:
 
 
 class Recorder:
-    """Connection of the controller to a recorder process that is running.
-
-    The class method `start` creates such a connection.
+    """Connection of the controller to a running recorder process. The method `start` creates it.
 
     Attributes:
         dropped: number of records that were lost because the pipe was full or the recorder process
@@ -74,9 +72,9 @@ class Recorder:
         """Connect to a recorder process.
 
         Args:
-            path: recorder process that writes the log.
+            path: path of the log file.
             process: recorder process to use.
-            lossless: True to wait while the pipe is full. If it is False, records are dropped.
+            lossless: True to wait while the pipe is full, instead of dropping records.
         """
         assert process.child.stdout is not None
         self._path = path
@@ -97,15 +95,14 @@ class Recorder:
 
     @classmethod
     def start(cls, path: Path, header: RunHeader, floor_bytes: int = MIN_FREE_DISK_BYTES) -> Self:
-        """Start recording, and wait until the log file contains the header.
+        """Start recording, and wait until the header is in the log file.
 
-        If a recorder process has already been started in advance, this process is used.
+        If a recorder process was started ahead, use this process.
 
         Args:
             path: path of the new log file.
             header: header of the run.
-            floor_bytes: smallest amount of free disk space for the recording [bytes]. If less space
-                is free, the recorder finishes the log early.
+            floor_bytes: free disk space [bytes]. If less space is free, the log is finished early.
 
         Raises:
             LogError: the log file cannot be created, or the recorder process does not answer.
@@ -118,7 +115,7 @@ class Recorder:
         return recorder
 
     def _send_header(self, header: bytes) -> None:
-        """Send the header of the run to the recorder process, and wait for its answer."""
+        """Send the header of the run to the recorder process, and wait for the answer."""
         os.set_blocking(self._pipe, False)
         try:
             if not self._send(header, START_TIMEOUT_S):
@@ -144,7 +141,7 @@ class Recorder:
             raise
 
     def _abandon_process(self) -> None:
-        """End a recorder process whose start has failed."""
+        """End a recorder process that did not start properly."""
         self._ended = True
         self._process.end_process()
 
@@ -154,11 +151,11 @@ class Recorder:
         self._child.stdout.close()
 
     def _send(self, data: bytes, timeout_s: float) -> bool:
-        """Write all bytes to the pipe, but wait at most `timeout_s` [s].
+        """Write all bytes to the pipe, and wait at most `timeout_s` [s].
 
         Returns:
-            True if all bytes were written. If it is False, no further record may be sent, because
-            the last record in the pipe is incomplete.
+            True if all bytes were written. If the result is False, no further record may be sent,
+            because the last record in the pipe is incomplete.
         """
         end = time.monotonic() + timeout_s
         view = memoryview(data)
@@ -175,12 +172,10 @@ class Recorder:
         return True
 
     def send_record(self, data: bytes) -> bool:
-        """Send one record.
-
-        In real time, this method does not wait while the pipe is full. In lockstep, it waits.
+        """Send one record. A real-time run does not wait for a full pipe. A deterministic run waits.
 
         Args:
-            data: encoded record, for example from `record.pack_tick_record`.
+            data: encoded record, such as `record.pack_tick_record` returns.
 
         Returns:
             True if the record was sent, and False if it was dropped.
@@ -193,8 +188,8 @@ class Recorder:
             self.dropped += self._ended
             return not self._ended
         try:
-            # If only a part of the last record was written, the rest of it must be written first.
-            # Otherwise the recorder could not find the start of the next record.
+            # If only a part of the last record was written, the rest of this record must be written
+            # first. Otherwise the recorder could not find the start of the next record.
             if self._rest:
                 self._rest = self._rest[os.write(self._pipe, self._rest) :]
             if not self._rest:
@@ -208,9 +203,9 @@ class Recorder:
         return False
 
     def take_events(self) -> tuple[IoEvent, ...]:
-        """Return the events of the recorder that have occurred since the last call.
+        """Return the events of the recorder since the last call. The loop calls this method in every tick.
 
-        The loop calls this method in every tick. The recorder process is asked for events in the
+        The recorder process is asked for events in the
         first of `CALLS_PER_CHECK` calls only.
 
         All these events have the kind "recorder".
@@ -248,10 +243,10 @@ class Recorder:
         return tuple(events)
 
     def _filling_event(self) -> list[IoEvent]:
-        """If the pipe has become more than half full since the last call, return an event.
+        """Return an event if the pipe has become more than half full since the last call.
 
-        A run in lockstep never gets this event, because the number of bytes in the pipe depends on
-        the machine. Such a run waits instead while the pipe is full.
+        A deterministic run never gets this event, because the level in the pipe depends on the
+        machine. Such a run waits while the pipe is full.
         """
         if self._lossless:
             return []
@@ -265,7 +260,7 @@ class Recorder:
         """Read all notes that the recorder process has sent to the controller.
 
         Args:
-            timeout_s: longest time to wait for the first note [s].
+            timeout_s: longest wait for the first note [s].
         """
         if timeout_s and not select.select([self._notes], [], [], timeout_s)[0]:
             return
@@ -285,12 +280,11 @@ class Recorder:
 
         Args:
             reason: reason why the run ended. The log contains it.
-            facts: facts for the log that are known only at the end of the run, by the name of the
-                fact.
+            facts: facts for the log that become known at the end of the run, by name.
 
         Returns:
-            A summary with the keys path, bytes, complete and dropped. If the recorder has finished
-            the log, the summary also contains ticks, messages, lost and reason.
+            A summary with path, bytes, complete and dropped. If the recorder has finished the log,
+            the summary also contains ticks, messages, lost and reason.
         """
         body = json.dumps(
             {"reason": reason, "dropped": self.dropped, "facts": dict(facts or {})}

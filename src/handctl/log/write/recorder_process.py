@@ -1,14 +1,11 @@
-"""Recorder process.
+"""Recorder process: reads records from stdin, writes the log file, and writes notes as JSON lines to stdout.
 
-It reads records from stdin, writes the log file, and writes notes as JSON lines to stdout.
+The recorder process ends when stdin ends.
 
-When stdin ends, the recorder process ends.
+Command: `python -m handctl.log.write.recorder_process`. The first record names the log file.
 
-Command: `python -m handctl.log.write.recorder_process`. The first record contains the path of the
-log file.
-
-The recorder ignores SIGINT and SIGTERM, because only the controller decides when a run ends. If the
-controller is killed, the system closes the pipe, and the recorder ends.
+The recorder ignores SIGINT and SIGTERM, because the controller decides when a run ends. If the
+controller dies, the system closes the pipe, and the recorder ends.
 """
 
 import json
@@ -62,7 +59,7 @@ has real-time priority, which is higher still.
 def send_note(note: dict[str, object]) -> None:
     """Send a note to the controller.
 
-    If the pipe for notes is full, the note is lost, because the recorder must never wait.
+    If the pipe for notes is full, the note is lost, because the recorder must not wait.
     """
     with suppress(BlockingIOError, BrokenPipeError):
         os.write(1, json.dumps(note).encode() + b"\n")
@@ -74,22 +71,19 @@ def report_event(event: str, number: int) -> None:
 
 
 class RecordSplitter:
-    """Divider of a stream of bytes into records.
+    """Splitter that divides a byte stream into records.
 
-    If a record is incomplete, its bytes are kept until the rest arrives.
+    The splitter keeps an incomplete record until its rest arrives.
     """
 
     def __init__(self) -> None:
-        """Start with an empty stream.
-
-        The first byte of the stream must be the start of a record.
-        """
+        """Create the splitter. The stream must begin at the start of a record."""
         self._rest = b""
 
     def split(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Add bytes to the stream.
+        """Add bytes of the stream.
 
-        For each record that is now complete, yield the kind and the body.
+        Yield the kind and the body of each record that these bytes complete.
         """
         data = self._rest + data
         at = 0
@@ -104,17 +98,14 @@ class RecordSplitter:
 
 
 class RecorderSession:
-    """Work of the recorder for one run, from the first record to the end of the input.
+    """Session of the recorder for one run, from the first record to the end of the input.
 
     Attributes:
         path: path of the log.
     """
 
     def __init__(self) -> None:
-        """Create a session that has no log file yet.
-
-        The first records give the path of the file, and open it.
-        """
+        """Create a session without a log file. The first records name the file and open it."""
         self.path = Path()
         self._floor = 0
         self._splitter = RecordSplitter()
@@ -139,8 +130,8 @@ class RecorderSession:
             now = time.monotonic()
             if self._writer and self._wall_flush and now >= clean + MAX_UNWRITTEN_S:
                 self._writer.flush()
-            # `clean` is the last time at which no tick was waiting to be written to the file. So
-            # MAX_UNWRITTEN_S counts from the arrival of the oldest tick that waits.
+            # `clean` is the last time at which no tick was waiting to be written. MAX_UNWRITTEN_S
+            # therefore counts from the arrival of the oldest waiting tick.
             if not (self._writer and self._writer.has_pending_ticks):
                 clean = now
             if self._writer and now >= next_sync:
@@ -150,7 +141,7 @@ class RecorderSession:
             send_note({"summary": self._writer.finish(self._reason, self._dropped, self._facts)})
 
     def _take_record(self, kind: int, body: bytes) -> None:
-        """Process one record that the controller has sent."""
+        """Process one record from the controller."""
         if kind == TICK_RECORD_KIND and self._writer:
             self._writer.add_tick(body)
         elif kind == SNAPSHOT_RECORD_KIND and self._writer:
@@ -176,11 +167,11 @@ class RecorderSession:
 def main() -> int:
     """Run the recorder process, and return its exit code.
 
-    If the log file cannot be created, the exit code is 1.
+    The code is 1 if the log file cannot be created.
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    # Writing a note must not block, because the recorder must never wait.
+    # Writing a note must never make the recorder wait.
     os.set_blocking(1, False)
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, RECORDER_NICE_VALUE)

@@ -1,8 +1,8 @@
-"""Start of the recorder process. It may start before it is known which run will be recorded.
+"""Start of the recorder process, possibly before it is known which run will be recorded.
 
 The recorder process needs half a second for its imports. A command that records a run starts the
 recorder process before it imports other modules (`recorder_process_ahead`). Both processes then
-import modules at the same time, on two cores. Therefore this module itself imports only a few
+import at the same time, on two cores. For this reason, this module itself imports only a few
 modules.
 """
 
@@ -15,11 +15,10 @@ from typing import NamedTuple
 
 
 class RecorderProcess(NamedTuple):
-    """Recorder process that does not have a log file yet.
+    """Recorder process that has no log file yet.
 
     Attributes:
-        child: process of the recorder. Its stdout is a pipe through which notes reach the
-            controller.
+        child: the process. The stdout of this process is a pipe with notes to the controller.
         pipe: file descriptor of the pipe into which the controller writes records.
     """
 
@@ -43,9 +42,9 @@ The list has at most this one element.
 
 
 def start_recorder_process() -> RecorderProcess:
-    """Start a recorder process. When the pipe for the records is closed, this process ends."""
+    """Start a recorder process. The process ends when the pipe for the records is closed."""
     reading, writing = os.pipe()
-    # With the option `-P`, Python imports no modules from the working directory.
+    # Because of the option `-P`, Python does not import modules from the working directory.
     command = [sys.executable, "-P", "-m", "handctl.log.write.recorder_process"]
     try:
         child = subprocess.Popen(
@@ -61,11 +60,9 @@ def start_recorder_process() -> RecorderProcess:
 
 @contextmanager
 def recorder_process_ahead() -> Iterator[None]:
-    """Start a recorder process in advance.
+    """Start a recorder process in advance. The first recorder in this block uses it.
 
-    The first recorder that is created in this block uses this process.
-
-    If no recorder has used the process, it is ended at the end of the block.
+    If no recorder uses it, it is ended at the end of the block.
     """
     _started_ahead.append(start_recorder_process())
     try:
@@ -78,6 +75,6 @@ def recorder_process_ahead() -> Iterator[None]:
 def take_recorder_process() -> RecorderProcess:
     """Return the recorder process that `recorder_process_ahead` has started.
 
-    If there is no such process, start a new one.
+    If there is none, start a recorder process.
     """
     return _started_ahead.pop() if _started_ahead else start_recorder_process()

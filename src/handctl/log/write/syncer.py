@@ -1,8 +1,9 @@
-"""Sync of a file to the disk, which means that its data are on the disk afterwards.
+"""Sync of a file to disk.
 
-The caller does not wait until the sync is done. On a busy machine, a sync may take so long that the
-pipe to the recorder fills up. Therefore the recorder forks a process that calls fdatasync. In this
-process, only the log file and two pipes are open. When the recorder ends, this process ends too.
+The caller does not wait for the sync. On a busy machine, a sync may take so long that the pipe to
+the recorder becomes full. A process that is forked from the recorder therefore calls fdatasync. In
+the forked process, only the log file and two pipes are open. The forked process ends when the
+recorder ends.
 """
 
 import itertools
@@ -25,9 +26,9 @@ def sync_now(descriptor: int) -> None:
 
 
 class DiskSyncer:
-    """Callable object that starts a sync of a file to the disk.
+    """Function object that starts a sync of a file to disk.
 
-    If a sync has failed, a later call raises the error of this sync.
+    If a sync has failed, a later call raises its error.
     """
 
     def __init__(self) -> None:
@@ -37,7 +38,7 @@ class DiskSyncer:
     def __call__(self, descriptor: int) -> None:
         """Request a sync of the file to disk.
 
-        While a sync is running, new requests may arrive. The next sync serves all of them.
+        The next sync serves all requests that arrive during the present sync.
 
         Raises:
             OSError: an earlier sync failed.
@@ -68,10 +69,10 @@ class DiskSyncer:
 
 
 def _close_all_but(*descriptors: int) -> None:
-    """In the forked process, close all file descriptors except the given ones.
+    """Close all file descriptors of the forked process except the given ones.
 
-    If other descriptors stayed open, the controller would not notice that the recorder was killed.
-    Also, the disk space that the recorder has reserved could not be freed.
+    If this process kept other descriptors open, the controller would not notice the death of the
+    recorder. In addition, the disk space that the recorder has reserved could not be freed.
     """
     edges = [-1, *sorted(descriptors), _MAX_DESCRIPTORS]
     for low, high in itertools.pairwise(edges):
@@ -81,7 +82,7 @@ def _close_all_but(*descriptors: int) -> None:
 def _serve_sync_requests(descriptor: int, requests: int, errors: int) -> None:
     """Serve sync requests until the recorder's end of the request pipe is closed.
 
-    A single sync serves all requests that are waiting.
+    One sync to disk serves all waiting requests.
     """
     while os.read(requests, _READ_BYTES):
         try:

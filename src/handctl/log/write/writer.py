@@ -1,7 +1,4 @@
-"""Writer of the log file of a run.
-
-The log stays readable even if the disk is full or a write fails.
-"""
+"""Writer of the log file of a run. The log stays readable if the disk is full or a write fails."""
 
 import errno
 import json
@@ -61,21 +58,20 @@ def _create_file(path: Path) -> int:
 
 
 class _ReservedSpace:
-    """Disk space that is reserved so that the end of a log can always be written.
+    """Disk space that is reserved for the end of a log.
 
-    A file without a name occupies this space on the disk. If the recorder is killed, this file
-    disappears.
+    A file without a name occupies this space. This file disappears if the recorder is killed.
     """
 
     def __init__(self, folder: Path) -> None:
         """Reserve the disk space.
 
-        If the disk space cannot be reserved, the log is written nevertheless.
+        If the space cannot be reserved, the log is written without it.
         """
         self._fd = -1
         with suppress(OSError):
             self._fd, name = tempfile.mkstemp(dir=folder)
-            # The space stays reserved while the file descriptor is open.
+            # The space stays reserved as long as the file descriptor is open.
             os.unlink(name)
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(self._fd, 0, RESERVED_BYTES)
@@ -92,12 +88,13 @@ class _ReservedSpace:
 class LogWriter:
     """Writer of the log file of a run.
 
-    After a write has failed, the writer closes the file. Later ticks are counted, but not written.
+    After the first failed write, the writer closes the file. After this, it counts further ticks
+    without writing them.
 
     Attributes:
-        ticks: number of ticks that are written or wait for the next chunk.
-        lost: number of ticks that were lost because a write failed, or because they arrived after
-            the file was closed.
+        ticks: number of ticks written or waiting for the next chunk.
+        lost: number of ticks that were lost in a failed write, or that arrived after the file was
+            closed.
         closed: True if the file is closed.
     """
 
@@ -117,15 +114,14 @@ class LogWriter:
             header: header of the run.
             report: function that is called for each event. The arguments of this function are one
                 of disk_low, disk_full, error and misshapen, and a number: free bytes, errno, or 1.
-            floor_bytes: smallest amount of free disk space for the recording [bytes]. If less space
-                is free, the writer finishes the file early.
-            clocks: function that reads the wall clock and the monotonic clock [ns]. In a lockstep
-                run, this function is not called.
-            to_disk: function that takes a file descriptor, and syncs the file to the disk.
+            floor_bytes: free disk space [bytes]. If less space is free, the file is finished early.
+            clocks: function that reads the wall clock and the monotonic clock [ns]. A deterministic
+                run does not call this function.
+            to_disk: function that takes a file descriptor, and syncs its file to disk.
 
         Raises:
-            OSError: the file cannot be created. Failures after this raise no error. Instead,
-                `report` is called for each of them.
+            OSError: the file cannot be created. Later failures raise no error. Instead, `report` is
+                called with such failures.
         """
         self._clocks = clocks
         self._next_pair_ns = 0
@@ -148,7 +144,7 @@ class LogWriter:
         self._write_header_records()
 
     def _write_header_records(self) -> None:
-        """Write the records that come before the ticks in the file: attachments, metadata, schemas and channels."""
+        """Write the records that come before the ticks: attachments, metadata, schemas and channels."""
         header = self._header
         container = self._container
         for name, data in ({"hand.toml": header.hand_toml.encode()} | header.attachments).items():
@@ -183,7 +179,7 @@ class LogWriter:
         return len(self._batcher) > 0
 
     def add_tick(self, body: bytes) -> None:
-        """Add a tick to the next chunk. The tick is given as the body of its record."""
+        """Add a tick, given as the body of a record, to the next chunk."""
         if self.closed:
             self.lost += 1
             return
@@ -197,11 +193,9 @@ class LogWriter:
             self.flush()
 
     def add_snapshot(self, body: bytes) -> None:
-        """Add a snapshot of the controller's state.
+        """Add a snapshot of the controller's state, given as the body of a record.
 
-        The snapshot is given as the body of its record.
-
-        It is written with the next chunk.
+        The snapshot is written with the next chunk.
         """
         if not self.closed:
             k, t_ns = SNAPSHOT_HEAD_STRUCT.unpack_from(body)
@@ -214,8 +208,8 @@ class LogWriter:
     def _ends_chunk(self, t_ns: int, begins_chunk: bool) -> bool:
         """Return True if the current chunk must end with this tick.
 
-        In a lockstep run, the chunks end at fixed times. In other runs, a chunk ends after
-        CHUNK_SPAN_NS.
+        In a deterministic run, the chunks end on a fixed time grid. In other runs, a chunk ends
+        after CHUNK_SPAN_NS.
         """
         if self._header.deterministic:
             before = self._mark
@@ -226,11 +220,11 @@ class LogWriter:
         return t_ns - self._mark >= CHUNK_SPAN_NS
 
     def flush(self) -> None:
-        """Write the ticks that have been collected as one chunk."""
+        """Write the collected ticks as one chunk."""
         if self.closed or not self.has_pending_ticks:
             return
         batch = self._batcher.take_batch()
-        # Each tick number that does not occur counts as a missed tick, even between two chunks.
+        # Each missing tick number counts as a missed tick, even between two chunks.
         first = self._last_k + 1 if self._last_k >= 0 else int(batch.k[0])
         self._missed += max(int(batch.k[-1]) - first + 1 - len(batch.k), 0)
         self._last_k = int(batch.k[-1])
@@ -246,7 +240,7 @@ class LogWriter:
             self._close_after_failure(error)
 
     def _clock_pair(self, t_ns: int) -> list[MessageBlock]:
-        """If PAIR_PERIOD_NS has passed since the last reading of both clocks, return a message with new readings."""
+        """If PAIR_PERIOD_NS has passed since the last readings, return a message with the readings of both clocks."""
         if self._header.deterministic or t_ns < self._next_pair_ns:
             return []
         self._next_pair_ns = t_ns + PAIR_PERIOD_NS
@@ -258,8 +252,7 @@ class LogWriter:
             return
         try:
             self._to_disk(self._fd)
-            # The file descriptor stays valid even if somebody renames or deletes the log file
-            # during the run.
+            # The descriptor stays valid even if somebody renames or deletes the log during the run.
             disk = os.fstatvfs(self._fd)
         except OSError as error:
             self._close_after_failure(error)
@@ -272,7 +265,7 @@ class LogWriter:
             self._report("disk_low", free)
 
     def _stop_early(self, free_bytes: int) -> None:
-        """Finish the log early, because the disk is almost full."""
+        """Finish the log early because the disk is nearly full."""
         self.flush()
         if not self.closed:
             self._report("disk_full", free_bytes)
@@ -290,7 +283,7 @@ class LogWriter:
     def _write_end(self, reason: str, dropped: int, facts: Mapping[str, str] | None = None) -> None:
         """Write the end of the log file: the end record, the summary and the footer.
 
-        If a write fails, the file is cut off after the last complete record.
+        If this fails, the file is cut after the last complete record.
         """
         self.closed = True
         self._reserved.release()
@@ -325,7 +318,7 @@ class LogWriter:
         Args:
             reason: reason why the run ended.
             dropped: number of records that the controller could not send to the recorder.
-            facts: facts about the run that are known only at its end, by the name of the fact.
+            facts: facts about the run that become known at its end, by name.
         """
         self.flush()
         if not self.closed:

@@ -1,7 +1,6 @@
-"""Experiments of the paper, described as jobs for worker processes.
+"""Experiments of the paper as jobs for worker processes.
 
-A job and the result of a job consist of plain values. Therefore they can be sent to another
-process.
+A job and its result consist of plain values. Therefore they can be sent to another process.
 """
 
 import json
@@ -19,12 +18,11 @@ JobRunner = Callable[[Sequence[ExperimentJob]], list[ExperimentResult]]
 
 
 def run_job(job: ExperimentJob, folder: Path) -> ExperimentResult:
-    """Run the experiment that a job describes, and return the result.
+    """Run the experiment of a job, and return its result.
 
     Args:
-        job: table with the name of the experiment under `do`, and with the arguments of the
-            experiment, see `run_experiments`.
-        folder: folder for the files that the experiment writes.
+        job: name of the experiment under `do`, and its arguments, see `run_experiments`.
+        folder: folder for the files of the job.
     """
     match job["do"]:
         case "pull":
@@ -37,7 +35,7 @@ def run_job(job: ExperimentJob, folder: Path) -> ExperimentResult:
 
 
 def job_description(job: ExperimentJob) -> str:
-    """Return a description of a job for reports of progress."""
+    """Return a description of a job for progress reports."""
     match job["do"]:
         case "pull":
             return f"pulling a blocked finger to {force_displacement.MAX_PULL_N:g} N"
@@ -52,15 +50,15 @@ def job_count() -> int:
 
 
 def run_experiments(workers: JobRunner) -> dict[str, Any]:
-    """Run all experiments of the paper, and return the results.
+    """Run all experiments, and return the results.
 
     Returns:
         A table with the results of `force_displacement.measure_tendons` under `force_displacement`,
         and a list under `payload` with one result for each diameter and axis.
     """
     searches = [{"do": "search", "diameter_mm": diameter} for diameter in payload.DIAMETERS_MM]
-    # The jobs that load the hand need the tensions that the search jobs find. Therefore the search
-    # jobs run first.
+    # The load jobs need the tensions that the search jobs find. Therefore the search jobs run
+    # first.
     pulled, *grips = workers([{"do": "pull"}, *searches])
     loads = [
         {"do": "load", "diameter_mm": diameter, "axis": axis, "found": grip}
@@ -75,7 +73,7 @@ SIGNIFICANT_DIGITS = 6
 
 
 def rounded_results(results: Any) -> Any:
-    """Return the results with every float rounded to `SIGNIFICANT_DIGITS` significant digits."""
+    """Return results in which every float is rounded to `SIGNIFICANT_DIGITS` significant digits."""
     if isinstance(results, float):
         return float(f"{results:.{SIGNIFICANT_DIGITS}g}")
     if isinstance(results, Mapping):
@@ -91,7 +89,7 @@ def load_results(path: Path) -> dict[str, Any]:
     """Read the results of `run_experiments` from a file.
 
     Raises:
-        ConfigError: the file cannot be read, or does not contain the results of all experiments.
+        ConfigError: The file cannot be read, or does not contain all experiments.
     """
     cases = {
         (diameter, axis) for diameter in payload.DIAMETERS_MM for axis in payload.LOAD_DIRECTIONS

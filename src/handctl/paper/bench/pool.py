@@ -19,17 +19,14 @@ ReportFunction = Callable[[ExperimentJob, bool], None]
 
 @contextmanager
 def worker_pool(size: int, report: ReportFunction) -> Iterator[JobRunner]:
-    """Start worker processes that carry out experiments.
-
-    At the end of the context, or after an error, the processes are ended.
+    """Start worker processes. The processes end with the context, even after an error.
 
     Args:
         size: number of processes.
         report: function that is called at the start and at the end of each job.
     """
     command = [sys.executable, "-m", WORKER_MODULE]
-    # Because the workers have a process session of their own, they do not receive Ctrl-C from the
-    # terminal.
+    # In a separate session, workers do not receive Ctrl-C from the terminal.
     children = [
         subprocess.Popen(
             command,
@@ -54,7 +51,7 @@ def _distribute_jobs(
 ) -> list[ExperimentResult]:
     """Distribute jobs among workers, and return the results in the order of the jobs.
 
-    When a worker has returned a result, it gets the next job.
+    Each worker gets its next job when it has returned a result.
     """
     results: dict[int, ExperimentResult] = {}
     waiting = iter(enumerate(jobs))
@@ -79,7 +76,7 @@ def _send_next_job(
     busy: dict[WorkerProcess, int],
     report: ReportFunction,
 ) -> None:
-    """If a job is left, send it to a worker."""
+    """Send the next job to a worker, if there is another job."""
     for index, job in waiting:
         busy[child] = index
         report(job, False)
@@ -90,10 +87,10 @@ def _send_next_job(
 
 
 def _read_result(child: WorkerProcess) -> ExperimentResult:
-    """Return the result of an experiment that a worker has sent.
+    """Return the result that a worker has sent.
 
     Raises:
-        HandctlError: the experiment failed, or the worker process ended without a result.
+        HandctlError: The experiment failed, or the worker process ended without a result.
     """
     line = _checked_pipe(child.stdout).readline()
     if not line:
@@ -110,6 +107,6 @@ def _read_result(child: WorkerProcess) -> ExperimentResult:
 
 
 def _checked_pipe(pipe: IO[str] | None) -> IO[str]:
-    """Check that a pipe of a process exists, and return it."""
+    """Return a pipe, if it exists."""
     assert pipe is not None
     return pipe

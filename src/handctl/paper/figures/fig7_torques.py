@@ -1,4 +1,4 @@
-"""Fig. 7 of the paper: parts of the torque that closes a digit, and T_1 by Eq. 10, both as printed and corrected."""
+"""Fig. 7: components of the torque that closes a digit, and T_1 by Eq. 10 as printed and as corrected."""
 
 from typing import Any
 
@@ -21,9 +21,9 @@ LINK_PARTS = TORQUE_PARTS[:3]
 
 
 def draw_torque_figure(figure: Any) -> None:
-    """Draw the torques that close a finger and the thumb at three speeds.
+    """Draw the torques of finger and thumb at three speeds.
 
-    Below each plot, a second plot shows the torques of the links on a larger scale.
+    A second plot below each enlarges the components of the links.
     """
     rows = figure.subplots(
         4, len(CLOSING_DURATIONS_S), sharey="row", height_ratios=(1.15, 1, 1.15, 1)
@@ -71,8 +71,8 @@ def draw_torque_figure(figure: Any) -> None:
 
 
 def _add_tension_axis(axes: Any, lever: float, labelled: bool) -> None:
-    """Add an axis that shows a torque as the tension of the tendon that produces it."""
-    # The torques are converted from mN m to N m. Division by the lever then gives tensions in N.
+    """Add an axis that shows the torque as a tension of the tendon."""
+    # Torques in mN m become N m, and divided by the lever become N.
     factor = 1e-3 / lever
     side = axes.secondary_yaxis(
         "right", functions=(lambda torque: torque * factor, lambda force: force / factor)
@@ -84,10 +84,9 @@ def _add_tension_axis(axes: Any, lever: float, labelled: bool) -> None:
 
 
 def draw_eq10_figure(figure: Any) -> None:
-    """Draw T_1 as Eq. 10 gives it, both as printed and as corrected.
+    """Draw T_1 by Eq. 10 as printed and as corrected.
 
-    The scale of one plot suits the printed equation. The scale of the other plot suits the
-    corrected equation.
+    One plot has the scale of the printed equation, the other plot that of the corrected equation.
     """
     times, printed, right = first_torque(CLOSING_DURATIONS_S[1])
     wide, close = figure.subplots(1, 2)

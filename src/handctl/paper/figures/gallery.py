@@ -1,4 +1,4 @@
-"""All figures of the page about the paper: names, sizes, and the functions that draw them."""
+"""All figures: names, sizes, and the functions that draw them."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -22,9 +22,9 @@ DrawFunction = Callable[[Any], None]
 def figure_contents(
     results: Mapping[str, Any] | None,
 ) -> dict[str, tuple[tuple[float, float], DrawFunction]]:
-    """Return the size [inch] and the drawing function of each figure, by the name of the figure.
+    """Return the size [inch] and the drawing function of each figure.
 
-    If there are no results of experiments, the figures about measurements are left out.
+    Without results of experiments, the figures of measurements are left out.
     """
     drawn: dict[str, tuple[tuple[float, float], DrawFunction]] = {
         "fig1-hand": (fig1_hand.HAND_FIGURE_SIZE_IN, fig1_hand.draw_hand_figure),
@@ -54,12 +54,12 @@ def draw_all_figures(folder: Path, results: Mapping[str, Any] | None) -> dict[st
     """Draw every figure as PNG and SVG.
 
     Args:
-        folder: folder for the files, which is created if it does not exist.
-        results: results of `experiments.run_experiments`. If they are None, the figures about
+        folder: folder to write to, created if it does not exist.
+        results: results of `experiments.run_experiments`. If they are None, the figures of
             measurements are left out.
 
     Returns:
-        Path of the SVG file of each figure, by the name of the figure.
+        Path of the SVG file of each figure.
     """
     folder.mkdir(parents=True, exist_ok=True)
     return {

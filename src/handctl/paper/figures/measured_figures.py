@@ -1,6 +1,6 @@
-"""Fig. 5 of the paper, and a figure of the payload.
+"""Fig. 5 and a figure of the payload.
 
-Both show measurements on the simulated test bench, and mark the values that the paper states.
+Both show measurements on the simulated bench, and mark the values of the paper.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ AXIS_COLOURS = (BLUE, ORANGE, GREEN)
 
 
 def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
-    """Draw the measured curves of two tendons, the knees that the paper states, and its stress limit."""
+    """Draw the curves of both tendons, the two knees that the paper states, and the stress limit of section 5."""
     axes = figure.subplots()
     allowed = float(src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger()))
     top = 1.12 * float(max(src.KNEE_TENSIONS_N))
@@ -80,8 +80,7 @@ def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
     )
     axes.set(xlim=(0, end), ylim=(0, top), title="Tendon of a blocked finger, pulled over the bus")
     axes.legend(loc="lower right", fontsize=8.5, markerscale=4)
-    # Stress is proportional to tension. Therefore the second axis differs from the first one only
-    # by a factor.
+    # Stress is proportional to tension. Therefore one factor gives the second axis.
     factor = src.wire_stress_mpa(1.0, wire)
     stress = axes.secondary_yaxis(
         "right", functions=(lambda force: force * factor, lambda mpa: mpa / factor)
@@ -90,9 +89,9 @@ def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
 
 
 def draw_payloads(figure: Any, results: Sequence[Mapping[str, Any]]) -> None:
-    """For each axis and diameter, draw the payload as a bar.
+    """Draw the payload for each axis and diameter as a bar.
 
-    Also draw the motion of the object as a curve over the increasing load.
+    Draw the motion of the object as a curve over the increasing load.
     """
     grid = figure.add_gridspec(2, len(payload.LOAD_DIRECTIONS), height_ratios=(1.25, 1.0))
     _draw_bars(figure.add_subplot(grid[0, :]), results)
@@ -106,7 +105,7 @@ def draw_payloads(figure: Any, results: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _draw_bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
-    """Draw the payload of each load case as a bar."""
+    """Draw the payload of each load case."""
     width = 0.26
     for k, diameter in enumerate(payload.DIAMETERS_MM):
         rows = {result["axis"]: result for result in results if result["diameter_mm"] == diameter}
@@ -143,7 +142,7 @@ def _draw_bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _draw_lines(axes: Any) -> None:
-    """Draw a line at the payload in the paper, and a line at the payload with friction on both sides."""
+    """Draw lines at the payload of the paper, and at the payload with friction on both sides of the object."""
     both = 2.0 * float(src.payload_kg(src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N))
     edge = len(payload.LOAD_DIRECTIONS) - 0.6
     for value, colour, text in (
@@ -155,14 +154,13 @@ def _draw_lines(axes: Any) -> None:
 
 
 def _draw_traces(axes: Any, axis: str, results: Sequence[Mapping[str, Any]]) -> None:
-    """Draw how far the object has moved, over the load along an axis."""
+    """Draw the motion of the object over the load along an axis."""
     gravity = float(src.GRAVITY_M_PER_S2)
     for result, colour in zip(results, AXIS_COLOURS, strict=True):
         axes.plot(
             result["trace_mm"], np.array(result["trace_N"]) / gravity, color=colour, linewidth=1.3
         )
-        # This is the first sample at which the load is at least the load at which the object
-        # slipped.
+        # This is the first sample of the trace with at least the load at which the object slipped.
         row = int(np.searchsorted(result["trace_N"], result["load_N"]))
         position = result["trace_mm"][min(row, len(result["trace_mm"]) - 1)]
         axes.plot(

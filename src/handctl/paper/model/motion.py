@@ -1,4 +1,4 @@
-"""Dynamics of section 7 of the paper in a motion: the torque that closes a digit, split into its causes."""
+"""Dynamics of section 7 in a motion: the torque that closes a digit, divided by cause."""
 
 from dataclasses import dataclass
 
@@ -26,15 +26,14 @@ TORQUE_PARTS = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
 
 @dataclass(frozen=True, slots=True)
 class ClosingTorques:
-    """Torques that close a digit along a minimum-jerk path, while all joint angles are equal.
+    """Torques that close a digit along a minimum-jerk path, with equal joint angles.
 
     Attributes:
         digit: name of the digit.
         duration_s: duration of the motion [s].
         times: (samples,) times of the samples [s].
-        torque_by_cause: (samples,) torque at the single coordinate of the digit for each cause, by
-            the name of the cause [N m].
-        lever_m: moment arm of the tendon for this coordinate, which is the sum of all pulley radii
+        torque_by_cause: torque at the single coordinate of the digit, by cause, (samples,) each [N m].
+        lever_m: moment arm of the tendon for this coordinate, which is the sum of the pulley radii
             [m].
     """
 
@@ -45,12 +44,12 @@ class ClosingTorques:
     lever_m: float
 
     def peak_tension(self, part: str) -> float:
-        """Return the largest tension that is necessary because of one cause of the torque [N]."""
+        """Return the largest tension that one cause of the torque requires [N]."""
         return float(np.abs(self.torque_by_cause[part]).max()) / self.lever_m
 
 
 def upright_digit(name: str) -> DigitModel:
-    """Return a digit whose plane is vertical and which is opened by its own weight, as in Eq. 6."""
+    """Return a digit whose plane is vertical and whose weight opens it, as in Eq. 6."""
     model = DigitModel.from_hand(src.paper_hand(), name)
     return model.with_gravity(
         model.mount_rotation @ np.array([0.0, -float(src.GRAVITY_M_PER_S2), 0.0])
@@ -58,7 +57,7 @@ def upright_digit(name: str) -> DigitModel:
 
 
 def closing_torques(name: str, duration: float) -> ClosingTorques:
-    """Return the torques that close a digit from straight to 60 degrees at each joint.
+    """Return the torques for closing a digit from straight to 60 degrees per joint.
 
     Args:
         name: name of the digit.
@@ -67,8 +66,7 @@ def closing_torques(name: str, duration: float) -> ClosingTorques:
     digit = upright_digit(name)
     times = np.linspace(0.0, duration, SAMPLE_COUNT)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_JOINT_ANGLE_DEG]), duration)
-    # The digit has a single coordinate. Therefore the joint torques are projected on the coupling
-    # of the joints.
+    # The digit has one coordinate. Therefore every torque is projected on the coupling.
     rotor = float(reflected_inertia(digit)[0, 0])
     coupling = digit.coupling[:, 0]
     rows = []
@@ -89,32 +87,32 @@ def closing_torques(name: str, duration: float) -> ClosingTorques:
 
 
 def first_torque(duration: float) -> tuple[Array, Array, Array]:
-    """Return the times [s], and the torque T_1 of a closing finger by Eq. 10, as printed and as corrected [N m]."""
+    """Return times [s], and the torque T_1 of a closing finger by Eq. 10, as printed and as corrected [N m]."""
     digit = upright_digit("index")
     times = np.linspace(0.0, duration, SAMPLE_COUNT)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_JOINT_ANGLE_DEG]), duration)
     moves = np.array([[value[0] for value in path.motion_at(float(t))] for t in times])
     states = dict(finger_states(digit))
     for order in range(3):
-        # If all joint angles are equal, the absolute angles are multiples of the first angle.
+        # With equal joint angles, the absolute angles are multiples of the first angle.
         states |= {"d" * order + f"th{i}": i * moves[:, order] for i in (1, 2, 3)}
     right = sum(term.correct.evaluate(states) for term in equations.TORQUE_TERMS_1)
     return times, np.asarray(printed_sum(equations.TORQUE_TERMS_1, states)), np.asarray(right)
 
 
 def motion_items() -> list[ErrataItem]:
-    """Return the errata items about the torque during a motion.
+    """Return the items about the torque in a motion.
 
-    They concern Eq. 10 for a straight finger, the completeness of Eq. 3 to 12, and the torque that
-    section 8 mentions.
+    The items concern Eq. 10 for a straight finger, the completeness of Eq. 3 to 12, and the torque
+    that section 8 mentions.
     """
     return [_check_static_torque(), _check_completeness(), _check_torque_value()]
 
 
 def _check_static_torque() -> ErrataItem:
-    """Check whether T_1 of Eq. 10 is the torque that holds a straight finger at joint 1.
+    """Check whether T_1 of Eq. 10 is the torque at joint 1 that holds the straight finger.
 
-    In fact, this torque is the sum of T_1 to T_3 in Eq. 10 to 12.
+    This torque is the sum of T_1 to T_3 of Eq. 10 to 12, and not T_1 alone.
     """
     _, printed, right = first_torque(CLOSING_DURATIONS_S[1])
     digit = upright_digit("index")
@@ -128,9 +126,9 @@ def _check_static_torque() -> ErrataItem:
 
 
 def _check_completeness() -> ErrataItem:
-    """Check whether Eq. 3 to 12 contain all parts of the torque that a motion needs.
+    """Check whether Eq. 3 to 12 give the complete torque of a motion.
 
-    The paper mentions neither springs nor the inertia of the actuator.
+    The paper does not mention springs or the inertia of the actuator.
     """
     fast = closing_torques("index", CLOSING_DURATIONS_S[-1])
     links = sum(fast.torque_by_cause[part] for part in TORQUE_PARTS[:3])
@@ -149,9 +147,9 @@ def _check_completeness() -> ErrataItem:
 
 
 def _check_torque_value() -> ErrataItem:
-    """Check whether the paper states a value of the torque, as section 8 of the paper claims.
+    """Check whether the paper states a value of the torque, as section 8 says.
 
-    Eq. 10 to 12 contain symbols and no numbers.
+    Eq. 10 to 12 contain only symbols.
     """
     fast = closing_torques("index", CLOSING_DURATIONS_S[-1])
     peak = 1000.0 * float(

@@ -1,4 +1,4 @@
-"""Sections 5 and 6 of the paper: moments, tension, torque, payload and wire, calculated again."""
+"""Sections 5 and 6 of the paper: moments, tension, torque, payload and wire, calculated from its numbers."""
 
 import math
 from fractions import Fraction
@@ -19,7 +19,7 @@ STATICS_TAG = ("statics",)
 
 
 def statics_items() -> list[ErrataItem]:
-    """Return the errata items about all numbers and formulas of the statics."""
+    """Return the items about all numbers and formulas of the statics."""
     return [
         *_check_moments(),
         *_check_labels(),
@@ -41,11 +41,9 @@ def number_item(
     reason: str,
     symbol: str = "",
 ) -> ErrataItem:
-    """Return an errata item about a printed number.
+    """Return an item about a printed number. The verdict follows from its digits.
 
-    The verdict follows from the printed decimal digits.
-
-    In the paper, `symbol` is printed after the number.
+    `symbol` is printed behind the number.
     """
     verdict = verdict_of_number(printed, exact)
     return ErrataItem(
@@ -102,9 +100,9 @@ Joints are counted from the palm, beginning with 0.
 
 
 def _check_labels() -> list[ErrataItem]:
-    """Check the labels of the moments in the paper.
+    """Check the labels that the paper gives to the moments.
 
-    If one label names several joints, it states that the moments at these joints are equal.
+    A label that names several joints states that the moments at these joints are equal.
     """
     rows = []
     for id, where, printed, digit, joint, named in FIGURE_LABELS:
@@ -134,7 +132,7 @@ SYMBOL_DIMENSIONS: dict[str, Dimension] = {
 
 
 def _check_formulas() -> list[ErrataItem]:
-    """Check the formulas in section 5: their dimensions, and their agreement with the statics of the hand."""
+    """Check the formulas in section 5 by their dimensions, and by comparison with the statics of the hand."""
     hand = src.paper_hand()
     tendons = src.paper_hand().digit_tendons["index"]
     arms = hand.moment_arms[tendons, hand.digit_joints["index"]][0].tolist()
@@ -185,14 +183,14 @@ def _check_formulas() -> list[ErrataItem]:
 
 
 def _check_finger() -> list[ErrataItem]:
-    """Check the tension and the torque that the paper states for the finger."""
+    """Check the printed tension and torque of the finger."""
     tension = src.tension_per_newton(src.paper_finger())
     torque = tension * src.SPOOL_RADIUS_MM / 1000
     tension_item = number_item(
         "sec5.tension", "Sec. 5", "18.33", tension, "N per N",
         f"55/3. At 6 N: {float(6 * tension):g} N.", " F")  # fmt: skip
-    # The paper calculates the torque from the tension after rounding it. Therefore the torque in
-    # the paper contains a rounding error.
+    # The paper calculates the torque from the rounded tension. Therefore the torque contains the
+    # rounding error.
     carried = Fraction("18.33") * src.SPOOL_RADIUS_MM / 1000
     verdict = verdict_of_derived_number("0.09165", torque, carried, tension_item.verdict)
     torque_item = ErrataItem(
@@ -202,7 +200,7 @@ def _check_finger() -> list[ErrataItem]:
 
 
 def _check_payload() -> list[ErrataItem]:
-    """Check the payloads that the paper states."""
+    """Check the printed payloads."""
     one = src.payload_kg(src.FINGER_GRIP_FORCE_N)
     three = src.payload_kg(src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N)
     first = number_item(
@@ -228,7 +226,7 @@ def _check_payload() -> list[ErrataItem]:
 
 
 def _check_wire() -> list[ErrataItem]:
-    """Check the diameters of the wire that the paper states."""
+    """Check the printed diameters of the wire."""
     tension = src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger())
     diameter = src.wire_diameter_mm(tension)
     low, high = (
@@ -250,7 +248,7 @@ def _check_wire() -> list[ErrataItem]:
 def _check_area() -> ErrataItem:
     """Check the printed formula for the area of the wire, A = pi d2/4.
 
-    The formula gives an area only if the 2 in it is an exponent.
+    The formula gives an area only if the 2 is an exponent.
     """
     printed = Expression("pi*d2/4")
     right = Expression("pi*d**2/4")
@@ -265,7 +263,7 @@ def _check_area() -> ErrataItem:
 
 
 def _check_knee() -> list[ErrataItem]:
-    """Check the statements of the paper about the knee of the force-displacement curve."""
+    """Check the statements about the knee of the force-displacement curve."""
     diameter = src.wire_diameter_mm(
         src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger())
     )
@@ -288,7 +286,7 @@ def _check_knee() -> list[ErrataItem]:
 
 
 def _check_thumb() -> list[ErrataItem]:
-    """Check the tension and the torque that the paper states for the thumb."""
+    """Check the printed tension and torque of the thumb."""
     tension = src.tension_per_newton(src.paper_thumb())
     torque = tension * src.SPOOL_RADIUS_MM / 1000
     first = number_item(
@@ -316,10 +314,10 @@ def _check_thumb() -> list[ErrataItem]:
 
 
 def _missing_radius() -> ErrataItem:
-    """Calculate the pulley radius, which the paper does not state, from the printed tension 8.33 F."""
+    """Calculate the pulley radius that the paper does not print, from the printed tension 8.33 F."""
     printed = "r_p = mm"
-    # All numbers that are rounded to 8.33 correspond to an interval of pulley radii. This interval
-    # contains exactly one whole number of millimetres.
+    # The numbers that round to 8.33 correspond to an interval of radii. This interval contains
+    # exactly one whole number of millimetres.
     low, high = sorted(
         src.levers_mm(src.paper_thumb())[0] / edge for edge in rounding_interval("8.33")
     )

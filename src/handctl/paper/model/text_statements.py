@@ -1,4 +1,4 @@
-"""Statements in the text of the paper that can be checked by counting or by calculation."""
+"""Statements in the text of the paper that can be checked by counting or calculating."""
 
 import re
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ SYMBOL_WORDS = {
 
 
 def text_items() -> list[ErrataItem]:
-    """Return the errata items about counts, and about statements in the text of the paper."""
+    """Return the items about counts and about statements in the text."""
     return [
         *_check_degrees_of_freedom(),
         _check_palm_joint(),
@@ -43,7 +43,7 @@ def _check_degrees_of_freedom() -> list[ErrataItem]:
     joints = [len(digit.joints) for digit in hand.digit]
     each = max(joints)
     total = sum(joints)
-    # The rank of the moment-arm matrix is the number of motions that the tendons of a digit control
+    # The rank of the moment arms is the number of motions that the tendons of a digit control
     # independently.
     ranks = [
         int(np.linalg.matrix_rank(hand.moment_arms[tendons]))
@@ -70,9 +70,9 @@ def _check_degrees_of_freedom() -> list[ErrataItem]:
 
 
 def _check_palm_joint() -> ErrataItem:
-    """Check the statement in section 3 of the paper that the joint in the palm link is fixed.
+    """Check the statement of section 3 that the joint in the palm link is fixed.
 
-    The words can mean the first joint of a finger, or the palm itself.
+    This joint may mean the first joint of a finger, or the palm itself.
     """
     joints = len(src.paper_finger().joints)
     angles = {
@@ -91,7 +91,7 @@ def _check_palm_joint() -> ErrataItem:
 
 
 def _check_number_of_fingers() -> ErrataItem:
-    """Check the number of fingers that section 8 of the paper states."""
+    """Check the number of fingers that section 8 states."""
     digits = len(src.paper_hand().digit)
     return ErrataItem("sec8.fingers", "Sec. 8", "it is designed with two fingers", digits, "",
         verdict_of_number("2", digits),
@@ -100,7 +100,7 @@ def _check_number_of_fingers() -> ErrataItem:
 
 
 def _depends_on(term: Sequence[EquationTerm], name: str) -> bool:
-    """Return True if the energy that the given terms describe depends on the rate with the given name."""
+    """Return True if the energy of the given terms depends on the named rate."""
     states = random_states()
     moved = {**states, name: states[name] + 1.0}
     change = sum(
@@ -110,9 +110,9 @@ def _depends_on(term: Sequence[EquationTerm], name: str) -> bool:
 
 
 def _check_phalanges() -> ErrataItem:
-    """Check whether the energy of each link is independent of the other links, as in separate fingers."""
-    # In one finger, the energy of link 2 depends on the rate of joint 1, and the energy of link 3
-    # on the rate of joint 2.
+    """Check whether the energies of the links are independent, as if the links were separate fingers."""
+    # In a single finger, the energy of link 2 depends on the rate of link 1, and the energy of link
+    # 3 on the rate of link 2.
     apart = not _depends_on(equations.KINETIC_TERMS_2, "dth1") and not _depends_on(
         equations.KINETIC_TERMS_3, "dth2"
     )
@@ -124,7 +124,7 @@ def _check_phalanges() -> ErrataItem:
 
 
 def _find_undefined_symbols() -> ErrataItem:
-    """Find the symbols in the printed equations that the paper does not define."""
+    """Find symbols in the printed equations that the paper does not define."""
     defined = {name[0] + "₀₁₂₃"[int(name[1])] for name in SYMBOL_DIMENSIONS if len(name) == 2} | {
         "g"
     }
@@ -135,7 +135,7 @@ def _find_undefined_symbols() -> ErrataItem:
 
 
 def _printed_symbols() -> set[str]:
-    """Return the symbols that occur in the printed equations 3 to 12, without angles."""
+    """Return the symbols in the printed equations 3 to 12, except angles."""
     torques = (term for terms in equations.TORQUE_TERMS for term in terms)
     terms = (*equations.KINETIC_TERMS, *equations.POTENTIAL_TERMS, *torques)
     return {
@@ -147,7 +147,7 @@ def _printed_symbols() -> set[str]:
 
 
 def _check_lengths() -> ErrataItem:
-    """Check the list of lengths in section 7 of the paper."""
+    """Check the list of lengths in section 7."""
     listed = {"L₁", "L₂", "L₃", "p₃"}
     needed = {f"L{'₀₁₂₃'[i]}" for i in (1, 2, 3)}
     return ErrataItem(
@@ -157,7 +157,7 @@ def _check_lengths() -> ErrataItem:
 
 
 def _check_axis_of_inertia() -> ErrataItem:
-    """Compare the kinetic energy of a bar that turns in the x-y plane with its moments of inertia about y and z."""
+    """Compare the kinetic energy of a bar that turns in its x-y plane with the moments of inertia about y and z."""
     length = 30.0
     height = 8.0
     width = 10.0
@@ -168,8 +168,8 @@ def _check_axis_of_inertia() -> ErrataItem:
     x, y, z = np.meshgrid(*grid, indexing="ij")
     energy = float(np.mean(x**2 + y**2)) / 2.0
     about = {"y": float(np.mean(x**2 + z**2)), "z": float(np.mean(x**2 + y**2))}
-    # The energy of rotation is half the moment of inertia times the square of the rate. The rate is
-    # 1 here.
+    # The energy of rotation is half of the moment of inertia times the squared rate. Here the rate
+    # is 1.
     right = [
         axis
         for axis, inertia in about.items()
@@ -184,7 +184,7 @@ def _check_axis_of_inertia() -> ErrataItem:
 
 
 def _check_control_law() -> ErrataItem:
-    """Check whether any symbol of a control law occurs in the printed equations."""
+    """Check whether the printed equations contain symbols of a control law."""
     meanings = {SYMBOL_WORDS.get(symbol[0], "") for symbol in _printed_symbols()} | {
         "angle",
         "torque",

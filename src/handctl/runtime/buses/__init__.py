@@ -1,4 +1,4 @@
-"""CAN buses. No method that reads or writes a bus blocks.
+"""CAN buses, read and written without blocking.
 
 Each kind of bus has its own module in this package.
 """

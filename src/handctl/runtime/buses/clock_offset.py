@@ -1,14 +1,13 @@
-"""Offset between the wall clock and the clock CLOCK_MONOTONIC.
+"""Offset from the wall clock to CLOCK_MONOTONIC.
 
-This offset converts the reception times of CAN frames.
+With this offset, the reception times of CAN frames are converted.
 
-The Linux kernel stamps received frames with the time of the wall clock. A run uses CLOCK_MONOTONIC.
+The Linux kernel stamps received frames with the wall clock, and a run uses CLOCK_MONOTONIC.
 
-Both clocks run at the same rate. The offset between them changes only when the wall clock is set.
-If a frame has an impossible time stamp, the bus requests a new measurement of the offset. In
-user-mode Linux, each reading of a clock is a system call. On such a system, two readings in each
-tick would take as long as the exchange of frames. Therefore each measured offset is used many
-times. Source: man 2 clock_gettime, man 7 vdso.
+Both clocks run at the same rate. The offset changes only when the wall clock is set. A bus requests
+a new measurement when a frame has an impossible time stamp. In user-mode Linux, each clock reading
+is a system call. There, two readings in each tick would take as long as the exchange of frames.
+Therefore each measurement is used many times. Source: man 2 clock_gettime, man 7 vdso.
 """
 
 import time
@@ -23,7 +22,7 @@ READINGS_PER_MEASUREMENT = 3
 
 
 class ClockOffset:
-    """Offset between the wall clock and CLOCK_MONOTONIC, measured again after many uses."""
+    """Offset between wall clock and CLOCK_MONOTONIC, measured again after ``USES_PER_MEASUREMENT`` uses."""
 
     def __init__(self) -> None:
         """Start without a measurement."""
@@ -42,10 +41,10 @@ class ClockOffset:
         self._uses_left = 0
 
     def _measure(self) -> None:
-        """Measure the offset between the clocks.
+        """Measure the offset.
 
-        Of several readings, the fastest one is used, because the operating system may have
-        interrupted the others.
+        The fastest of several readings is used, because the operating system may interrupt the
+        others.
         """
         readings = [
             (time.monotonic_ns(), time.time_ns(), time.monotonic_ns())
@@ -57,7 +56,7 @@ class ClockOffset:
 
 
 def _reading_duration(reading: tuple[int, int, int]) -> int:
-    """Return the time that a reading of the clocks took [ns].
+    """Return the duration of a reading [ns].
 
     A reading is a tuple (time before, wall clock, time after).
     """

@@ -1,6 +1,4 @@
-"""Events of a CAN bus as tuples (kind, where, number).
-
-They are collected until the next tick takes them.
+"""Events of a CAN bus as tuples (kind, where, number), collected until the next tick takes them.
 
 Kinds:
 
@@ -13,9 +11,8 @@ Kinds:
 - ``error_frame``, ``error_warning``, ``error_passive``, ``error_active``, ``bus_off``,
   ``restarted``: states reported by the CAN controller of the interface
 
-While a lasting state (``bus_off``, ``error_passive``, ``enodev``) is present, every call of
-``take_events`` reports it. The fault detectors count the ticks during which such a state is
-present.
+Every call of ``take_events`` reports a lasting state (``bus_off``, ``error_passive``, ``enodev``)
+again, until it ends. The fault detectors count the ticks for which such a state lasts.
 """
 
 import errno
@@ -79,21 +76,21 @@ transmit bit of OVERFLOW_MASK. Source: Linux ``can/error.h``.
 
 
 class BusEvents:
-    """Events of one bus since the last call of ``take_events``, with their counts, and the lasting states."""
+    """Events of one bus since the last ``take_events``: their counts, and the lasting states."""
 
     def __init__(self, where: str) -> None:
-        """Start without events. Each event will contain ``where`` as the name of the bus."""
+        """Start without events. Each event will give ``where`` as the name of the bus."""
         self.where = where
         self._counts: dict[tuple[str, str], int] = {}
         self._lasting: set[str] = set()
 
     def add_event(self, kind: str, number: int = 1, detail: str = "") -> None:
-        """Add a number of occurrences to the count of an event.
+        """Add occurrences of an event to its count.
 
         Args:
-            kind: kind of the event, as listed in the docstring of the module.
+            kind: kind of the event, see the list in the module.
             number: number of occurrences.
-            detail: text that is added to ``where`` in the event. Events with different details are
+            detail: text to append to ``where`` of the event. Events with different details are
                 counted separately.
         """
         key = kind, f"{self.where} {detail}" if detail else self.where
@@ -103,23 +100,23 @@ class BusEvents:
         """Count a failed operation on the bus.
 
         Args:
-            code: errno of the failure, or None if it is not known.
-            otherwise: kind of event to count if the errno is not known or not in ``ERRNO_KINDS``.
+            code: errno of the failure, or None for an unknown errno.
+            otherwise: kind of event to count if the errno is unknown or not in ``ERRNO_KINDS``.
             number: number of frames in the failed operation.
         """
         kind = ERRNO_KINDS.get(code or 0, otherwise)
         if ERRNO_KINDS.get(code or 0) == "enodev":
             self.set_lasting_state(kind, True)
             return
-        if kind == "enetdown":  # an interface that is down has no error states
+        if kind == "enetdown":  # while an interface is down, it has no error states
             self.set_lasting_state("bus_off", False)
             self.set_lasting_state("error_passive", False)
         self.add_event(kind, number)
 
     def set_lasting_state(self, kind: str, present: bool) -> None:
-        """Begin or end a lasting state of the bus.
+        """Set or end a lasting state of the bus.
 
-        While the state is present, each call of ``take_events`` reports it.
+        Each call of ``take_events`` reports every lasting state.
         """
         (self._lasting.add if present else self._lasting.discard)(kind)
 

@@ -19,21 +19,20 @@ class CanLinkState(NamedTuple):
 
     Attributes:
         is_up: True if the interface is up.
-        kind: kind of the interface, for example ``can`` or ``vcan``.
+        kind: kind of the interface, such as ``can`` or ``vcan``.
         tx_queue_frames: length of the transmit queue (txqueuelen) [frames].
-        is_fd: True if the interface can carry CAN FD frames.
-        bitrate: nominal bit rate [bit/s], or None for an interface without bit timing, such as
-            vcan.
-        data_bitrate: bit rate of the data phase of CAN FD [bit/s], or None for an interface without
-            a data phase.
-        controller_state: state of the CAN controller, such as ``ERROR-ACTIVE``, or an empty text
-            without a CAN controller.
+        is_fd: True if the interface carries CAN FD.
+        bitrate: nominal bit rate [bit/s]. None for an interface without bit timing, such as vcan.
+        data_bitrate: bit rate of the data phase of CAN FD [bit/s]. None for an interface without a
+            data phase.
+        controller_state: state of the CAN controller, such as ``ERROR-ACTIVE``. Empty for an interface without
+            a CAN controller.
         tx_error_counter: transmit error counter of the CAN controller.
         rx_error_counter: receive error counter of the CAN controller.
-        restart_ms: time from bus-off until the interface restarts by itself [ms]. It is 0 if an
-            operator must restart the interface, and None if there is no CAN controller.
-        event_counts: number of events since the interface was created, by the kind of the event:
-            bus_error, error_passive, bus_off, tx_dropped, ...
+        restart_ms: delay after which the interface restarts from bus-off [ms]. It is 0 if a person
+            must restart the interface, and None if there is no CAN controller.
+        event_counts: number of events since the interface was created, by kind: bus_error, error_passive,
+            bus_off, tx_dropped, ...
     """
 
     is_up: bool
@@ -70,7 +69,7 @@ def read_link(name: str) -> CanLinkState | None:
 
 
 def parse_link(text: str) -> CanLinkState | None:
-    """Return the state of the interface that the output of ``ip`` describes, or None if it lists no interface."""
+    """Return the state of the interface in the output of ``ip``, or None if the output lists no interface."""
     try:
         (link,) = json.loads(text)
     except ValueError:
@@ -94,5 +93,5 @@ def parse_link(text: str) -> CanLinkState | None:
 
 
 def _count_dropped(stats: dict[str, Any]) -> dict[str, int]:
-    """Return the numbers of received and of sent frames that were dropped, by the kind of event."""
+    """Return how many received frames and sent frames were dropped, by kind of event."""
     return {f"{side}_dropped": int(stats.get(side, {}).get("dropped", 0)) for side in ("rx", "tx")}

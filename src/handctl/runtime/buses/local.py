@@ -1,13 +1,13 @@
 """The local bus ``local:NAME``: a Unix stream socket to the hub.
 
-The hub is the part of the simulator that serves the bus. Each CAN frame is one record on the
-socket. A batch of frames is sent or read with a single system call.
+The hub is the part of a simulator that serves the bus. Each CAN frame is one record on the socket.
+A batch of frames needs a single system call.
 
     can_id 32 | length 8 | flags 8 | dropped 16 | data 64 x 8
 
-A record has 72 bytes, in the layout of ``struct canfd_frame`` of Linux. Two bytes that Linux
-reserves contain the number of frames that the hub has dropped for this receiver. The socket reports
-no reception times. Therefore a frame gets the time at which the host has read it.
+A record has 72 bytes, in the layout of ``struct canfd_frame`` of Linux. The two reserved bytes of a
+record count the frames that the hub has dropped for this receiver. The socket reports no times of
+reception. Therefore each frame gets the time at which the host read it.
 """
 
 import socket
@@ -53,7 +53,7 @@ def connect_to_hub(name: str) -> socket.socket:
     """Connect to the hub that serves ``local:NAME``, and return the socket.
 
     Raises:
-        NoSimulatorError: no process serves this bus.
+        NoSimulatorError: no hub serves this bus.
         BusError: the hub belongs to another user.
     """
     path = local_bus_path(name)
@@ -74,12 +74,11 @@ def connect_to_hub(name: str) -> socket.socket:
 
 
 class LocalBus:
-    """Client of a local bus. The interface ``contract.Bus`` describes its methods.
+    """Client of a local bus. This class has the interface ``contract.Bus``.
 
     Attributes:
         name: specification of the bus.
-        early_frames: frames that were read during a call of ``send``. The next call of ``drain``
-            returns them first.
+        early_frames: frames read during a ``send``. The next ``drain`` returns these first.
     """
 
     def __init__(
@@ -89,17 +88,17 @@ class LocalBus:
         stamp: TimeConversion,
         max_records: int = MAX_RECORDS_PER_READ,
     ) -> None:
-        """Connect to the hub of the bus.
+        """Connect to the hub.
 
         Args:
             channel: name of the bus.
-            index: index of the bus in the list of the hand's buses.
-            stamp: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
-            max_records: largest number of records that one read takes. If it is 1, the socket stays
-                readable while another frame waits to be read.
+            index: index of the bus in the hand's list.
+            stamp: function that converts a CLOCK_MONOTONIC time to the run's time [ns].
+            max_records: largest number of records per read. If it is 1, the socket stays readable
+                as long as a frame waits to be read.
 
         Raises:
-            BusError: no process serves a bus of this name.
+            BusError: no hub of this name is running.
         """
         self._socket = connect_to_hub(channel)
         self.name = f"local:{channel}"
@@ -119,7 +118,7 @@ class LocalBus:
         self._closed = False
 
     def _allocate(self, count: int) -> None:
-        """Allocate a send buffer that has room for ``count`` records."""
+        """Allocate a send buffer for ``count`` records."""
         memory = bytearray(count * CANFD_FRAME_BYTES)
         self._out = memoryview(memory)
         self._out_structs = FrameStructs(memory)
@@ -140,7 +139,7 @@ class LocalBus:
     def _read(self, buffer: memoryview) -> int:
         """Read from the socket into a buffer.
 
-        Return the number of bytes, or 0 if no data have arrived.
+        Return the number of bytes, which is 0 if no data have arrived.
         """
         if self._closed:
             return 0
@@ -150,12 +149,12 @@ class LocalBus:
             return 0
         except OSError:
             size = 0
-        if size == 0:  # the stream has ended, because the hub has closed the connection
+        if size == 0:  # the stream has ended, because the hub has closed it
             self._report_lost_hub()
         return size
 
     def _report_lost_hub(self) -> None:
-        """From now on, make every call of ``take_events`` report that the hub has ended."""
+        """Make every later call of ``take_events`` report that the hub has ended."""
         self._closed = True
         self._events.set_lasting_state("enodev", True)
 
@@ -185,7 +184,7 @@ class LocalBus:
     def receive_one(self) -> Frame | None:
         """Return the next frame as an object, or None if no frame has arrived.
 
-        This method is for programs that process one frame at a time.
+        This method is for programs that process one message at a time.
         """
         if self.early_frames:
             frame = self.early_frames[0]
@@ -205,43 +204,42 @@ class LocalBus:
         return Frame(can_id, data[:length], flags, self._index, self._stamp(time.monotonic_ns()))
 
     def _count_dropped(self, lost: int) -> None:
-        """Count the frames that the hub has dropped since the last record.
+        """Count the frames dropped by the hub since the last record.
 
-        Here, ``lost`` is the counter of the hub, modulo 65536.
+        ``lost`` is the hub's counter, modulo 65536.
         """
         if lost != self._dropped:
             self._events.add_event("dropped", (lost - self._dropped) & 0xFFFF)
             self._dropped = lost
 
     def _take_control(self, can_id: int, data: bytes) -> None:
-        """Process a frame that is not a data frame: a report from the hub about its queue, or an error frame."""
+        """Process a frame that is no data frame: a queue report from the hub, or an error frame."""
         if can_id == QUEUE_REPORT_ID:
             self._transmitted_count, self._queue_frames = QUEUE_REPORT_STRUCT.unpack(data)
         else:
             self._events.add_error_frame(can_id, data)
 
     def _frames_that_fit(self, frames: Sequence[Frame]) -> Sequence[Frame]:
-        """Return as many frames, counted from the first, as the queue has room for.
+        """Return as many of the first frames as fit in the queue.
 
-        All other frames count as refused.
+        The other frames count as refused.
         """
         if len(frames) > self._free_queue_places():
-            # The hub may have reported a change of its queue since the last read.
-            self.early_frames = self.drain()
+            self.early_frames = self.drain()  # a queue report may have arrived since the last read
         free = self._free_queue_places()
         if len(frames) > free:
             self._events.add_event("enobufs", len(frames) - free)
         return frames[:free]
 
     def _free_queue_places(self) -> int:
-        """Return the number of frames for which the queue of the simulated wire still has room."""
+        """Return the number of frames that still fit in the queue of the simulated wire."""
         waiting = (
             self._sent_count - self._transmitted_count & 0xFFFFFFFF
         )  # the hub counts frames modulo 2**32
         return max(0, self._queue_frames - waiting)
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """Send a batch of frames, and return the number of accepted frames, see ``contract.Bus``."""
+        """Send a batch and return the number of accepted frames, see ``contract.Bus``."""
         if self._queue_frames:
             frames = self._frames_that_fit(frames)
         records = self._pack_records(frames)
@@ -280,21 +278,20 @@ class LocalBus:
         return self._out[: CANFD_FRAME_BYTES * len(frames)]
 
     def _keep_partial_record(self, waiting: bytes | memoryview, sent: int, frames: int) -> int:
-        """If only a part of a record was sent, store the rest for the next call.
+        """If a record was sent only in part, store its rest for the next call.
 
-        All records after it are dropped.
+        Drop the records after it.
 
         Args:
-            waiting: part of the previous batch that was not sent, followed by this batch.
-            sent: number of bytes of ``waiting`` that the socket has accepted.
+            waiting: unsent part of the previous batch, followed by this batch.
+            sent: number of bytes of ``waiting`` accepted by the socket.
             frames: number of frames in this batch.
 
         Returns:
-            the number of accepted frames. A frame that was sent only in part counts as accepted.
+            the number of accepted frames. A partly sent frame counts as accepted.
         """
         before = len(self._unsent_bytes)
-        # Division of two integers, rounded up.
-        accepted = max(0, -((before - sent) // CANFD_FRAME_BYTES))
+        accepted = max(0, -((before - sent) // CANFD_FRAME_BYTES))  # division, rounded up
         self._unsent_bytes = bytes(waiting[sent : before + accepted * CANFD_FRAME_BYTES])
         if frames > accepted:
             self._events.add_event("enobufs", frames - accepted)

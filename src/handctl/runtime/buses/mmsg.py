@@ -1,10 +1,8 @@
-"""Many datagrams in one system call, by ``sendmmsg`` and ``recvmmsg`` of Linux.
+"""Many datagrams in one system call: ``sendmmsg`` and ``recvmmsg`` of Linux on reused buffers.
 
-The buffers are used again in every call.
-
-The module ``socket`` of Python offers no such call. If each frame needed a system call of its own,
-these calls would take longer than all other work of an exchange. Source: man 2 recvmmsg, man 7
-socket (SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
+The ``socket`` module of Python has no such call. If each frame needed its own system call, these
+calls would take longer than all other work of an exchange. Source: man 2 recvmmsg, man 7 socket
+(SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
 """
 
 import ctypes
@@ -23,13 +21,13 @@ _SOL_SOCKET = int(socket.SOL_SOCKET)
 
 
 class _Iovec(ctypes.Structure):
-    """``struct iovec``, which contains the address and the size of a buffer."""
+    """``struct iovec``: address and size of a buffer."""
 
     _fields_ = (("base", ctypes.c_void_p), ("len", ctypes.c_size_t))
 
 
 class _MessageHeader(ctypes.Structure):
-    """``struct msghdr``, which contains peer address, buffers, control messages and flags."""
+    """``struct msghdr``: peer address, buffers, control messages, flags."""
 
     _fields_ = (
         ("name", ctypes.c_void_p),
@@ -43,7 +41,7 @@ class _MessageHeader(ctypes.Structure):
 
 
 class _MultiMessageHeader(ctypes.Structure):
-    """``struct mmsghdr``, which contains a message header and the number of bytes sent or received."""
+    """``struct mmsghdr``: a message and the number of bytes sent or received."""
 
     _fields_ = (("message", _MessageHeader), ("size", ctypes.c_uint))
 
@@ -107,10 +105,10 @@ The kernel omits the loss counter until the first loss. A missing counter counts
 
 
 class DatagramSlots:
-    """Buffers of equal size for datagrams, and the kernel headers that point to these buffers.
+    """Buffers of equal size for datagrams, and the kernel headers that point at these buffers.
 
     Attributes:
-        count: number of buffers, each for one datagram (slots).
+        count: number of slots.
         size: size of each slot [bytes].
         data: memory of all slots.
         control: memory of all control messages.
@@ -158,16 +156,16 @@ class DatagramSlots:
         self._last_has_counters = False
 
     def common_size(self, count: int, known_losses: int) -> int:
-        """Return the size of each of the first ``count`` datagrams [bytes], or 0 if they must be read one by one.
+        """Return the common size of the first ``count`` datagrams [bytes], or 0 if each must be read separately.
 
-        The result is not 0 if all these datagrams have the same length and a time stamp, and none
-        has a new value of the loss counter. After the first lost datagram, the kernel adds the loss
-        counter to every datagram. In every tick, the kernel usually writes the same bytes into the
-        headers. Therefore the result for the last bytes is kept in a cache.
+        The result is not 0 if all datagrams have the same length and a time stamp, and none has a
+        new value of the loss counter. After the first loss, the kernel adds the counter to every
+        datagram. The kernel usually writes the same bytes into the headers in every tick. Therefore
+        the result for the last bytes is cached.
 
         Args:
             count: number of received datagrams.
-            known_losses: latest value of the loss counter that the caller knows.
+            known_losses: latest value of the loss counter that the caller has read.
         """
         raw = bytes(self._view[: count * _HEADER_STRUCT.size])
         if raw != self._last_headers:
@@ -182,7 +180,7 @@ class DatagramSlots:
         return self._last_size
 
     def datagrams(self, count: int) -> list[Datagram]:
-        """Return the size, the time stamp and the loss counter of each of the first ``count`` datagrams."""
+        """Return size, time stamp, and loss counter for each of the first ``count`` datagrams."""
         sizes = _HEADER_STRUCT.iter_unpack(self._view[: count * _HEADER_STRUCT.size])
         control = CONTROL_MESSAGES_STRUCT.iter_unpack(
             self.control[: count * CONTROL_MESSAGES_STRUCT.size]
@@ -210,7 +208,7 @@ class DatagramSlots:
     def reception_stamps(self, count: int) -> NDArray[np.int64]:
         """Return the CLOCK_REALTIME stamps of the first ``count`` datagrams [ns].
 
-        All of these datagrams must have a time stamp.
+        All of them must have a stamp.
         """
         times: NDArray[np.int64] = self._seconds[:count] * NS_PER_SECOND
         times += self._nanoseconds[:count]
@@ -219,7 +217,7 @@ class DatagramSlots:
     def set_lengths(self, lengths: NDArray[np.uint64]) -> None:
         """Set how many bytes of each slot are sent.
 
-        ``lengths`` contains one number for each of the first slots.
+        ``lengths`` has one number for each of the first slots.
         """
         self._sizes[: len(lengths)] = lengths
 
@@ -229,10 +227,10 @@ def receive_datagrams(fd: int, slots: DatagramSlots) -> int:
 
     Return the number of received datagrams.
 
-    Before the slots can receive again, the caller must call ``DatagramSlots.reset_headers``.
+    Call ``DatagramSlots.reset_headers`` before the slots receive again.
 
     Raises:
-        OSError: ``recvmmsg`` failed. If no datagram is waiting, no error is raised.
+        OSError: ``recvmmsg`` failed. If no datagram waits, no error is raised.
     """
     count: int = _libc.recvmmsg(fd, slots.headers, slots.count, socket.MSG_DONTWAIT, None)
     if count >= 0:

@@ -1,1 +1,1 @@
-"""Clocks of a run: real time, a real-time clock that a simulator shares, and the virtual time of lockstep."""
+"""Clocks of a run: real time, a real-time clock shared with a simulator, and the virtual time of lockstep."""

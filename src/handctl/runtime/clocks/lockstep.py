@@ -1,12 +1,9 @@
-"""Virtual time for lockstep.
+"""Virtual time for lockstep: the control loop advances the simulator tick by tick, and never sleeps.
 
-The control loop advances the simulator tick by tick, and never sleeps.
-
-In this module, the simulator is called the peer. The peer is an object that has the method
-``step(t_ns, frames) -> frames``. No module of handctl imports a simulator. So the class of the peer
-is loaded by its name. If the peer also has the method ``exchange(t_ns, records) -> records``, the
-loop calls ``exchange`` instead of ``step``. With ``exchange``, no object has to be created for each
-frame.
+The simulator is called the peer. The peer is an object with the method ``step(t_ns, frames) ->
+frames``. The class of the peer is loaded by name, because no module of handctl imports a simulator.
+If the peer also has the method ``exchange(t_ns, records) -> records``, the loop calls this method
+instead. ``exchange`` needs no object for each frame.
 """
 
 import importlib
@@ -28,12 +25,12 @@ SIMULATED_HAND_ENTRY = "firmware_sim.lockstep_hand:LockstepHand"
 
 
 class LockstepSimulator(Protocol):
-    """Interface of a simulator that runs in lockstep with the controller."""
+    """Interface of a simulator in lockstep."""
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Advance the simulator by one control period.
+        """Advance the simulator by one period.
 
-        Return the answers of the simulator to the frames that the host has sent at t_ns.
+        Return its answers to the frames that the host sent at t_ns.
         """
         ...
 
@@ -43,7 +40,7 @@ class LockstepSimulator(Protocol):
 
 
 def _exchange_objects(peer: LockstepSimulator, t_ns: int, records: RecordArray) -> RecordArray:
-    """Exchange records with a simulator that does not have the method ``exchange``.
+    """Exchange records with a simulator that has no ``exchange``.
 
     The records are converted to frame objects and back.
     """
@@ -53,7 +50,7 @@ def _exchange_objects(peer: LockstepSimulator, t_ns: int, records: RecordArray) 
 
 
 def load_simulator_object(entry: str, user: str) -> Callable[..., Any]:
-    """Return the class or function of the simulator that has the name ``module:name``.
+    """Return a class or function of the simulator by its name ``module:name``.
 
     Args:
         entry: name of the class or function, ``module:name``.
@@ -74,7 +71,7 @@ def load_simulator_object(entry: str, user: str) -> Callable[..., Any]:
 
 
 def load_simulator(entry: str, **options: object) -> LockstepSimulator:
-    """Load the class of a simulator from ``module:Class``, and return an object of this class.
+    """Load a simulator class from ``module:Class``, and return an object of the class.
 
     Raises:
         ConfigError: the module or class does not exist, or the class refuses the options.
@@ -93,21 +90,17 @@ class LockstepClock:
     A call of ``wait`` for the next tick advances the simulator by one control period.
 
     Attributes:
-        simulator: simulator that this clock advances.
+        simulator: the simulator.
         period_ns: control period [ns].
-        frames_to_simulator: frames that the host has sent and that the simulator receives in its
-            next step.
+        frames_to_simulator: frames of the host that the next step of the simulator will receive.
         frames_from_simulator: answers of the simulator that ``LockstepBus.drain`` has not returned
             yet.
         k: number of the present tick.
-        offset_ns: time of the simulator when the time of this run is 0 [ns].
+        offset_ns: time of the simulator at t = 0 of this run [ns].
     """
 
     def __init__(self, peer: LockstepSimulator, period_ns: int) -> None:
-        """Start at tick 0 and at the time 0 of the simulator.
-
-        The argument ``period_ns`` is the control period [ns].
-        """
+        """Start at tick 0, at time 0 of the simulator. ``period_ns`` is the control period [ns]."""
         self.simulator = peer
         self.period_ns = period_ns
         self._exchange: Callable[[int, RecordArray], RecordArray]
@@ -120,8 +113,8 @@ class LockstepClock:
     def restart(self) -> None:
         """Begin another run, one tick after the last frames of the previous run were sent.
 
-        The simulator still receives these frames, because they disable the drives. The answers of
-        the simulator are discarded, because no bus is open between two runs.
+        The simulator receives these frames, because they disable the drives. The answers of the
+        simulator are discarded, because no bus is open between two runs.
         """
         if self.frames_to_simulator:
             self.wait(self.k + 1)
@@ -130,10 +123,10 @@ class LockstepClock:
         self.frames_from_simulator = []
 
     def start(self) -> None:
-        """Do nothing. The time of the simulator begins with its first step."""
+        """Do nothing. The simulator's time begins with the first step."""
 
     def wait(self, k: int) -> int:
-        """Return 0, because a tick in virtual time is never late.
+        """Advance the simulator from the previous tick to tick k.
 
         Returns 0, because virtual time is never late.
         """
@@ -149,7 +142,7 @@ class LockstepClock:
         return 0
 
     def now_ns(self) -> int:
-        """Return the time for which the present tick is scheduled [ns]."""
+        """Return the scheduled time of the present tick [ns]."""
         return self.k * self.period_ns
 
     def clock_facts(self) -> dict[str, str]:
@@ -158,9 +151,9 @@ class LockstepClock:
 
 
 class LockstepBus:
-    """All buses of a hand in lockstep, represented by a single object.
+    """All buses of a hand in lockstep, as a single object.
 
-    Each frame contains the index of the bus to which it belongs.
+    Each frame contains the index of its bus.
     """
 
     name = "lockstep"
@@ -171,14 +164,11 @@ class LockstepBus:
         self._events: dict[int, BusEvents] = {}
 
     def drain(self) -> Frames:
-        """Return the answers of the simulator that have not been returned yet.
-
-        Error frames are not returned, but become events.
-        """
+        """Return the answers of the simulator. Error frames become events."""
         frames = join_frames(self.clock.frames_from_simulator)
         self.clock.frames_from_simulator = []
-        # The bitwise OR of all identifiers shows whether any frame is an error frame. Usually there
-        # is no error frame. In this case, the frames need not be examined one by one.
+        # One OR over all identifiers shows whether any frame is an error frame. Usually there is
+        # none, and no frame has to be examined on its own.
         if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR_FLAG:
             return frames
         frames, errors = without_errors(frames.records)
@@ -188,16 +178,13 @@ class LockstepBus:
         return frames
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """Keep frames for the next step of the simulator, and return their number."""
+        """Queue frames for the next step of the simulator, and return their number."""
         self.clock.frames_to_simulator.append(frames_as_records(frames))
         return len(frames)
 
     def take_events(self) -> list[tuple[str, str, int]]:
-        """Return the events that the simulated wires have reported.
-
-        A simulator without wires has no events.
-        """
+        """Return the events of the simulated wires. A simulator without wires has no events."""
         return [event for events in self._events.values() for event in events.take_events()]
 
     def close(self) -> None:
-        """Do nothing. The owner of the simulator closes the simulator."""
+        """Do nothing. The owner of the simulator closes it."""

@@ -1,6 +1,6 @@
-"""Real-time priority and locked memory for the process of the controller.
+"""Real-time priority and locked memory for the control process.
 
-The module can also keep idle processors awake.
+Idle processors can be kept awake.
 """
 
 import os
@@ -17,12 +17,11 @@ ZERO_LATENCY_BYTES = bytes(4)
 
 @dataclass(frozen=True, slots=True)
 class GrantedPriority:
-    """Permissions that the operating system has granted: real-time priority, locked memory, and awake processors.
+    """Permissions that the operating system has granted: real-time scheduling, locked memory, awake processors.
 
     Attributes:
-        realtime: True if the system has granted SCHED_FIFO, the scheduling class with real-time
-            priority.
-        memory_locked: True if the memory of the process is locked, so that it is never paged out.
+        realtime: True if the system granted SCHED_FIFO, the real-time priority.
+        memory_locked: True if the memory of the process is locked against paging.
         processors_awake: True if idle processors stay awake while the ticks run.
     """
 
@@ -31,29 +30,28 @@ class GrantedPriority:
     processors_awake: bool = False
 
     def __str__(self) -> str:
-        """List the permissions that were granted and refused in one line."""
+        """List the granted and the refused permissions in one line."""
         granted = "SCHED_FIFO" if self.realtime else "no real-time priority (not permitted)"
         memory = ", memory locked" if self.memory_locked else ", memory not locked"
         return granted + memory + (", processors kept awake" if self.processors_awake else "")
 
 
 def request_priority(level: int = 60) -> GrantedPriority:
-    """Request the scheduling class SCHED_FIFO and locked memory.
+    """Request SCHED_FIFO and locked memory.
 
-    The result says which of both the system has refused. If the system refuses them, no error is
-    raised.
+    The result tells which of them the system refused. No error is raised.
     """
-    # The memory is locked before SCHED_FIFO is requested. Locking the memory fills hundreds of MB.
-    # Under SCHED_FIFO, no other process on the same core could run during this time.
+    # The memory is locked before SCHED_FIFO is requested. Locking fills hundreds of MB. Under
+    # SCHED_FIFO, no other process would get the core during this time.
     locked = _lock_memory()
     return GrantedPriority(_enter_fifo(level), locked)
 
 
 def prepare_priority() -> GrantedPriority:
-    """Lock the memory, and test whether the system will grant SCHED_FIFO to :func:`realtime_priority`.
+    """Lock the memory, and test if the system will grant SCHED_FIFO to :func:`realtime_priority`.
 
-    The start of a control loop takes a quarter of a second. During this time, the process has no
-    real-time priority, so that other processes can use the core.
+    The start of a control loop takes a quarter of a second. During this time it has no real-time
+    priority, so that other processes can use the core.
     """
     locked = _lock_memory()
     with realtime_priority() as granted, awake_processors() as awake:
@@ -64,7 +62,7 @@ def prepare_priority() -> GrantedPriority:
 def realtime_priority(level: int = 60) -> Iterator[bool]:
     """Run a ``with`` block under SCHED_FIFO on awake processors.
 
-    Yield True if the system has granted SCHED_FIFO.
+    Yield True if the system granted SCHED_FIFO.
     """
     try:
         with awake_processors():
@@ -77,11 +75,10 @@ def realtime_priority(level: int = 60) -> Iterator[bool]:
 def awake_processors() -> Iterator[bool]:
     """Keep idle processors awake during a ``with`` block.
 
-    Yield True if the system allows this. If the system does not allow it, an idle processor sleeps.
-    It may then take a millisecond to wake up, especially in a virtual machine. The system keeps all
-    processors awake while some process has ``LATENCY_FILE`` open and has written a latency of 0
-    into it.
-    Source: Linux, Documentation/power/pm_qos_interface.
+    Yield True if the system permits it. Otherwise an idle processor sleeps. An idle processor may
+    take a millisecond to wake up, above all in a virtual machine. The system keeps all processors
+    awake as long as a process has ``LATENCY_FILE`` open and has written a latency of 0. Source:
+    Linux, Documentation/power/pm_qos_interface.
     """
     try:
         descriptor = os.open(LATENCY_FILE, os.O_WRONLY | os.O_CLOEXEC)
@@ -96,7 +93,7 @@ def awake_processors() -> Iterator[bool]:
 
 
 def restore_priority() -> None:
-    """After the control loop has ended, return to ordinary scheduling and unlock the memory."""
+    """Return to ordinary scheduling and unlock the memory, after the control loop has ended."""
     _leave_fifo()
     if sys.platform.startswith("linux"):
         import ctypes
@@ -105,10 +102,7 @@ def restore_priority() -> None:
 
 
 def _leave_fifo() -> None:
-    """Return from SCHED_FIFO to ordinary scheduling.
-
-    If the process has another scheduling class, nothing changes.
-    """
+    """Return from SCHED_FIFO to ordinary scheduling. Any other scheduling class stays unchanged."""
     if not sys.platform.startswith("linux"):
         return
     if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
@@ -135,9 +129,9 @@ MCL_FUTURE = 2
 
 
 def _lock_memory() -> bool:
-    """Lock all present and future memory pages of this process.
+    """Lock the present and future pages of this process in memory.
 
-    Return True if the system allows this.
+    Return True if the system permits it.
     """
     if not sys.platform.startswith("linux"):
         return False

@@ -1,7 +1,6 @@
 """Real time of a run.
 
-Each tick has an absolute deadline on CLOCK_MONOTONIC. The time of the run may be slower or faster
-than wall time.
+Ticks have absolute deadlines on CLOCK_MONOTONIC. The time of the run may be scaled.
 
 The virtual time of lockstep is in the module ``lockstep``.
 """
@@ -19,17 +18,14 @@ under SCHED_FIFO.
 
 
 class TickClock(Protocol):
-    """Clock by which the control loop waits for its ticks.
-
-    All times of this clock are times of the run, except where a text says wall time.
-    """
+    """Clock of the control loop. All its times are the run's time, unless a text says wall time."""
 
     def start(self) -> None:
-        """Start the time of the run. The next tick is tick 0."""
+        """Start the run's time. The next tick is tick 0."""
         ...
 
     def wait(self, k: int) -> int:
-        """Wait for the deadline of tick k, and return the time since this deadline [ns], which is 0 or more."""
+        """Wait for the deadline of tick k, and return the time since the deadline [ns], 0 or more."""
         ...
 
     def now_ns(self) -> int:
@@ -37,7 +33,7 @@ class TickClock(Protocol):
         ...
 
     def clock_facts(self) -> dict[str, str]:
-        """Return facts about the clock, by the name of the fact.
+        """Return facts about the clock, by name.
 
         The recorder writes these facts at the end of the log.
         """
@@ -46,19 +42,17 @@ class TickClock(Protocol):
 
 @dataclass
 class RealClock:
-    """Clock of a run in real time, based on CLOCK_MONOTONIC.
+    """Clock on CLOCK_MONOTONIC. The deadline of tick k is the start plus k periods.
 
-    The deadline of tick k is the start of the run plus k periods.
-
-    With a time scale of 0.1, one second of the run takes ten seconds of wall time.
+    With scale 0.1, one second of the run takes ten seconds.
 
     Attributes:
-        period_ns: control period [ns of the time of the run].
-        time_scale: seconds of the run per second of wall time.
-        busy_wait: True to read the clock repeatedly before each deadline, without sleeping. This is
-            useful only with real-time priority.
+        period_ns: control period [ns of the run's time].
+        time_scale: the run's time divided by wall time.
+        busy_wait: True to read the clock in a loop before each deadline. This is useful only with
+            real-time priority.
         start_ns: reading of the clock at tick 0 [ns of wall time].
-        pauses: number of pauses of the clock so far. Only the shared clock can pause.
+        pauses: number of pauses so far. Only the shared clock can pause.
         paused_ns: total duration of these pauses [ns of wall time].
     """
 
@@ -70,14 +64,14 @@ class RealClock:
     paused_ns: int = 0
 
     def start(self) -> None:
-        """Start the time of the run. The deadline of tick 0 is one period later."""
+        """Start the run's time. The deadline of tick 0 follows after one period."""
         self.start_ns = self._read_ns() + int(self.period_ns / self.time_scale)
 
     def wait(self, k: int) -> int:
         """Wait for the deadline of tick k, and return the time since the deadline [ns], see ``TickClock``."""
         return int(
             self._wait_until(self._deadline_ns(k)) * self.time_scale
-        )  # convert wall time to the time of the run
+        )  # convert wall time to the run's time
 
     def now_ns(self) -> int:
         """Return the time since the start of the run [ns]."""
@@ -88,7 +82,7 @@ class RealClock:
         return {}
 
     def run_time_of(self, monotonic_ns: int) -> int:
-        """Convert a CLOCK_MONOTONIC time stamp to the time of the run [ns]."""
+        """Convert a CLOCK_MONOTONIC time stamp to the run's time [ns]."""
         return int((monotonic_ns - self.start_ns) * self.time_scale)
 
     def _read_ns(self) -> int:
@@ -96,17 +90,17 @@ class RealClock:
         return time.monotonic_ns()
 
     def _deadline_ns(self, k: int) -> int:
-        """Return the deadline of tick k, as a reading of the clock [ns of wall time]."""
+        """Return the deadline of tick k as a reading of the clock [ns of wall time]."""
         return self.start_ns + int(k * self.period_ns / self.time_scale)
 
     def _wait_until(self, deadline: int) -> int:
-        """Wait until the deadline, and return the time that has passed since then [ns of wall time]."""
+        """Wait until the clock reads the deadline, and return the time since then [ns of wall time]."""
         early = deadline - self._read_ns() - (BUSY_WAIT_NS if self.busy_wait else 0)
         if early > 0:
             time.sleep(early / 1e9)
         while (
             now := self._read_ns()
-        ) < deadline:  # sleep may return too early, so the loop reads the clock again
+        ) < deadline:  # sleep may return early, so the loop checks the clock again
             if not self.busy_wait:
                 time.sleep((deadline - now) / 1e9)
         return now - deadline

@@ -1,6 +1,6 @@
-"""Detection of a suspend of the machine, during which no program runs.
+"""Detection of a suspend of the machine.
 
-During a suspend, the clock CLOCK_BOOTTIME continues, and CLOCK_MONOTONIC stands still.
+During a suspend, CLOCK_BOOTTIME continues and CLOCK_MONOTONIC stands still.
 """
 
 import time
@@ -20,21 +20,21 @@ A reading that takes longer has been interrupted, and is discarded.
 def read_boot_clock_ns() -> int:
     """Return the time since the machine was started [ns].
 
-    If the system has CLOCK_BOOTTIME, this time includes suspends.
+    The result includes the time of suspends if the system has CLOCK_BOOTTIME.
     """
     clock: int = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
     return time.clock_gettime_ns(clock)
 
 
 class SuspendWatch:
-    """Detector of suspends of the machine. Each call of ``take_events`` compares the two clocks."""
+    """Detector of suspends. Each call of ``take_events`` compares the two clocks."""
 
     def __init__(
         self,
         boot: Callable[[], int] = read_boot_clock_ns,
         monotonic: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Read both clocks for the first time.
+        """Read the clocks once.
 
         Args:
             boot: clock that continues during a suspend [ns].
@@ -45,13 +45,13 @@ class SuspendWatch:
         self._difference_ns = self._clock_difference()
 
     def _clock_difference(self) -> int | None:
-        """Return the difference of both clocks [ns], or None if the reading of the clocks was interrupted."""
+        """Return the difference of the two clocks [ns], or None if the reading was interrupted."""
         before = self._monotonic()
         boot = self._boot()
         return boot - before if self._monotonic() - before < MAX_READING_NS else None
 
     def take_events(self) -> list[IoEvent]:
-        """If the machine was suspended since the last call, return an event with the duration [ms]."""
+        """Return an event with the duration [ms] if the machine was suspended since the last call."""
         difference_ns = self._clock_difference()
         if difference_ns is None:
             return []

@@ -1,9 +1,8 @@
-"""Jog of one drive on a test bench, which means a short motion in torque, position or velocity mode.
+"""Jog of one drive on a bench, in torque, position or velocity mode.
 
-Both the host and the drive limit this motion. The host changes the command gradually, along a ramp.
-If the shaft turns too fast or too far, the host stops the drive. The host also stops the drive if
-the torque is too large or feedback is missing. After such a stop, the host does not enable the
-drive again.
+The host and the drive both limit the motion. The host changes the command along a ramp. The host
+stops the drive if the shaft turns too fast or leaves the permitted travel. Too much torque and
+missing feedback also stop the drive. After such a stop, the drive is not enabled again.
 """
 
 import math
@@ -42,16 +41,16 @@ HOLD_TIME_S = 0.2
 
 
 class JogGoal(NamedTuple):
-    """Motion that is requested of one drive.
+    """Requested motion of one drive.
 
     Attributes:
         mode: mode of the drive: torque, position or velocity.
         target: target in this mode: torque [N m], velocity [rad/s], or position relative to the
             start [rad].
         duration_s: duration of the motion [s].
-        limits: largest speed and largest acceleration of the shaft.
-        max_torque_N_m: largest torque that the drive may make [N m].
-        max_travel_rad: largest distance that the shaft may move from its start [rad].
+        limits: largest speed and acceleration of the shaft.
+        max_torque_N_m: torque limit of the drive [N m].
+        max_travel_rad: largest permitted distance of the shaft from its start [rad].
     """
 
     mode: DriveMode
@@ -63,15 +62,14 @@ class JogGoal(NamedTuple):
 
 
 class JogResult(NamedTuple):
-    """Result of a jog, as the drive has reported it.
+    """Result of a motion, as the drive reported it.
 
     Attributes:
-        failure: reason why the motion stopped early, in one line. The text is empty if the motion
-            was complete.
+        failure: reason of an early stop, in one line. The text is empty for a complete motion.
         moved_rad: angle of the shaft at the end, relative to its start [rad].
         max_speed_rad_s: largest measured speed [rad/s].
         max_torque_N_m: largest reported torque [N m], or NaN if the drive reports no torque.
-        final_speed_rad_s: measured speed shortly before the drive is disabled at the end [rad/s].
+        final_speed_rad_s: speed at the end, shortly before the drive is disabled [rad/s].
     """
 
     failure: str
@@ -82,13 +80,13 @@ class JogResult(NamedTuple):
 
 
 def distance_at(t_s: float, distance: float, speed: float, acceleration: float) -> float:
-    """Return the position at a time of a motion that begins and ends at rest.
+    """Return the position in a motion from rest to rest.
 
-    The speed of this motion is a trapezoid over time.
+    The velocity of the motion is a trapezoid over time.
 
     Args:
         t_s: time since the start of the motion [s].
-        distance: whole distance of the motion [rad]. If it is negative, the motion goes backwards.
+        distance: whole distance of the motion [rad]. A negative distance is a motion backwards.
         speed: largest speed of the motion [rad/s].
         acceleration: acceleration and deceleration [rad/s2].
     """
@@ -108,7 +106,7 @@ def distance_at(t_s: float, distance: float, speed: float, acceleration: float) 
 
 
 class _JogExecution:
-    """Execution of a jog: it computes the commands, checks the limits, and collects the result."""
+    """Execution of a jog: computation of the commands, checks of the limits, and collection of the result."""
 
     def __init__(self, rig: DriveRig, goal: JogGoal) -> None:
         self._rig = rig
@@ -130,24 +128,24 @@ class _JogExecution:
         return COMMAND_UNITS[self._goal.mode] == "rad"
 
     def hold_command(self, state: DriveState) -> float:
-        """Return the command with which the shaft stays where it is.
+        """Return the command that keeps the shaft still.
 
-        It is the last position, zero velocity or zero torque, whichever belongs to the mode.
+        By mode, it is the last position, zero velocity or zero torque.
         """
         if not self._position_mode:
             return 0.0
         return self._command if state.phase == DrivePhase.ENABLED else state.position
 
     def enable_at_rest(self) -> str:
-        """Enable the drive while the shaft is at rest.
+        """Enable the drive at rest.
 
-        Return the problem in words, or an empty text if the drive is enabled.
+        Returns the problem in words, or an empty text if the drive is enabled.
         """
         rig = self._rig
         if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
             return rig.reason_not_ready()
-        # The start position is read only after the drive is ready. Before the drive has got its
-        # settings, the positions that it sends may have another scale.
+        # The start position is read after the drive is ready. A position that the drive sent before
+        # it got its settings may have another scale.
         rig.run_for(DriveTarget.POLL, HOLD_TIME_S)
         self._start = rig.state.position
         if not math.isfinite(self._start):
@@ -166,24 +164,23 @@ class _JogExecution:
         return ""
 
     def execute_motion(self) -> str:
-        """Move the shaft for the duration of the goal.
+        """Move for the duration of the goal.
 
-        Return the reason why the motion stopped early, or an empty text.
+        Returns the reason for an early stop, empty if there was none.
         """
         start_ns = self._command_t_ns = self._rig.t_ns - PERIOD_NS
         t_s = 0.0
         while t_s < self._goal.duration_s:
-            # Even if ticks were missed before, the last command is the one that belongs to the end
-            # of the motion.
+            # The last command is that of the end of the motion, even if ticks were missed before.
             t_s = min((self._rig.t_ns - start_ns) / 1e9, self._goal.duration_s)
             if problem := self._run_tick(self._command_at(t_s)):
                 return problem
         return ""
 
     def bring_to_rest(self) -> str:
-        """For at least HOLD_TIME_S, reduce the velocity or the torque to zero along a ramp, or hold the position.
+        """Ramp velocity or torque to zero, or hold the position, for at least HOLD_TIME_S.
 
-        Return the reason why the motion stopped early, or an empty text.
+        Returns the reason for an early stop, empty if there was none.
         """
         ramp_s = 0.0
         if self._goal.mode == DriveMode.VELOCITY:
@@ -208,10 +205,9 @@ class _JogExecution:
         )
 
     def _ramped_command(self, target: float) -> float:
-        """Return the next command of a ramp that leads to a target velocity or torque.
+        """Return the next command of a ramp to a target velocity or torque.
 
-        The difference from the last command depends on the time since that command. This time
-        includes missed ticks.
+        The step from the last command depends on the time since then, which contains missed ticks.
         """
         goal = self._goal
         rate = goal.max_torque_N_m / TORQUE_RAMP_S
@@ -223,7 +219,7 @@ class _JogExecution:
     def _run_tick(self, command: float) -> str:
         """Send a command, and check the drive's answer against the limits.
 
-        Return the reason why the motion must stop, or an empty text.
+        Returns the reason to stop, or an empty text.
         """
         self._command = command
         self._command_t_ns = self._rig.t_ns
@@ -232,14 +228,14 @@ class _JogExecution:
             return f"the host missed {self._rig.missed_ticks} ticks in a row, expected at most {MAX_MISSED_TICKS}"
         if state.phase != DrivePhase.ENABLED:
             return state.error_text or f"went to {state.phase.name}"
-        # The time of the rig is already the time of the next tick. Therefore the age computed here
-        # is one period larger than the age was in the tick.
+        # The time of the rig is already that of the next tick. Therefore this age is one period
+        # larger than it was in the tick.
         if self._rig.t_ns - state.feedback_t_ns > SILENCE_TIMEOUT_NS:
             return f"no feedback for {SILENCE_TIMEOUT_NS / 1e6:.0f} ms"
         return self._violated_limit(state)
 
     def _violated_limit(self, state: DriveState) -> str:
-        """If the speed, the torque or the travel exceeds its limit, return the reason why the motion must stop.
+        """Return the reason to stop if speed, torque or travel exceed their limits.
 
         Otherwise return an empty text.
         """
@@ -269,7 +265,7 @@ def jog_drive(rig: DriveRig, goal: JogGoal) -> JogResult:
     """Enable a drive, move it, and bring it to rest. The caller must disable the drive.
 
     Args:
-        rig: test rig with a drive that is in the mode of the goal.
+        rig: rig with the drive in the mode of the goal.
         goal: motion to execute.
     """
     motion = _JogExecution(rig, goal)

@@ -1,4 +1,4 @@
-"""Test rig for conformance checks and jogs: one drive on a bus, and a clock that gives the ticks."""
+"""Test rig for conformance checks and jogs: one drive on a bus, with ticks from a clock."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ VELOCITY_TICKS = 4
 
 
 def _no_torque(state: DriveState) -> float:
-    """Return the command that does not move the shaft in torque mode, which is zero torque."""
+    """Return the command that does not move the shaft in torque mode: a torque of zero."""
     return 0.0
 
 
@@ -36,15 +36,15 @@ class DriveRig:
     """Drive with its bus and clock.
 
     Attributes:
-        drive: description of the drive, which never changes.
+        drive: immutable description of the drive.
         state: state of the drive after the last tick.
         k: number of the next tick.
-        missed_ticks: number of ticks that were skipped directly before the last tick because the
+        missed_ticks: number of ticks that were skipped directly before the last tick, because the
             host was late.
         drive_events: all events of the bus so far.
-        inertia: measured inertia of the shaft [kg m2], or NaN before the measurement.
+        inertia: measured inertia of the shaft [kg m2]. NaN before the measurement.
         idle_command: function that takes the state of the drive, and returns the command that does
-            not move the shaft. In position mode, for example, this command is the present position.
+            not move the shaft. In position mode, this command is the present position.
     """
 
     def __init__(self, drive: Drive, bus: Bus, clock: TickClock) -> None:
@@ -53,10 +53,10 @@ class DriveRig:
         Args:
             drive: description of the drive.
             bus: open bus of the drive.
-            clock: clock with the period PERIOD_NS that has not been started yet.
+            clock: clock with period PERIOD_NS, not started yet.
         """
-        # This call makes numba compile the code before the first tick. Otherwise the compilation
-        # would delay the first tick, and the watchdog of the drive would expire.
+        # This call compiles the code before the first tick. Otherwise the watchdog of the drive
+        # would expire during that tick.
         compile_kernels()
         self.drive = drive
         self._bus = bus
@@ -71,10 +71,7 @@ class DriveRig:
         clock.start()
 
     def replace_drive(self, drive: Drive) -> None:
-        """Continue with another description of the same drive.
-
-        The state of the drive is again the initial state.
-        """
+        """Continue with another description of the same drive, starting from its initial state."""
         self.drive = drive
         self.state = drive.initial_state()
 
@@ -85,26 +82,26 @@ class DriveRig:
 
     @property
     def velocity_rad_s(self) -> float:
-        """Return the velocity of the shaft, computed from the latest positions [rad/s].
+        """Return the velocity of the shaft, computed from its last positions [rad/s].
 
-        While there are too few positions, the result is NaN.
+        The velocity is NaN while there are too few positions.
         """
         (first_ns, first), *_, (last_ns, last) = self._positions
-        # After missed ticks, the time between two positions is longer than a tick.
+        # After missed ticks, the positions are further apart than ticks.
         return (last - first) / (max(last_ns - first_ns, VELOCITY_TICKS * PERIOD_NS) * 1e-9)
 
     def run_tick(
         self, target: DriveTarget, command: float | None = None, extra: Sequence[Frame] = ()
     ) -> DriveState:
-        """Run one tick, and return the state of the drive after it.
+        """Run one tick and return the state after it.
 
-        If the host is late by whole periods, the missed ticks are skipped and not made up for.
+        If the host is late by whole periods, the missed ticks are skipped, and not executed later.
 
         Args:
-            target: state into which the drive should go.
-            command: command for the drive while it is enabled, in the unit of
-                ``Drive.command_limit``. If it is None, ``idle_command`` computes the command.
-            extra: further frames that are sent in this tick.
+            target: requested state of the drive.
+            command: command to the enabled drive, in the unit of ``Drive.command_limit``. If it is
+                None, ``idle_command`` computes the command.
+            extra: further frames to send in this tick.
         """
         self.missed_ticks = self._clock.wait(self.k) // PERIOD_NS
         self.k += self.missed_ticks
@@ -125,27 +122,26 @@ class DriveRig:
     def run_until(
         self, target: DriveTarget, reached: Callable[[DriveState], bool], for_s: float
     ) -> bool:
-        """Run ticks with the idle command until ``reached`` returns True for the state of the drive.
+        """Run ticks with the idle command until ``reached`` is true for the state of the drive.
 
-        If this does not happen within the time ``for_s`` [s], return False. Only ticks that were
-        executed count as time. Otherwise the drive of a late host would have too few ticks for its
-        answers.
+        Returns False if this does not happen within the time ``for_s`` [s]. Only executed ticks count
+        as time. Otherwise a late host would leave the drive too few ticks for its answers.
         """
         return any(
             reached(self.run_tick(target)) for _ in range(math.ceil(for_s * 1e9 / PERIOD_NS))
         )
 
     def run_for(self, target: DriveTarget, for_s: float) -> None:
-        """Run ticks with the idle command for a given time [s]."""
+        """Run ticks with the idle command for a time [s]."""
         self.run_until(target, lambda state: False, for_s)
 
     def reason_not_ready(self) -> str:
-        """Return in words why the drive has not reached the phase READY: an error, missing answers, or its phase."""
+        """Return in words why the drive has not reached READY: its error, its silence, or its phase."""
         if self.state.error_text:
             return self.state.error_text
         if self.state.phase != DrivePhase.SILENT:
             return f"stays in {self.state.phase.name}"
-        # In an identifier of SocketCAN, the bits 29 to 31 are flags.
+        # Bits 29 to 31 of an identifier are flags of SocketCAN.
         ids = sorted(self.drive.node_ids)
         shown = ", ".join(f"0x{number & 0x1FFFFFFF:03X}" for number in ids[:MAX_SHOWN_IDS])
         others = f" or {len(ids) - MAX_SHOWN_IDS} others" if len(ids) > MAX_SHOWN_IDS else ""
@@ -157,18 +153,15 @@ class DriveRig:
         self.run_tick(DriveTarget.POLL, extra=frames)
 
     def cut_torque(self) -> None:
-        """Run a tick that sends only the frames that remove the torque of the drive."""
+        """Run a tick that sends the frames that remove the torque of the drive, and no others."""
         self.run_tick(DriveTarget.LISTEN, extra=self.drive.cut_frames())
 
     def send_release(self) -> None:
-        """Run a tick that sends only the frames for the regular end of a run."""
+        """Run a tick that sends the frames for the regular end of a run, and no others."""
         self.run_tick(DriveTarget.LISTEN, extra=self.drive.release_frames(self.state))
 
     def bring_to_ready(self) -> bool:
-        """Bring the drive into the phase READY from any other phase.
-
-        Return True if the drive has reached the phase READY.
-        """
+        """Bring the drive to READY from any phase. Returns True if the drive has reached READY."""
         self.run_until(DriveTarget.DISABLE, lambda state: state.phase != DrivePhase.ENABLED, 1.0)
         if self.state.phase == DrivePhase.FAULT:
             self.clear_faults()
@@ -177,11 +170,11 @@ class DriveRig:
         )
 
     def confirm_off(self, watchdog_s: float) -> bool:
-        """Disable the drive, and return True if the drive reports that it is disabled.
+        """Disable the drive, and return True if the drive reports that it is off.
 
         A drive that was never heard is not off: another host may have enabled it. If the drive does
-        not obey, the host sends no frames until the watchdog of the drive has expired. After that, the
-        host disables the drive again.
+        not obey, the host sends no frames until the watchdog of the drive has expired. Then it
+        disables the drive again.
         """
         for silence in (0.0, 3.0 * watchdog_s + 0.2):
             self.run_for(DriveTarget.LISTEN, silence)

@@ -1,7 +1,4 @@
-"""Findings about a CAN interface, such as a wrong bit rate.
-
-Each finding about a problem contains a command or an advice that corrects the problem.
-"""
+"""Findings about a CAN interface. Each problem has a command or advice to correct it."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,8 +8,8 @@ from handctl.runtime.buses.interface import RESTART_MS, TX_QUEUE_FRAMES, set_up_
 from handctl.runtime.buses.link import CanLinkState
 from handctl.runtime.buses.socketcan import MIN_QUEUE_FRAMES
 
-# Rules for udev. With such a rule, the setting is made again after each restart of the machine.
-# Source: man 7 udev.
+# Rules for udev. With them, a setting is made again after each restart of the machine. Source: man
+# 7 udev.
 UDEV_QUEUE_RULE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queue_len}}="{1}"'
 UDEV_NAME_RULE = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="THE ADAPTER\'S", NAME="{0}"'
 UDEV_SERIAL_RULE = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="{1}", NAME="{0}"'
@@ -39,8 +36,8 @@ class LinkFinding(NamedTuple):
     """One finding about an interface.
 
     Attributes:
-        observation: text that describes the observation.
-        good: True if the finding is no problem.
+        observation: text of the finding.
+        good: True if nothing needs to be corrected.
         fix: command or advice that corrects the problem.
         fatal: True if the bus cannot be used.
     """
@@ -115,13 +112,13 @@ def interface_findings(
 def adapter_findings(
     name: str, adapter: UsbAdapter | None, kind: str, others: Sequence[str]
 ) -> list[LinkFinding]:
-    """Return the findings about the CAN adapter that belongs to an interface.
+    """Return the findings about the adapter of an interface.
 
     Args:
         name: name of the interface.
-        adapter: CAN adapter of the interface, or None for a virtual interface.
+        adapter: CAN adapter of the interface. None for a virtual interface.
         kind: kind of the interface, such as ``slcan``.
-        others: names of all other CAN interfaces that have a USB adapter.
+        others: names of the other CAN interfaces with a USB adapter.
     """
     if kind == "slcan":
         what = "a serial line (slcan): no error counters, no bit rate to compare"
@@ -152,14 +149,14 @@ def adapter_findings(
 
 
 def _rate_finding(what: str, has: int | None, required: int, fix: str) -> LinkFinding:
-    """Compare a bit rate of an interface with the required bit rate [bit/s], and return the finding."""
+    """Compare the bit rate of an interface with the required bit rate [bit/s], and return the finding."""
     return LinkFinding(
         f"{what} {has or 'not set'}, the hand needs {required}", has == required, fix
     )
 
 
 def _controller_findings(name: str, link: CanLinkState) -> list[LinkFinding]:
-    """Return the findings about the CAN controller: its state, its error counters, and its restart after bus-off."""
+    """Return the findings about the CAN controller: state, error counters, and restart after bus-off."""
     if not link.controller_state:
         return []
     restart = (

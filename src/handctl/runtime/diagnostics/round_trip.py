@@ -1,4 +1,4 @@
-"""Round-trip time of a node: the time from the sending of a request to the arrival of the answer.
+"""Round-trip time of a node: time from the sending of a request to the reception of its answer.
 
 The request has no effect on the node.
 """
@@ -23,13 +23,13 @@ class RoundTrip(NamedTuple):
     """Result of a measurement of the round-trip time.
 
     Attributes:
-        answers: number of requests to which an answer arrived.
-        requests: number of requests that were sent.
-        shortest_s: shortest round-trip time [s], or NaN if there was no answer.
-        median_s: median round-trip time [s], or NaN if there was no answer.
-        longest_s: longest round-trip time [s], or NaN if there was no answer.
-        double_answers: number of requests to which more than one answer arrived. Several answers to
-            one request mean that two drives have the same node number.
+        answers: number of requests with an answer.
+        requests: number of requests sent.
+        shortest_s: shortest round-trip time [s], NaN without an answer.
+        median_s: median round-trip time [s], NaN without an answer.
+        longest_s: longest round-trip time [s], NaN without an answer.
+        double_answers: number of requests with more than one answer. Such answers show that two
+            drives have the same node number.
     """
 
     answers: int
@@ -41,9 +41,9 @@ class RoundTrip(NamedTuple):
 
     @property
     def is_number_shared(self) -> bool:
-        """Return True if more than one answer arrived for most requests.
+        """Return True if most requests had more than one answer.
 
-        In this case, two drives have the same node number.
+        Then two drives have the same node number.
         """
         return self.double_answers > self.requests / 2
 
@@ -51,7 +51,7 @@ class RoundTrip(NamedTuple):
 def measure_round_trips(bus: Bus, node: DiscoveredNode, times: int = REQUEST_COUNT) -> RoundTrip:
     """Measure the round-trip time of a node.
 
-    Each request is sent after the answer to the previous request has arrived.
+    Each request is sent after the answer to the previous request.
     """
     trips = [_measure_round_trip(bus, node) for _ in range(times)]
     took = sorted(first for first, _ in trips if first is not None)
@@ -62,14 +62,12 @@ def measure_round_trips(bus: Bus, node: DiscoveredNode, times: int = REQUEST_COU
 
 
 def _measure_round_trip(bus: Bus, node: DiscoveredNode) -> tuple[float | None, bool]:
-    """Send a request to a node.
+    """Send a request. Return the time until the answer [s], and True if a second answer follows.
 
-    Return the time until the answer arrives [s], and True if a second answer follows.
-
-    If no answer arrives, the time is None.
+    The time is None if no answer arrives.
     """
     discovery = DISCOVERY_BY_PROTOCOL[node.protocol]
-    bus.drain()  # a late answer to the previous request must not count as an answer to this request
+    bus.drain()  # a late answer to the previous request must not count as the answer to this one
     start = time.perf_counter()
     bus.send((discovery.ping(node),))
     first = None
@@ -84,5 +82,5 @@ def _measure_round_trip(bus: Bus, node: DiscoveredNode) -> tuple[float | None, b
             break
         time.sleep(
             0.0001 if passed < 0.01 else 0.002
-        )  # the first pauses are short for accuracy, and later pauses are longer to save processor time
+        )  # the first pauses are short for accuracy, later pauses are longer to save CPU time
     return first, answers > 1

@@ -1,6 +1,6 @@
 """Scan of a CAN bus that finds the drives and other nodes on the bus.
 
-The scan first listens to the bus. It sends requests only if no other host is active on the bus. It
+The scan listens first. The scan sends requests only if no other host is active on the bus. The scan
 never sends commands to drives.
 """
 
@@ -46,12 +46,11 @@ class BusScan(NamedTuple):
     """Result of a scan of a bus.
 
     Attributes:
-        found_nodes: drives and other nodes that the scan has found, sorted by protocol and node
-            number.
-        foreign_frames: frames that another host has sent. If there are such frames, the scan has
-            sent no requests.
-        omitted_requests: requests that the scan has not sent, because a drive on the bus would have
-            obeyed them as commands.
+        found_nodes: discovered drives and other nodes, by protocol and number.
+        foreign_frames: frames received from another host. If there are any, the scan has sent no
+            requests.
+        omitted_requests: requests that were not sent, because a drive on the bus would have obeyed
+            them as commands.
         bus_events: events of the bus during the scan.
         frame_count: number of received frames.
     """
@@ -64,7 +63,7 @@ class BusScan(NamedTuple):
 
 
 def collect_frames(bus: Bus, for_s: float, seen: list[Frame]) -> None:
-    """For a given time [s], append the frames that arrive on a bus to ``seen``."""
+    """Append the frames received on a bus during a time [s] to ``seen``."""
     end = time.monotonic() + for_s
     while True:
         seen += bus.drain()
@@ -80,13 +79,13 @@ def scan_bus(
     report: Callable[[str], None] = lambda text: None,
     listen: ListenFunction = collect_frames,
 ) -> BusScan:
-    """Scan a bus for drives and other nodes, which takes about two seconds.
+    """Scan a bus for drives, in about two seconds.
 
     Args:
         bus: open bus.
-        force: True to send requests even if another host seems to be active on the bus.
+        force: True to send requests even if another host seems to be active.
         report: function that is called with a text about each step of the scan.
-        listen: function that collects frames for a given time, see ``ListenFunction``.
+        listen: function to collect frames during a time, see ``ListenFunction``.
     """
     seen: list[Frame] = []
     omitted: list[Frame] = []
@@ -113,9 +112,9 @@ def requests_without_answers() -> tuple[Frame, ...]:
 
 
 def _round_requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[Frame]:
-    """Return the requests that the protocols send in one round of the scan.
+    """Return the requests of all protocols for a round of the scan.
 
-    A drive with another protocol might obey a request as a command. Requests of this kind are left
+    A drive of another protocol on the bus might obey a request as a command. Such requests are left
     out, and appended to ``omitted``.
     """
     requests: list[Frame] = []
@@ -129,16 +128,16 @@ def _round_requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[
 
 
 def _commands_of_others(name: str, seen: list[Frame]) -> list[frozenset[int]]:
-    """Return the identifiers of the commands to each drive found so far whose protocol is not ``name``."""
+    """Return the command identifiers of each discovered drive whose protocol is not ``name``."""
     others = (discovery for other, discovery in DISCOVERY_BY_PROTOCOL.items() if other != name)
     return [discovery.command_ids(node) for discovery in others for node in discovery.nodes(seen)]
 
 
 def _foreign_frames(seen: list[Frame]) -> tuple[Frame, ...]:
-    """Return those received frames that another host has sent.
+    """Return the received frames from another host.
 
-    By the rules of one protocol, a frame may look like a frame from another host, although a drive
-    with another protocol has sent it. Such frames are not part of the result.
+    In the rules of one protocol, a frame may look like a frame of another host, although it belongs
+    to a discovered drive of another protocol. Such frames are left out.
     """
     foreign: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
@@ -152,7 +151,7 @@ def _foreign_frames(seen: list[Frame]) -> tuple[Frame, ...]:
 def _send_with_retries(bus: Bus, frame: Frame, seen: list[Frame], listen: ListenFunction) -> bool:
     """Send a frame, and receive frames in the pause after it.
 
-    If the interface has refused the frame ``MAX_SEND_TRIES`` times, return False.
+    Returns False if the interface has refused the frame ``MAX_SEND_TRIES`` times.
     """
     for _ in range(MAX_SEND_TRIES):
         if bus.send((frame,)):

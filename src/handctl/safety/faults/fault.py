@@ -1,16 +1,14 @@
 """Types for faults and for rows of the fault catalogue, and functions to declare them.
 
-A row of the fault catalogue describes a possible failure. A fault is a row of the catalogue, or a
-stage of a row, that the controller checks in every tick. Each row and each fault is declared once,
-in the module of its kind: ``bus``, ``node``, ``tendon``, ``host``. The tables in the documents, the
-deadlines in the fault campaign, the event texts and the reactions are all derived from the
-declarations.
+A row of the fault catalogue describes a possible failure. A fault is a row, or a stage of a row,
+that is checked in every tick. Each row and each fault is declared once, in the module of its kind:
+``bus``, ``node``, ``tendon``, ``host``. The tables in the documents, the deadlines in the fault
+campaign, the event texts and the reactions are all derived from the declarations.
 
-The declaration of a fault may have the argument ``per``, which lists the parts that the fault can
-affect, such as motors or tendons. Compiled code in ``core.detectors`` detects such a fault. The
-declaration of such a fault returns the row of the fault in the detectors' table of results, which
-is used as in ``evidence[N07, motor]``. The declaration of a fault may instead have the argument
-``reports``. A bus, the host or the recorder reports such a fault.
+A fault whose declaration has ``per`` (the kinds of its instances) is detected by compiled code in
+``core.detectors``. The declaration of such a fault returns the index of the detector's result:
+``evidence[N07, motor]``. A fault whose declaration has ``reports`` is reported by a bus, the host
+or the recorder.
 """
 
 from dataclasses import dataclass
@@ -53,27 +51,24 @@ class CatalogueRow(NamedTuple):
     Attributes:
         id: identifier of the row.
         title: name of the failure.
-        where: the part of handctl that checks the row of the catalogue.
-        mit: the way in which the failure shows with the MIT protocol: "detected", "replaced: SIGN"
-            or "lost: REASON".
-        odrive: the way in which the failure shows with ODrive drives, in the form of ``mit``.
-        cia402: the way in which the failure shows with CiA 402 drives, in the form of ``mit``.
+        where: part of handctl that checks the row.
+        mit: visibility with the MIT protocol: detected, "replaced: SIGN" or "lost: REASON".
+        odrive: visibility with ODrive.
+        cia402: visibility with CiA 402.
         ticks: the part of the longest reaction time that is counted in ticks. ``ms`` is added to
-            this part.
+            it.
         ms: the part of the longest reaction time that does not depend on the tick [ms]. ``ticks``
-            is added to this part.
+            is added to it.
         odrive_ms: additional reaction time with an ODrive [ms], because the heartbeat of an ODrive
             has a period of 100 ms.
         required: reaction time that the project's fault catalogue requires with an ideal drive
             [ticks of 5 ms]. The value is 0 if the catalogue gives no time, for example for a fault
             before any torque.
-        why: the reason if ``ticks`` is larger than ``required``, or an empty text.
+        why: reason if ``ticks`` is larger than ``required``. It is empty otherwise.
         tested: ``campaign``, or the name of the test that covers the fault.
-        moteus: the way in which the failure shows with moteus drives, in the form of ``mit``. The
-            text is empty if it is the same as ``mit``, because moteus drives and MIT drives both
-            answer each command once.
-        robstride: the way in which the failure shows with RobStride drives, in the form of ``mit``.
-            The text is empty if it is the same as ``mit``.
+        moteus: visibility with moteus. The text is empty if it equals ``mit``, because both
+            protocols answer each command once.
+        robstride: visibility with RobStride. The text is empty if it equals ``mit``.
         counted_from: event from which the longest reaction time counts, as the end of a sentence.
             The text is empty if the time counts from the failure itself.
     """
@@ -95,15 +90,12 @@ class CatalogueRow(NamedTuple):
     counted_from: str = ""
 
     def visibility(self, protocol: str) -> str:
-        """Return how a drive protocol shows the failure.
-
-        The protocol is one of ``GUARDED_PROTOCOLS``.
-        """
+        """Return the visibility of the failure with a drive protocol, which is one of ``GUARDED_PROTOCOLS``."""
         visibility: str = getattr(self, protocol)
         return visibility or self.mit
 
     def latest_ms(self, rate_hz: float) -> float:
-        """Return the longest time from the failure to the reaction at a control rate [ms].
+        """Return the longest reaction time at a control rate [ms].
 
         This time does not include ``odrive_ms``.
         """
@@ -112,30 +104,29 @@ class CatalogueRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Fault: a row of the catalogue, or a stage of a row, that the controller checks in every tick.
+    """Fault: a row of the catalogue, or a stage of a row, that is checked in every tick.
 
     Attributes:
         id: identifier of the row, followed by a letter if the row has stages.
-        title: name of the fault for an operator.
+        title: name for an operator.
         detection: condition of the fault.
-        action: reaction to the fault.
+        action: reaction.
         clears: the way in which the fault ends, ``ENDED_BY_OPERATOR`` or ``ENDED_BY_ITSELF``.
         cause: usual causes, for the operator, in whole sentences.
         remedy: instruction for the operator in one line, in whole sentences.
         debounce: number of consecutive ticks with the fault after which the fault becomes active.
-        relax_method: method by which the torque is removed if the reaction is RELAX.
-        per: kinds of parts that the fault can affect, such as motors, tendons or nodes. The value
-            is empty for a fault that a bus, the host or the recorder reports.
+        relax_method: method of removing the torque if the action is RELAX.
+        per: kinds of the fault's instances. The value is empty for a reported fault.
         name: name of the only instance, if the fault has the kind ``HAND_INSTANCE``.
         reports: kinds of bus and host events that report the fault. Kinds of recorder events begin
             with ``recorder:``.
         makes_tension_unreliable: True if the true tension may be larger than the measured tension.
         caused_by_lateness: True if late answers of drives, late sensor frames or late ticks can
-            cause the fault, which then stays until an operator clears it.
+            latch the fault.
         shows_torque_after_cut: True if the fault shows that a motor still makes torque after a cut.
         needs_load_cell: True if the fault cannot be detected for a tendon without a load cell.
-        needs_joint_encoders: True if the fault cannot be detected for a tendon that crosses joints
-            without encoders.
+        needs_joint_encoders: True if the fault cannot be detected for a tendon whose joints have no
+            encoders.
     """
 
     id: str
@@ -163,7 +154,7 @@ class Fault:
 
     @property
     def latched(self) -> bool:
-        """Return True if the fault lasts until an operator clears it."""
+        """Return True if the reaction stays until an operator clears the fault."""
         return self.clears == ENDED_BY_OPERATOR
 
     @property
@@ -211,9 +202,8 @@ def declare_fault(
     """Declare a fault. For the arguments see ``Fault``.
 
     Returns:
-        The first row of the fault in the table that contains the detectors' results. For a fault
-        that a bus, the host or the recorder reports, the result is -1, because such a fault has no
-        detector.
+        First row of the fault in the table of the detectors' results. For a reported fault, which
+        has no detector, it is -1.
     """
     declared = Fault(
         id_,
@@ -235,9 +225,8 @@ def declare_fault(
         needs_joint_encoders,
     )
     DECLARED_FAULTS.append(declared)
-    # A fault may affect several kinds of parts, such as tendons and joints. In the table of the
-    # detectors' results, the fault has one row for each kind. For the second kind, detectors add 1
-    # to the row of the first kind.
+    # The table of the detectors' results has one row for each kind of instance. For the second
+    # kind, detectors add 1 to the index of the first kind.
     first = len(DETECTOR_ROWS)
     DETECTOR_ROWS.extend((declared, kind) for kind in per)
     return first if per else -1

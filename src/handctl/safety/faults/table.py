@@ -27,7 +27,7 @@ FAULTS_BY_EVENT_KIND: dict[str, tuple[Fault, ...]] = {
 
 
 def remedy_for(text: str) -> str:
-    """Return the remedy for the fault that an event text names.
+    """Return the remedy for the fault in an event text.
 
     The result is empty if the text does not begin with a fault id.
     """

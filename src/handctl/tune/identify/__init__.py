@@ -1,1 +1,1 @@
-"""Identification of the parameters of a hand: excitation of digits, fit of a model, and confidence."""
+"""Identification of the parameters of a hand: excitation of its digits, fit of a model, and identifiability."""

@@ -1,19 +1,16 @@
-"""Detection of a contact during the sweeps of a digit.
+"""Detection of a contact during the sweeps of a digit, from the residuals of the fit.
 
-It uses the residuals of the fit, which are measured minus expected values.
-
-If a digit touches an obstacle at some angle, its tendon has an additional tension from this angle
-on. This tension grows as the digit closes further. The fit explains most of this tension by stiffer
-springs, but no parameter can explain the kink in the curve. Therefore the fit also contains a
-tension that begins at some angle and increases linearly (ramp). The ramp is fitted together with
-all parameters, in the linearised fit. The score of a contact is the height of the ramp, divided by
-its standard deviation.
+If a digit touches an obstacle at some angle, an additional tension begins at this angle and grows
+as the digit closes. The fit attributes most of the additional tension to the springs, but no
+parameter can reproduce the kink in the curve. The fit therefore includes a ramp of tension that
+begins at some angle. The ramp is fitted together with all parameters, in the linearised fit. The
+score of the contact is the size of the ramp in standard deviations.
 Source: score test (Rao 1948).
 
-A contact that lasts during a whole sweep causes no kink in the curve. If one of n joints is blocked
-during the whole sweep, the digit behaves like a digit with other springs. The springs then seem to
-have n / (n - 1) of the stiffness and (n - 1) / n of the preload. The travel of the tendon shows
-whether a joint is blocked: if the digit closes farther than n - 1 joints can, all joints move.
+A contact that lasts during the whole sweep causes no kink. If a contact blocks one of n joints
+during the whole sweep, the digit behaves like a free digit with other springs. The springs then
+seem to have n / (n - 1) of the stiffness and (n - 1) / n of the preload. The travel shows whether a
+joint is blocked: if the digit closes farther than n - 1 joints can, then all joints move.
 """
 
 from collections.abc import Sequence
@@ -53,18 +50,18 @@ MIN_OWN_FRACTION = 1e-6
 
 
 class ResidualRamp(NamedTuple):
-    """Ramp that explains most of the residuals of a fit.
+    """Ramp with the largest score in the residuals of a fit.
 
     Attributes:
-        score: height of the ramp, divided by its standard deviation. The value is positive if the
-            ramp adds tension.
+        score: size of the ramp in standard deviations. The value is positive if the ramp adds
+            tension.
         begin: mean joint angle at which the ramp begins [rad].
         end: largest mean joint angle of the sweep [rad].
         rise: tension [N] or joint torque [N m] of the ramp at the angle ``end``.
-        rows: number of averaged data points (bins) in the sweep.
-        outliers: fraction of the data points in the sweep that the fit has excluded as outliers.
+        rows: number of bins of data in the sweep.
+        outliers: fraction of the rows of the sweep that the fit has excluded as outliers.
         mean_square: mean square of the residuals of the sweep, without outliers.
-        contact_score: smallest score at which the ramp counts as a contact of this digit.
+        contact_score: smallest score at which a ramp in the data of this digit counts as a contact.
     """
 
     score: float
@@ -83,7 +80,7 @@ class ResidualRamp(NamedTuple):
 
     @property
     def excludes_contact(self) -> bool:
-        """Return True if the fit explains the sweep so well that a contact is excluded."""
+        """Return True if the fit explains the sweep well enough to exclude a contact."""
         good = (
             self.mean_square <= MAX_CLEAR_MEAN_SQUARE
             and self.outliers <= MAX_CLEAR_OUTLIERS
@@ -95,13 +92,13 @@ class ResidualRamp(NamedTuple):
 def steepest_ramp(
     jacobian: Array, residual: Array, first: int, angle: Array, units: Sequence[Array]
 ) -> ResidualRamp | None:
-    """Return the ramp that has the largest score. If the fit contains no sweep, return None.
+    """Return the ramp with the largest score. Return None if the fit has no sweep.
 
     Args:
-        jacobian: (rows, parameters) Jacobian of the fit. The rows of outliers are zero.
+        jacobian: (rows, parameters) Jacobian of the fit, in which the rows of outliers are zero.
         residual: (rows,) measured minus expected values, in standard deviations.
         first: row at which the sweep begins.
-        angle: (m,) mean joint angle in each bin of the sweep [rad].
+        angle: (m,) mean joint angle of the sweep's bins [rad].
         units: for every kind of ramp, the residuals (m k,) that a tension of 1 N or a torque of 1 N
             m causes, with k rows per bin.
     """
@@ -112,7 +109,7 @@ def steepest_ramp(
     used = jacobian[rows].any(axis=1)
     if not used.any():
         return None
-    # The columns of `basis` span all curves that a change of the parameters can explain.
+    # The columns of `basis` span everything that the parameters can explain.
     basis = np.linalg.qr(jacobian)[0]
     low = float(angle.min())
     high = float(angle.max())
@@ -126,7 +123,7 @@ def steepest_ramp(
         for unit in units:
             column = np.zeros(len(residual))
             column[rows] = shape * unit
-            # Only the part of the ramp outside of this span counts for the score.
+            # Only the part of the ramp outside of that span has an effect on the score.
             orthogonal = column - basis @ (basis.T @ column)
             size = float(orthogonal @ orthogonal)
             if size > MIN_OWN_FRACTION * float(column @ column):
@@ -149,16 +146,16 @@ def steepest_ramp(
 def are_joints_moving(
     joint_count: int, preload: float, half_width: float, travel: float, full: float
 ) -> bool:
-    """Return True if the preload and the travel of a digit with one tendon show that all joints of the digit move.
+    """Return True if the preload and the travel of a digit with one tendon show that all its joints move.
 
     Args:
-        joint_count: number of joints of the digit.
+        joint_count: number of joints.
         preload: identified preload of the springs, divided by the preload in the hand file.
-        half_width: half of the width of this ratio's confidence interval.
-        travel: largest excursion of the tendon [m].
-        full: excursion of the tendon with all joints at their closed ends [m].
+        half_width: half width of the confidence interval of this ratio.
+        travel: largest excursion of the digit [m].
+        full: excursion with all joints at their closed ends [m].
     """
     # The ratio of the preloads is 1 if all n joints move, and (n - 1) / n if one joint is blocked.
-    # The limit lies halfway between these two values.
+    # The limit is halfway between these two values.
     stiff = 1.0 - 0.5 / joint_count
     return preload + half_width >= stiff or travel > full * (joint_count - 1) / joint_count

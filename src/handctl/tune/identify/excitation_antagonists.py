@@ -1,11 +1,10 @@
-"""Motions from which the parameters of a digit can be identified, if tendons both close and open the digit.
+"""Motions that excite a digit for identification, if tendons close the digit and tendons open it.
 
-Such a digit has n + 1 tendons and no springs, or it has spool pairs.
+Such a digit has n + 1 tendons without springs, or spool pairs.
 
-First, the digit sweeps about a middle posture. The joints first move together, and then against
-each other, so that each tendon is wound up while others are paid out. After the sweeps, the digit
-oscillates. At the end, the tendons are stretched while the digit is pressed against its lower
-stops.
+First the digit sweeps about a posture. The joints of the digit first move together, and then
+against each other, so that each tendon is wound up while others are paid out. After the sweeps, the
+digit swings. At the end, the tendons are stretched while the digit rests on its lower stops.
 """
 
 import math
@@ -175,7 +174,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
 
 
 def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
-    """Return the smallest and the largest coordinates (n_c,) in the sweeps of a digit [rad]."""
+    """Return the smallest and the largest reduced coordinates (n_c,) of the sweeps of a digit [rad]."""
     least, most = digit.reach
     margin = math.radians(STOP_MARGIN_DEG)
     low = np.maximum(least + margin, math.radians(LOWEST_SWEEP_ANGLE_DEG))
@@ -188,15 +187,15 @@ def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
 def _sign_patterns(count: int) -> list[Array]:
     """Return patterns for the motion of the coordinates.
 
-    Each pattern has one factor for each coordinate (count,).
+    Each pattern has one factor per coordinate (count,).
 
     In the first pattern, all coordinates move together. In each other pattern, one coordinate moves
     against all others.
     """
     patterns = [np.ones(count)]
     if count > 1:
-        # With two coordinates, a single pattern of this kind is sufficient, because each coordinate
-        # moves against the other.
+        # With two coordinates, one such pattern is enough, because each coordinate then moves
+        # against the other.
         patterns += [
             np.where(np.arange(count) == i, -COUNTER_MOTION_FRACTION, 1.0)
             for i in range(count if count > 2 else 1)
@@ -205,7 +204,7 @@ def _sign_patterns(count: int) -> list[Array]:
 
 
 def _swing_amplitudes(hand: Hand, digit: DigitModel, middle: Array, half: Array) -> Array:
-    """Return the amplitudes (n_c,) of an oscillation that the motors can produce [rad]."""
+    """Return the amplitudes (n_c,) of the swing that the motors can reach [rad]."""
     tree = HandTree.from_hand(hand)
     q = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
     q[digit.joints] = digit.coupling @ middle
@@ -223,16 +222,16 @@ def _swing_amplitudes(hand: Hand, digit: DigitModel, middle: Array, half: Array)
 
 
 def _tension_limits(hand: Hand, digit: DigitModel) -> tuple[Array, Array]:
-    """Return the smallest and the largest tensions for stretching the tendons of a digit, (n_t,) each [N]."""
+    """Return the floors and the largest stretch tensions of the tendons of a digit, (n_t,) each [N]."""
     tendons = hand.tendon[digit.tendons]
     floor = np.array([tendon.tension_floor_N for tendon in tendons])
     return floor, STRETCH_FRACTION * np.array([tendon.tension_max_N for tendon in tendons])
 
 
 def _balanced_tensions(hand: Hand, digit: DigitModel) -> Array:
-    """Return tensions (n_t,) whose joint torques cancel each other [N].
+    """Return tensions (n_t,) [N] whose joint torques cancel each other.
 
-    All of them are above the tension floors.
+    All returned tensions are above the tension floors.
     """
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon])
     ceiling = np.array([tendon.tension_max_N for tendon in hand.tendon])
@@ -240,14 +239,13 @@ def _balanced_tensions(hand: Hand, digit: DigitModel) -> Array:
 
 
 def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tuple[Array, Array]]]:
-    """Return the tensions that hold a digit at rest, and the lower and upper tensions of each stretch [N].
+    """Return the tensions that hold a digit at rest, and the lower and the upper tensions of each stretch [N].
 
-    The tendons are stretched while the digit is pressed against its lower stops.
+    The tendons are stretched while the digit rests on its lower stops.
 
-    If the digit has spool pairs, all pairs are stretched at once. Otherwise, first all tendons that
-    open the digit are stretched at once. After that, each tendon that closes the digit is stretched
-    alone. The torque of this closing tendon is so small that the opening tendons still hold the
-    digit open.
+    If there are spool pairs, all of them are stretched at once. Otherwise, all tendons that open
+    the digit are stretched at once. Then each tendon that closes the digit is stretched alone. The
+    torque of the closing tendon stays small enough for the opening tendons to hold the digit open.
     """
     floor, largest = _tension_limits(hand, digit)
     if hand.is_pair[digit.tendons].any():

@@ -1,13 +1,13 @@
-"""Fit of the springs and the friction of a digit with several tendons, from load cells and joint encoders.
+"""Fit of springs and friction of a digit with several tendons, from load cells and joint encoders.
 
     sum_j R_ji f_j exp(-mu_j sgn(w_j) (phi_j + q_1 + .. + q_i)) = S k_i (q_i + P p_i) + b_i q_i' + m (M q'' + g)_i
 
-This equation is the torque balance of joint i in free motion. The angle in the exponent is the wrap
-angle of tendon j plus the angles of the joints up to i that the tendon crosses. The drift of the
-load cells is already known from the fits of the single tendons. Each row of the fit is the torque
-balance of one joint at one time. It is divided by the noise that the load cells cause in this
-balance. Errors of the joint encoders are neglected, because their effect is ten times smaller than
-that of load-cell errors. Source: as in `fit_load`.
+This equation is the torque balance of joint i in free motion. The exponent contains the wrap angle
+of tendon j, and the angles of the joints that tendon j crosses up to joint i. The drift of the load
+cells is known from the fits of single tendons. Each row of the fit is such a balance. The row is
+divided by the noise that the load cells cause in the balance. Errors of the joint encoders are
+neglected, because their effect is a tenth of the effect of load-cell errors. Source: as in
+`fit_load`.
 """
 
 from collections.abc import Sequence
@@ -54,7 +54,7 @@ MIN_ROWS = 20
 
 @dataclass(frozen=True, slots=True)
 class TorqueBalance:
-    """Data of a digit at the times at which it moves freely and its joint encoders are read.
+    """Data of a digit at those times at which it moves freely and its joint encoders were read.
 
     Attributes:
         digit: model of the digit.
@@ -62,9 +62,9 @@ class TorqueBalance:
         q: (m, joints) joint angles [rad].
         dq: (m, joints) joint rates [rad/s].
         rigid_body_torque: (m, joints) torque of inertia and weight [N m].
-        tension: (m, tendons) tension at the load cells, from which the drift is subtracted [N].
+        tension: (m, tendons) tension at the load cells, corrected for the drift [N].
         speed_sign: (m, tendons) sign of the speed of each tendon.
-        noise: (tendons,) noise of the averaged load-cell readings [N].
+        noise: (tendons,) noise of the averaged load cells [N].
         drift_sigma: (tendons,) standard deviation of the load-cell drift that remains after the
             correction [N].
     """
@@ -83,13 +83,13 @@ class TorqueBalance:
     def from_fits(
         digit: DigitModel, data: Sequence[TendonData], fits: Sequence[TendonFit]
     ) -> "TorqueBalance | None":
-        """Return the data for the fit of a digit, from the data and the fits of its tendons.
+        """Return the data of a digit for its fit, from the data and the fits of its tendons.
 
-        If too few times can be used, return None.
+        If there are too few usable times, return None.
 
         Args:
             digit: model of the digit.
-            data: data of the tendons of the digit, in their order.
+            data: data of the tendons of the digit, in order.
             fits: fits of the same tendons.
         """
         first_tendon = data[0]
@@ -130,7 +130,7 @@ class TorqueBalance:
         )
 
     def tendon_torque(self, friction: Array, offset: Array) -> Array:
-        """Return the torques of the tendons at the joints (m, joints) [N m].
+        """Return the torque of the tendons at the joints (m, joints) [N m].
 
         Args:
             friction: (tendons,) capstan coefficients.
@@ -142,10 +142,11 @@ class TorqueBalance:
             angle = np.full(len(self.t), self.digit.wrap[j])
             for i, mean_arm in enumerate(arms.tolist()):
                 arm = present[..., j, i]
-                # A prismatic joint, and a joint that the tendon does not cross, add no wrap angle.
+                # If the tendon does not cross a joint, or the joint is prismatic, the joint adds no
+                # wrap angle.
                 wraps = mean_arm != 0.0 and not self.digit.is_prismatic[i]
                 angle = angle + self.q[:, i] * wraps
-                # The direction of the friction depends on the direction in which the tendon moves.
+                # The direction of the friction follows the motion of the tendon.
                 lost = np.clip(
                     -friction[j] * self.speed_sign[:, j] * angle,
                     -MAX_FRICTION_EXPONENT,
@@ -156,10 +157,9 @@ class TorqueBalance:
 
     @property
     def whitening_matrix(self) -> Array:
-        """Return the matrix (joints, joints) that makes the noise of the joint torques independent (whitening).
+        """Return the whitening matrix (joints, joints) for the joint torques.
 
-        Multiplied by this matrix, the torques at one time have independent noise with a standard
-        deviation of 1.
+        The whitened torques of one sample time are independent, and have a standard deviation of 1.
         """
         arms = self.digit.moment_arms
         return np.asarray(
@@ -167,9 +167,9 @@ class TorqueBalance:
         )
 
     def required_torque(self, spring: float, preload: float, damping: float, mass: float) -> Array:
-        """Return the torques (m, joints) that are necessary because of springs, damping, inertia and weight [N m].
+        """Return the torque (m, joints) that springs, damping, inertia and weight require [N m].
 
-        The arguments are factors by which the values of the hand file are multiplied.
+        The arguments are factors of the values in the hand file.
         """
         digit = self.digit
         springs = (
@@ -187,10 +187,10 @@ class TorqueBalance:
 def _joint_rates(
     digit: DigitModel, q: Array, speed: Array, acceleration: Array
 ) -> tuple[Array, Array]:
-    """Return the joint rates [rad/s] and accelerations [rad/s^2], (m, joints), from those of the tendons, (m, tendons).
+    """Return joint rates [rad/s] and accelerations [rad/s^2], (m, joints), from those of the tendons, (m, tendons).
 
-    If the moment arms R depend on the joint angles, the acceleration of a tendon contains the
-    additional term R' q'^2.
+    If the moment arms R depend on the joint angles, the acceleration of a tendon has the additional
+    part R' q'^2.
     """
     if not digit.has_varying_arm:
         to_joints = digit.excursion_to_joints.T
@@ -206,7 +206,7 @@ def _joint_rates(
 
 
 def fit_digit(balance: TorqueBalance) -> FitSolution:
-    """Fit the factors that all tendons of a digit share, and each tendon's capstan coefficient and offset.
+    """Fit the shared factors of a digit, and capstan coefficients and load-cell offsets of its tendons.
 
     Factors and coefficients are relative to the values in the hand file.
     """
@@ -244,7 +244,7 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
 def fits_with_digit(
     fits: Sequence[TendonFit], solution: FitSolution, balance: TorqueBalance
 ) -> list[TendonFit]:
-    """Return the fits of the tendons of a digit, with the parameters from the fit of the whole digit added.
+    """Return the fits of the tendons of a digit, completed with the parameters from the fit of the digit.
 
     Each tendon gets its capstan coefficient. The first tendon also gets the factors that all
     tendons share.
@@ -260,7 +260,7 @@ def fits_with_digit(
 
 
 def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> ResidualRamp | None:
-    """Return the ramp of torque at a single joint that has the largest score in the residuals of the sweeps."""
+    """Return the ramp of torque at a single joint with the largest score in the residuals of the sweeps."""
     units = [np.tile(row, len(balance.t)) for row in balance.whitening_matrix]
     return steepest_ramp(
         solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), units
@@ -268,15 +268,15 @@ def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> Residual
 
 
 def _friction_scales(digit: DigitModel) -> Array:
-    """Return the scale of each tendon's capstan coefficient (tendons,).
+    """Return the scale of each capstan coefficient (tendons,).
 
-    It is the same scale as in the fits of the single tendons.
+    This scale equals the scale in the fits of the tendons.
     """
     return np.where(digit.friction > 0.0, digit.friction, 1e-3)
 
 
 def _spaced_indices(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]:
-    """Return some of the indices, which are at least `spacing` apart, so that their averages share no readings."""
+    """Return a selection of indices that are at least `spacing` apart, so that averages do not share samples."""
     selected: list[int] = []
     for index in indices.tolist():
         if not selected or index - selected[-1] >= spacing:
@@ -287,9 +287,9 @@ def _spaced_indices(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]
 def _tendon_rates(data: TendonData, reach: int) -> tuple[Array, Array]:
     """Return the speed [m/s] and the acceleration [m/s^2] of a tendon.
 
-    At the start and the end of the data, both are NaN.
+    The values are NaN at the ends of the data.
 
-    The differences extend over twice the time over which signals are averaged.
+    The differences span twice the time over which signals are averaged.
     """
     x = data.travel
     step = 2 * reach
@@ -309,7 +309,7 @@ def _cell_drift(data: TendonData, fit: TendonFit) -> Array:
 
 
 def _drift_deviation(fit: TendonFit, t: Array) -> float:
-    """Return the standard deviation of the drift of a load cell over the times `t` [N]."""
+    """Return the standard deviation of the drift of a load cell within the times `t` [N]."""
     knots = fit.problem.drift_knots
     used = np.flatnonzero((knots >= t.min() - 1.0) & (knots <= t.max() + 1.0)) + len(
         PARAMETER_NAMES

@@ -1,4 +1,4 @@
-"""Identification of all tendons in a log: fit, identifiability, contacts, and entries for the calibration file."""
+"""Identification of all tendons in a log: fit, identifiability, contacts, entry for the calibration file."""
 
 import datetime
 from collections.abc import Callable
@@ -61,15 +61,14 @@ class TendonResult:
     Attributes:
         data: data of the tendon from the log.
         fit: fit of all parameters.
-        identifiability: statement which of the parameters the data determine, see
-            `Identifiability`.
-        coherence: mean coherence over the frequency band of the excitation step *swing*.
+        identifiability: identifiability of the parameters.
+        coherence: mean coherence over the frequency band of the step *swing*.
         spectrum: frequencies [Hz], and the coherence at each frequency.
-        balance: data for the fit of the whole digit, if it has several tendons and joint encoders,
-            or None otherwise.
-        blocked_event: text of the event in which the controller reported that the digit was
-            blocked, or an empty text.
-        contact_text: text that describes a contact during the sweeps, or an empty text without a
+        balance: data for the fit of the digit, if the digit has several tendons and joint encoders.
+            None otherwise.
+        blocked_event: text of the event with which the controller reported the digit as blocked.
+            The value is empty without such an event.
+        contact_text: text that describes a contact during the sweeps. The value is empty without a
             contact.
     """
 
@@ -84,7 +83,7 @@ class TendonResult:
 
     @property
     def identified_names(self) -> tuple[str, ...]:
-        """Return the names of the identified parameters, without those that contact or low coherence made invalid."""
+        """Return the names of the identified parameters that no contact and no low coherence made invalid."""
         if self.blocked_event:
             return ()
         return tuple(
@@ -101,9 +100,9 @@ class TendonResult:
 
     @property
     def why_not(self) -> dict[str, str]:
-        """Return the reason for each quantity that has no valid value.
+        """Return, for each quantity without a valid value, the reason.
 
-        The fitted parameters come first, and then other quantities.
+        The parameters come first, then the other quantities.
         """
         missing = dict(text.split(": ", 1) for text in self.identifiability.missing)
         invalid = dict.fromkeys(self.identifiability.names, "invalid because of a contact")
@@ -119,14 +118,14 @@ class TendonResult:
     def calibration_entry(self, log: Path, made_at: str) -> IdentifiedParameters | None:
         """Return the entry of the tendon for the calibration file.
 
-        If no parameter is identified and valid, return None.
+        Return None if no parameter is identified and valid.
         """
         names = self.identified_names
         if not names:
             return None
         at = [PARAMETER_NAMES.index(name) for name in names]
         scale = self.fit.problem.parameter_scales[at]
-        # In the fit, parameters are scaled. In the file, they are in SI units.
+        # The fit uses scaled parameters, but the file contains them in SI units.
         covariance = self.fit.covariance[np.ix_(at, at)] * np.outer(scale, scale)
         values = self.fit.parameter_values
         widths = self.fit.half_widths
@@ -141,7 +140,7 @@ class TendonResult:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """Return the result as plain values that JSON can contain."""
+        """Return the result as plain values for JSON."""
         values = self.fit.parameter_values
         widths = self.fit.half_widths
         nominal = self.fit.problem.parameter_scales
@@ -181,17 +180,17 @@ class TendonResult:
 def identify_tendons(
     log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda text: None
 ) -> dict[str, TendonResult]:
-    """Identify every tendon in a log, and return the results by the name of the tendon.
+    """Identify every tendon of a log, and return the results by tendon.
 
-    A tendon that hardly moves is left out of the results.
+    Tendons that hardly move are left out of the results.
 
     Args:
         log: log of any run.
-        hand: hand of the run, as the hand file describes it.
+        hand: hand of the run, as its hand file describes it.
         progress: function that is called with a description of each step.
 
     Raises:
-        LogError: no tendon moves in the log.
+        LogError: No tendon moves in the log.
     """
     solved = []
     failure = LogError("no tendon of this hand in it", "the log", "a run in which digits move")
@@ -232,7 +231,7 @@ def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> Te
     The fit of a spool pair needs the data of all spool pairs of the digit.
 
     Raises:
-        LogError: the tendon hardly moves.
+        LogError: The tendon hardly moves.
     """
     digit = DigitModel.from_hand(hand, data.digit)
     place = digit.tendon_names.index(data.tendon)
@@ -245,11 +244,11 @@ def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> Te
 
 
 def _with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult:
-    """Return the result of a tendon with information about contacts, which make parameters invalid.
+    """Return the result of a tendon with information about contacts that make parameters invalid.
 
-    To detect obstacles, the controller uses the spring values of the hand file. If the real springs
-    are stiffer by a third, the controller reports an obstacle although there is none. Therefore the
-    event of the controller is ignored if the fit explains the whole sweep.
+    To detect obstacles, the controller uses the springs of the hand file. If the real springs are
+    stiffer by a third, the controller reports an obstacle that does not exist. If the fit explains
+    the whole sweep, the event of the controller is therefore ignored.
     """
     contact = contact_text(hand, result)
     ramp = result.fit.ramp
@@ -260,7 +259,7 @@ def _with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult
 def contact_text(hand: Hand, result: TendonResult) -> str:
     """Return a text that describes a contact during the sweeps.
 
-    If there was no contact, the text is empty.
+    The text is empty if there was none.
     """
     ramp = result.fit.ramp
     if ramp is not None and ramp.is_contact:
@@ -280,7 +279,7 @@ def contact_text(hand: Hand, result: TendonResult) -> str:
 def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
     """Return a text that describes a blocked joint in a digit with one tendon.
 
-    If all joints move, the text is empty.
+    The text is empty if all joints move.
     """
     load = result.fit.problem.digit_load
     data = result.data
@@ -304,12 +303,12 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
 
 
 def blocked_digits(log: RunLog) -> dict[str, str]:
-    """For each excited digit, return the first event by which the controller reported a blocked digit.
+    """Return, for each digit, the first event during its excitation with which the controller reported a blocked digit.
 
     The keys of the result are the names of the excited digits.
 
     If two digits touch each other, the controller may report the wrong digit as blocked. Even then,
-    the event is assigned to the digit that was excited at the time.
+    the event is assigned to the digit that is excited at the time.
     """
     events = [
         event_entry
@@ -334,8 +333,8 @@ def _digit_fits(
 ) -> tuple[TorqueBalance | None, list[TendonFit]]:
     """Return the fits of the tendons of a digit.
 
-    If the digit has several tendons, the springs and the friction come from a fit of the whole
-    digit. The first value contains the data of this fit, or None if there is no such fit.
+    If the digit has several tendons, springs and friction come from the fit of the whole digit. The
+    first value is the data of the fit of the digit. None if there is no such fit.
     """
     fits = [fit for _, fit in fitted]
     digit = DigitModel.from_hand(hand, name)
@@ -378,14 +377,13 @@ COLUMN_WIDTHS = (18, 10, 19, 9, 9)
 
 
 def result_table(results: dict[str, TendonResult], verbose: bool = False) -> list[str]:
-    """Return lines about each parameter, for a terminal.
+    """Return lines for a terminal about each parameter.
 
-    A line contains the confidence interval and the value in the hand file, or the reason why there
-    is no value.
+    A line has the interval and the value in the hand file, or the reason why there is no value.
 
     Args:
-        results: results by the name of the tendon.
-        verbose: True to add lines about combinations of parameters and joint intervals.
+        results: results by tendon.
+        verbose: True to add the combinations of parameters and the joint intervals.
     """
     lines = [
         "coherence: fraction of the motion of a tendon that the motor force explains, 0 to 1; "
@@ -409,13 +407,13 @@ def result_table(results: dict[str, TendonResult], verbose: bool = False) -> lis
 
 
 def _table_row(*cells: str) -> str:
-    """Return a row of a table of results, given the text for each cell."""
+    """Return a row of a table of results, given the text of each cell."""
     fixed = [cell.ljust(width) for cell, width in zip(cells, COLUMN_WIDTHS, strict=False)]
     return "  " + " ".join([*fixed, *cells[len(COLUMN_WIDTHS) :]]).rstrip()
 
 
 def _identified_row(result: TendonResult, key: str) -> str:
-    """Return the row of an identified parameter. The unit of a pure number is written as "-"."""
+    """Return the row of an identified parameter. A pure number has the unit "-"."""
     size, unit = (1e3, "ms") if key == "delay" else (1.0, PARAMETER_UNITS[key])
     value = size * result.fit.parameter_values[key]
     width = size * result.fit.half_widths[key]

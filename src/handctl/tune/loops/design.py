@@ -1,21 +1,21 @@
-"""Design of gains: with the largest authority that keeps the stability margins, or with poles at given frequencies.
+"""Design of gains: with the largest authority that keeps the margins on all plants, or with poles at given frequencies.
 
-The design varies one parameter of the LQR method, which is called authority. The authority is the
-force whose cost equals the cost of the errors, by Bryson's rule. With more authority, a loop is
-faster, and its stability margins are smaller. Therefore the authority of each tendon is increased
-separately, until a margin would become too small. The smallest of these authorities becomes the
-common value ``force_N``. If a tendon permits more than twice the common authority, it gets a force
-of its own. So a digit with little authority, such as a heavy wrist, does not slow the other digits
-down. The margins in the result are confirmed by the eigenvalues of the closed loop. The designed
-gains are confirmed by a function of the caller, for example a simulation.
+Authority is the parameter of LQR that this design varies. Authority is the force that has the same
+cost as the errors, by Bryson's rule. More authority makes a loop faster and its margins smaller.
+Therefore the authority of each tendon is increased alone, until a margin would become too small.
+The smallest authority of all tendons becomes the common ``force_N``. A tendon that permits more
+than twice the common authority gets a separate force. So a digit with little authority, such as a
+heavy wrist, does not make other digits slow. The eigenvalues of the closed loop confirm the
+reported margins. A function that the caller provides, such as a simulation, confirms the designed
+gains.
 
-Poles are placed with the following equation. For a plant with one input, and weights on position
+To place poles, the design uses this equation: for a plant with one input and weights on position
 and speed, the characteristic polynomial d of the closed loop satisfies
 
     d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r.
 
-Two ratios of weights determine two poles of the closed loop. Therefore the weights for a pair of
-poles can be computed directly, if the damping ratio is above 1/sqrt(2).
+Two ratios of weights determine two poles. For each pair of poles with a damping ratio above
+1/sqrt(2), the weights therefore have a closed form.
 Source: Kalman's symmetric root locus.
 """
 
@@ -86,15 +86,14 @@ class GainDesign:
 
     Attributes:
         gains: designed gains.
-        margins_before: margins of each tendon and loop with the old gains, on the nominal plant.
-        margins_after: margins of each tendon and loop with the designed gains, on the nominal
-            plant.
+        margins_before: margins with the old gains, by tendon and loop, on the nominal plant.
+        margins_after: margins with the designed gains, by tendon and loop, on the nominal plant.
         worst_before: smallest value of each margin over all plants of the ensemble, with the old
             gains.
         worst_after: smallest value of each margin over all plants of the ensemble, with the
             designed gains.
         not_at_rest_before: reason why the hand does not come to rest in simulation with the old
-            gains, or an empty text.
+            gains. The value is empty if it does.
     """
 
     gains: Gains
@@ -105,12 +104,12 @@ class GainDesign:
     not_at_rest_before: str = ""
 
     def with_unproven_before(self, reason: str) -> "GainDesign":
-        """Return the design with zero in place of all margins for the old gains.
+        """Return the design, with margins of zero for the old gains.
 
-        It is used if the hand does not come to rest in simulation with the old gains.
+        The margins are zero if the hand did not come to rest in simulation with the old gains.
 
         Args:
-            reason: reason why the hand does not come to rest.
+            reason: reason why the hand did not come to rest.
         """
         before = {loop: unproven_margins(margin) for loop, margin in self.margins_before.items()}
         return replace(
@@ -123,7 +122,7 @@ class GainDesign:
     def as_weights(self) -> Gains:
         """Return the designed gains, expressed with the default authority and scaled errors.
 
-        The controller is the same, because LQR depends only on ratios of weights.
+        The controller stays the same, because LQR depends only on ratios of weights.
         """
         defaults = Gains()
         gains = self.gains
@@ -156,26 +155,25 @@ class GainDesign:
 
 
 def linear_factors(factors: Mapping[str, float]) -> PlantFactors:
-    """Return those factors of a plant that multiply linear parameters.
+    """Return the factors of a plant that scale linear parameters, without the other factors.
 
-    The other factors are left out, because friction is not linear.
+    Friction is not linear.
     """
     names = PlantFactors.__dataclass_fields__
     return PlantFactors(**{key: value for key, value in factors.items() if key in names})
 
 
 def gains_with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float) -> Gains:
-    """Return gains whose weights give a loop a pair of poles with a given natural frequency and damping.
+    """Return gains whose weights give the poles of a loop a natural frequency and a damping.
 
     Args:
         model: model of the hand with its present gains.
-        kind: kind of the loop, motion or tension.
+        kind: kind of the loop.
         hz: natural frequency of the pole pair [Hz].
-        damping: damping ratio of the poles, at least 1/sqrt(2). For smaller damping ratios, no
-            weights exist.
+        damping: damping ratio, at least 1/sqrt(2). No weights exist for smaller damping ratios.
 
     Raises:
-        ValueError: no weights lead to these poles.
+        ValueError: No weights lead to these poles.
     """
     w = 2.0 * math.pi * hz
     position, speed = (_motion_weights if kind == LoopKind.MOTION else _tension_weights)(
@@ -194,9 +192,9 @@ def gains_with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float
 
 
 def _scaled_tendon_forces(gains: Gains, motion: float, tension: float) -> list[dict[str, Any]]:
-    """Return the entries for single tendons, with their forces multiplied by factors.
+    """Return the entries of single tendons with their forces multiplied.
 
-    The motion loop and the tension loop have different factors.
+    Each loop has its own factor.
     """
     return [
         {
@@ -209,10 +207,10 @@ def _scaled_tendon_forces(gains: Gains, motion: float, tension: float) -> list[d
 
 
 def _checked_gains(gains: Gains, **sections: dict[str, float] | list[dict[str, Any]]) -> Gains:
-    """Return gains in which some sections are replaced, after their bounds have been checked.
+    """Return gains in which some sections are replaced, after a check of the bounds.
 
     Raises:
-        ValueError: a value is out of its bounds.
+        ValueError: A value is out of its bounds.
     """
     try:
         return validate_content(gains.model_dump(by_alias=True) | sections, Gains, "weights")
@@ -221,20 +219,20 @@ def _checked_gains(gains: Gains, **sections: dict[str, float] | list[dict[str, A
 
 
 def _motion_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
-    """Return the two ratios of weights, force / error and force / speed error, of the motion loop.
+    """Return the ratios force / error and force / speed error of the motion loop.
 
-    The plant is a single mass, and the characteristic polynomial is d(s) = s^2 + 2 z w s + w^2.
+    The plant is a single mass, and d(s) = s^2 + 2 z w s + w^2.
     """
-    # At low frequencies, the rotor and a freely moving digit act as one mass.
+    # At low frequency, a free digit and its rotor move as one mass.
     mass = float((model.space.motor_mass + model.space.load_mass).mean())
     return mass * w**2, mass * w * _positive_root(4.0 * damping**2 - 2.0, MIN_DAMPING_TEXT)
 
 
 def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
-    """Return the two ratios of weights, force / error and force / speed error, of the tension loop.
+    """Return the ratios force / error and force / speed error of the tension loop.
 
-    The plant is a rotor that is held by its tendon. Below the natural frequency of the rotor
-    without control, poles are impossible with any weights.
+    The plant is a rotor on its tendon. No weights give poles below the natural frequency of the
+    rotor without control.
     """
     space = model.space
     m = float(space.motor_mass.mean())
@@ -259,8 +257,7 @@ def _positive_root(square: float, expected: str) -> float:
     """Return the square root of a positive number.
 
     Raises:
-        ValueError: the number is not positive. In this case, no weights lead to the requested
-            poles.
+        ValueError: The number is not positive, so that no weights lead to the requested poles.
     """
     if square <= 0.0:
         raise ValueError(f"no weights have these poles; expected {expected}")
@@ -268,24 +265,24 @@ def _positive_root(square: float, expected: str) -> float:
 
 
 def model_with_gains(model: HandModel, gains: Gains) -> HandModel:
-    """Return the model with other gains of the motion loop and the tension loop, but with the same filter."""
+    """Return the model with other gains of the motion and the tension loop, but with the same filter."""
     return replace(model, gains=gains, motion=design_motion(model.space, gains, model.period))
 
 
 def worst_margins(
     model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind
 ) -> LoopMargins:
-    """Return the smallest value of each margin over all plants and all loops.
+    """Return the smallest value of each margin over all plants and loops.
 
-    If several tendons are equal, only one of them is computed.
+    Of equal tendons, only one is computed.
 
-    The eigenvalues of the closed loops confirm these margins.
+    Eigenvalues of the closed loops confirm the margins.
     """
     return reduce(smaller_margins, _each_margin(model, plants, kinds, confirmed_margins))
 
 
 def weakest_plant(model: HandModel, plants: tuple[PlantFactors, ...]) -> int:
-    """Return the index of the plant on which a loop has the smallest disk margin."""
+    """Return the index of the plant that contains the loop with the smallest disk margin."""
     disks = [
         min(margin.disk for margin in _each_margin(model, (factors,), LoopKind))
         for factors in plants
@@ -301,8 +298,8 @@ def keeps_required_margins(
 ) -> bool:
     """Return True if the loops of the given tendons have the required margins on every plant.
 
-    If no tendons are given, all tendons are checked. The check ends when the first margin is too
-    small.
+    If `tendons` is not given, all tendons are checked. The check ends at the first loop whose
+    margin is too small.
     """
     return all(
         margin.are_sufficient for margin in _each_margin(model, plants, kinds, tendons=tendons)
@@ -316,9 +313,9 @@ def _each_margin(
     margins_of: Callable[[LinearSystem], LoopMargins] = margins_of_loop,
     tendons: Iterable[int] | None = None,
 ) -> Iterator[LoopMargins]:
-    """Yield the margins of each loop, on each plant and for each tendon.
+    """Yield the margins of each loop, tendon, and plant.
 
-    If no tendons are given, one tendon of each group of equal tendons is used.
+    If `tendons` is not given, one of each group of equal tendons is used.
     """
     for kind in kinds:
         for i in distinct_tendons(model) if tendons is None else tendons:
@@ -337,7 +334,7 @@ def distinct_tendons(model: HandModel) -> tuple[int, ...]:
 
 
 def _equal_tendons(model: HandModel) -> tuple[tuple[int, ...], ...]:
-    """Return groups of tendons whose constants and forces are the same, apart from rounding errors."""
+    """Return groups of tendons whose constants and forces are equal, except for rounding errors."""
     space = model.space
     groups: dict[tuple[str, ...], tuple[int, ...]] = {}
     for i, name in enumerate(space.names):
@@ -352,18 +349,16 @@ def design_gains(
     plants: tuple[PlantFactors, ...],
     passes_test: Callable[[HandModel], bool] = lambda _: True,
 ) -> GainDesign:
-    """Design gains with the largest disturbance rejection and the largest authority at which the margins are kept.
+    """Design gains with the largest disturbance rejection and the largest authority that keep the margins.
 
     Args:
-        model: model of the hand with its present gains. The design does not change the filter of
-            this model.
-        plants: ensemble of plants on all of which the margins must be kept.
-        passes_test: function that returns True if the gains of a model pass a further test, such as
-            a simulation.
+        model: model of the hand with its present gains. The design keeps the filter of this model.
+        plants: ensemble of plants on which the margins must be kept.
+        passes_test: function that returns True if the gains of a model pass another test, such as a
+            simulation.
 
     Raises:
-        ValueError: the smallest authority already violates a margin, or no gains pass the further
-            test.
+        ValueError: Even the smallest authority violates a margin, or no gains pass the test.
     """
     unproven = False
     for rejection in REJECTION_FRACTIONS:
@@ -386,8 +381,8 @@ def design_gains(
                     after,
                 )
             unproven = unproven or after.are_sufficient
-        # A smaller disturbance rejection changes only one term of the control law. If the hand does
-        # not come to rest even then, another term must be the cause.
+        # A smaller disturbance rejection changes only one term of the control law. If the hand
+        # still does not come to rest, another term is the cause.
         if unproven:
             raise ValueError(
                 "the gains that keep the margins do not come to rest in simulation; expected other weights"
@@ -400,7 +395,7 @@ def design_gains(
 def _with_decreasing_authority(
     model: HandModel, plants: tuple[PlantFactors, ...]
 ) -> Iterator[HandModel]:
-    """Yield the model, and then models with decreasing authority, as long as they keep the margins."""
+    """Yield the model, and then models with less and less authority, as long as they keep the margins."""
     yield model
     for step in range(1, MAX_COMMON_REDUCTIONS + 1):
         less = _with_scaled_forces(model, math.exp(-step * LOG_FORCE_STEP))
@@ -431,10 +426,10 @@ def _with_motion(model: HandModel, **values: float) -> HandModel:
 def with_largest_authority(
     model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]
 ) -> HandModel | None:
-    """Return the model in which each tendon's loop has the largest authority that keeps the margins.
+    """Return the model in which the loop of each tendon has the largest authority that keeps the margins.
 
-    If tendons influence each other's loops, all tendons have the same force. If there is no
-    authority that keeps the margins, return None.
+    If a tendon influences the loops of others, all tendons have equal forces. If no authority keeps
+    the margins, return None.
     """
     model = model_with_gains(model, _without_tendon_forces(model.gains, kind))
     forces: dict[int, float] = {}
@@ -451,22 +446,22 @@ def with_largest_authority(
     if not own:
         return with_shared
     separate = _with_tendon_forces(with_shared, kind, own)
-    # Each of these forces was found while all tendons had the same force. If two tendons share a
-    # joint, a larger force of one tendon reduces the margins of the other.
+    # Each force was found with equal forces of all tendons. If tendons share a joint, a larger force
+    # of one tendon reduces the margins of the others.
     return separate if keeps_required_margins(separate, plants, (kind,)) else with_shared
 
 
 def _largest_force(
     model: HandModel, kind: LoopKind, tendon: int, plants: tuple[PlantFactors, ...]
 ) -> float | None:
-    """Return the largest authority for the loop of a tendon at which the margins are kept [N].
+    """Return the largest authority of a tendon's loop that keeps the margins [N].
 
-    If there is no such authority, return None.
+    Return None if there is none.
 
-    The search begins with the smallest possible force. Even this force may violate the margins,
-    because an integrator with little other feedback makes a tendon oscillate. After the first force
-    that keeps the margins, the force is increased until a margin is violated. The last increase is
-    then bisected. Larger forces are not tried.
+    The search starts at the smallest force. This force may violate the margins, because with little
+    other feedback the integrator makes a tendon oscillate. After the first force that keeps the
+    margins, the force is increased until a margin is violated. The last step is bisected, and
+    larger forces are not tried.
     """
 
     def keeps_margins(log_force: float) -> bool:
@@ -491,8 +486,8 @@ def _largest_force(
             best = middle
         else:
             high = middle
-    # The search uses the response at few frequencies. At more frequencies, or by the eigenvalues,
-    # the margins may be smaller.
+    # The eigenvalues, or the response at more frequencies, may show smaller margins than the coarse
+    # response of the search.
     for _ in range(MAX_REDUCTIONS):
         tried = _with_force(model, kind, _rounded_force(best))
         if all(
@@ -505,15 +500,15 @@ def _largest_force(
 
 
 def _rounded_force(log_force: float) -> float:
-    """Return the force whose natural logarithm is given, rounded down to a few digits [N]."""
+    """Return the force [N] that belongs to a natural logarithm, rounded down to a few digits."""
     force = math.exp(log_force)
     unit = 10.0 ** (math.floor(math.log10(force)) - FORCE_DIGITS + 1)
-    # The summand 1e-9 compensates the rounding error of the quotient.
+    # The 1e-9 compensates the rounding error of the quotient.
     return float(f"{math.floor(force / unit + 1e-9) * unit:.{FORCE_DIGITS}g}")
 
 
 def _without_tendon_forces(gains: Gains, kind: LoopKind) -> Gains:
-    """Return gains in which no tendon has a force of its own in a loop."""
+    """Return gains in which no single tendon has a separate force in a loop."""
     removed = f"{kind}_force_N"
     entries = [one.model_copy(update={removed: None}) for one in gains.tendon]
     kept = [one.model_dump() for one in entries if one.motion_force_N or one.tension_force_N]
@@ -521,13 +516,13 @@ def _without_tendon_forces(gains: Gains, kind: LoopKind) -> Gains:
 
 
 def _with_tendon_forces(model: HandModel, kind: LoopKind, forces: Mapping[str, float]) -> HandModel:
-    """Return the model in which some tendons, given by name, have forces of their own in a loop [N]."""
+    """Return the model in which some tendons, given by name, have separate forces [N] in a loop."""
     values = {f"{TENDON_SECTION}.{name}.{kind}_force_N": force for name, force in forces.items()}
     return model_with_gains(model, with_values(model.gains, values, "design"))
 
 
 def _with_force(model: HandModel, kind: LoopKind, force: float) -> HandModel:
-    """Return the model with another common authority for a loop of all tendons [N]."""
+    """Return the model with another common authority [N] in a loop of all tendons."""
     if kind == LoopKind.MOTION:
         return _with_motion(model, force_N=force)
     table = {**model.gains.tension.model_dump(), "force_N": force}
@@ -541,10 +536,10 @@ def design_with_poles(
     tension_hz: float,
     damping: float,
 ) -> GainDesign:
-    """Return the design in which the poles of the loops have given frequencies, with the resulting margins.
+    """Return the design whose loops have their poles at given frequencies, and its margins.
 
     Raises:
-        ValueError: no weights lead to these poles.
+        ValueError: No weights lead to these poles.
     """
     moved = model_with_gains(model, gains_with_poles(model, LoopKind.MOTION, motion_hz, damping))
     moved = model_with_gains(moved, gains_with_poles(moved, LoopKind.TENSION, tension_hz, damping))

@@ -1,9 +1,9 @@
-"""Stability margins of a control loop (gain, phase, disk and delay margin), crossover frequency, and step response.
+"""Margins of a control loop: gain, phase, disk and delay margin, crossover frequency and step response.
 
-A search for gains needs thousands of margins. Therefore each margin is computed from a frequency
-    response. The tests compare these margins with those that the Python package `control` computes.
-    The margins in a result are confirmed by the eigenvalues of the closed loop. No change of gain,
-    phase or delay within its margin moves an eigenvalue to the unit circle.
+A search needs thousands of margins. Each margin is therefore calculated from a frequency response.
+    The tests compare the calculated margins with those of the Python package `control`. The
+    eigenvalues of the closed loop confirm the reported margins. No change of gain, phase or delay
+    within its margin moves a pole to the unit circle.
 Source: balanced disk margin 1 / max |S - 1/2| (Seiler, Packard, Gahinet, 2020).
 """
 
@@ -49,17 +49,16 @@ DISK_DIRECTIONS = 6
 
 @dataclass(frozen=True, slots=True)
 class LoopMargins:
-    """Stability margins of a control loop.
+    """Margins of a control loop.
 
     Attributes:
-        gain_db: largest factor by which the gain of the loop may be multiplied or divided without
-            making it unstable [dB]. If the factors for multiplication and division differ, the
-            smaller one counts. If the loop is unstable, the gain margin is 0.
+        gain_db: largest factor by which the gain of the loop may be multiplied or divided [dB]. The
+            margin is the smaller of the two factors. The gain margin is 0 if the loop is unstable.
         phase_deg: smallest difference between the phase and -180 degrees at a gain of one [deg].
         disk: balanced disk margin, from 0 (unstable loop) to 2.
         delay_s: largest additional delay with which the loop stays stable [s].
-        crossover_hz: highest frequency at which the gain of the loop is one [Hz]. If the gain is
-            never one, the value is NaN.
+        crossover_hz: highest frequency at which the gain of the loop is one [Hz]. The value is NaN
+            if the gain is never one.
         peak: largest value of the sensitivity function [1].
         stable: True if the closed loop is stable.
     """
@@ -74,7 +73,7 @@ class LoopMargins:
 
     @property
     def are_sufficient(self) -> bool:
-        """Return True if all margins are large enough for tuned gains."""
+        """Return True if the margins are large enough for tuned gains."""
         return (
             self.stable
             and self.gain_db >= MIN_GAIN_MARGIN_DB
@@ -83,9 +82,9 @@ class LoopMargins:
 
     @property
     def shortfall(self) -> float:
-        """Return by how much the gain margin or the phase margin is too small, as a fraction of the required margin.
+        """Return the missing part of the gain or phase margin, as a fraction of the required margin.
 
-        If every margin is large enough, the result is 0 or less.
+        The missing part is 0 or less if every margin is large enough.
         """
         if not self.stable:
             return 1.0 + min(self.peak, 100.0)
@@ -95,12 +94,12 @@ class LoopMargins:
 
 
 def unproven_margins(linear_margins: LoopMargins) -> LoopMargins:
-    """Return margins of zero. They replace margins that a simulation contradicts."""
+    """Return margins of zero, in place of margins that a simulation contradicts."""
     return _zero_margins(linear_margins.crossover_hz, linear_margins.peak, stable=False)
 
 
 def smaller_margins(first: LoopMargins, second: LoopMargins) -> LoopMargins:
-    """For each margin, return the smaller of two values.
+    """Return for each margin the smaller of two values.
 
     For the crossover frequency and the peak, return the larger one.
     """
@@ -121,9 +120,9 @@ def frequency_grid(period: float, points: int = SEARCH_GRID_POINTS) -> Matrix:
 
 
 def margins_of_loop(system: LinearSystem, points: int = SEARCH_GRID_POINTS) -> LoopMargins:
-    """Return the margins of an open loop L. The closed loop has the denominator 1 + L.
+    """Return the margins of an open loop L, given that the closed loop has the denominator 1 + L.
 
-    If the loop is unstable or has no gain, all margins are zero.
+    For an unstable loop and for a loop without gain, all margins are zero.
     """
     omega = frequency_grid(system.period, points)
     if not (np.isfinite(system.A).all() and np.isfinite(system.C).all()):
@@ -155,14 +154,13 @@ def is_stable(system: LinearSystem, factor: complex = 1.0, delay: int = 0) -> bo
 
     Args:
         system: open loop.
-        factor: factor by which the gain of the loop is multiplied. A complex factor changes the
-            phase.
-        delay: delay that is added to the loop [ticks].
+        factor: factor that multiplies the gain of the loop. A complex factor changes the phase.
+        delay: additional delay in the loop [ticks].
     """
     n = len(system.A)
     A = np.zeros((n + delay, n + delay), dtype=complex)
     A[:n, :n] = system.A
-    if delay:  # The output of the loop returns to the input of the loop after `delay` ticks.
+    if delay:  # The output of the loop returns to its input after `delay` ticks.
         A[n, :n] = system.C[0]
         A[np.arange(n + 1, n + delay), np.arange(n, n + delay - 1)] = 1.0
         A[:n, n + delay - 1] = -factor * system.B[:, 0]
@@ -174,8 +172,8 @@ def is_stable(system: LinearSystem, factor: complex = 1.0, delay: int = 0) -> bo
 def confirmed_margins(system: LinearSystem) -> LoopMargins:
     """Return margins that the eigenvalues of the closed loop confirm.
 
-    If an eigenvalue leaves the unit circle for a change within a margin, this margin is reduced.
-    The frequency response alone would miss a resonance that lies between two of the frequencies.
+    If an eigenvalue leaves the unit circle within a margin, the margin is reduced. The frequency
+    response alone would miss a resonance between two of its frequencies.
     """
     result = margins_of_loop(system, FINE_GRID_POINTS)
     if not result.stable or result.phase_deg == 0.0:
@@ -206,15 +204,14 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
 def _stable_with_all(
     system: LinearSystem, factors: Sequence[complex] | NDArray[np.complex128]
 ) -> bool:
-    """Return True if the loop is stable with every given factor of its gain."""
+    """Return True if the loop is stable with each of the factors of its gain."""
     return all(is_stable(system, complex(factor)) for factor in factors)
 
 
 def _disk_factors(size: float) -> NDArray[np.complex128]:
-    """Return complex factors for the gain of the loop that lie on the edge of a balanced disk.
+    """Return complex factors of the loop gain that lie on the edge of a balanced disk.
 
-    A factor and its complex conjugate give the same stability. Therefore only half of the edge is
-    returned.
+    Complex conjugate factors have the same stability. Therefore only half of the edge is returned.
     """
     delta = size * np.exp(1j * np.linspace(0.0, np.pi, DISK_DIRECTIONS))
     return np.asarray((2.0 + delta) / (2.0 - delta))
@@ -223,7 +220,7 @@ def _disk_factors(size: float) -> NDArray[np.complex128]:
 def _largest_confirmed(
     margin: float, is_confirmed: Callable[[float], bool], fractions: int = CHECKED_FRACTIONS
 ) -> float:
-    """Return the largest part of a margin such that all tested fractions of this part are confirmed.
+    """Return the largest part of a margin that is confirmed at every tested fraction of it.
 
     The last hundredth of a margin is not tested, because the frequency response is interpolated.
     """
@@ -235,12 +232,9 @@ def _largest_confirmed(
 
 
 def _gain_factors(L: NDArray[np.complex128]) -> list[float]:
-    """Return 1 / |L| at each frequency at which L crosses the negative real axis.
-
-    The frequencies are interpolated.
-    """
-    # At a crossing, the imaginary part changes its sign between two frequencies with negative real
-    # parts.
+    """Return 1 / |L| at each frequency at which L crosses the negative real axis, by interpolation."""
+    # A crossing is a change of the sign of the imaginary part between two samples with negative
+    # real parts.
     i = np.flatnonzero((np.diff(np.sign(L.imag)) != 0.0) & (L.real[:-1] < 0.0) & (L.real[1:] < 0.0))
     fraction = L.imag[i] / (L.imag[i] - L.imag[i + 1])
     return [
@@ -249,12 +243,11 @@ def _gain_factors(L: NDArray[np.complex128]) -> list[float]:
 
 
 def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float, float]]:
-    """Return (angle from -180 degrees [rad], frequency [rad/s]) for each interpolated crossing of the gain 1."""
+    """Return (angle from -180 degrees [rad], frequency [rad/s]) for each crossing of gain 1, by interpolation."""
     size = np.log(np.maximum(np.abs(L), NO_GAIN))
     i = np.flatnonzero(np.diff(np.sign(size)) != 0.0)
     fraction = size[i] / (size[i] - size[i + 1])
-    # The logarithm of the magnitude and the phase are interpolated, because both are almost linear
-    # in frequency.
+    # Log magnitude and phase are interpolated, because a response is almost linear in them.
     angle = np.abs(np.angle(-L[i] * (L[i + 1] / L[i]) ** fraction))
     return list(
         zip(
@@ -278,20 +271,20 @@ def all_margins(
 def worst_loop(
     margins_by_loop: dict[tuple[str, LoopKind], LoopMargins],
 ) -> tuple[tuple[str, LoopKind], LoopMargins]:
-    """Return the name (tendon and kind) and the margins of the loop whose margin is too small by most."""
+    """Return the name (tendon and kind) and the margins of the loop whose margin has the largest shortfall."""
     return max(margins_by_loop.items(), key=lambda item: item[1].shortfall)
 
 
 def step_response(
     model: HandModel, tendon: int, kind: LoopKind, duration: float
 ) -> tuple[Matrix, Matrix]:
-    """Return the response of a closed loop when a disturbance force on the rotor rises by 1 N.
+    """Return the response of the closed loop to a step of the disturbance force on the rotor by 1 N.
 
     Args:
         model: model of the hand.
         tendon: index of the tendon.
-        kind: kind of the loop, motion or tension.
-        duration: duration of the response to compute [s].
+        kind: kind of the loop.
+        duration: duration of the response [s].
 
     Returns:
         The times (k,) [s], and the travel [m] of a motion loop or the tension [N] of a tension

@@ -1,10 +1,10 @@
-"""Step tests of gains by a simulation in lockstep.
+"""Step tests in a lockstep simulation.
 
-Each test checks whether the hand comes to rest under the control of the whole controller.
+Each test checks that the hand comes to rest with the whole controller.
 
-The linear models of the loops neglect friction, limits, quantisation, the drives and the other
-digits. Therefore gains are accepted only if they pass a test on the simulated plant. After a step
-of the joint angles, and after a step of the tensions, the hand must come to rest.
+The linear models of the loops neglect friction, limits, quantisation, the drives, and the other
+digits. Therefore gains are accepted only after a test on the simulated plant. The hand must come to
+rest after a step of the joint angles and after a step of the tensions.
 """
 
 from collections.abc import Mapping
@@ -52,11 +52,11 @@ unstable loop, a held tension oscillates by 2.9 N or more, or the run ends with 
 
 
 class StepExercise(ExerciseProgram):
-    """Exercise: tighten the tendons, step the angles in free motion, then step the tensions of closed digits."""
+    """Exercise: tighten the tendons, step the angles in free motion, and step the tensions of closed digits."""
 
     @property
     def stages(self) -> tuple[ExerciseStage, ...]:
-        """Return all stages of this exercise in their order."""
+        """Return all stages of the exercise in order."""
         return (
             ExerciseStage("settle", 0.5, HOME_ANGLE_RAD),
             ExerciseStage(
@@ -69,16 +69,15 @@ class StepExercise(ExerciseProgram):
 
 @dataclass(frozen=True, slots=True)
 class StepOscillation:
-    """Largest oscillations of digits and tendons after the steps.
+    """Largest oscillation of any digit or tendon after the steps.
 
     Attributes:
-        angle_rad: largest oscillation of a digit's mean joint angle after the step of the angles,
-            peak to peak [rad].
-        free_tension_N: largest oscillation of a true tension after the step of the angles, peak to
-            peak [N].
-        hold_swings_N: (N,) oscillation of each tendon's true tension after the step of the
-            tensions, peak to peak [N].
-        failure: reason why the run ended early, or an empty text.
+        angle_rad: largest oscillation of a mean joint angle after the angle step, peak to peak
+            [rad].
+        free_tension_N: largest oscillation of a true tension after the angle step, peak to peak [N].
+        hold_swings_N: (N,) oscillation of the true tension of each tendon after the tension step,
+            peak to peak [N].
+        failure: reason why the run ended early. The value is empty without a failure.
     """
 
     angle_rad: float
@@ -88,12 +87,12 @@ class StepOscillation:
 
     @property
     def largest_hold_swing(self) -> float:
-        """Return the largest oscillation of a tension after the step of the tensions [N]."""
+        """Return the largest oscillation of a held tension [N]."""
         return max(self.hold_swings_N)
 
     @property
     def is_at_rest(self) -> bool:
-        """Return True if all oscillations are so small that the hand counts as being at rest."""
+        """Return True if all oscillations are small enough for a hand at rest."""
         small = (
             self.angle_rad <= MAX_ANGLE_SWING_RAD
             and self.free_tension_N <= MAX_FREE_SWING_N
@@ -102,7 +101,7 @@ class StepOscillation:
         return small and not self.failure
 
     def minus_plant_swings(self, plant_swings_N: tuple[float, ...]) -> "StepOscillation":
-        """Return this result after subtracting the oscillation of the plant itself from that of the tensions [N]."""
+        """Return the oscillation of the held tensions minus the oscillation of the plant itself [N]."""
         remaining = (
             max(0.0, swing - plant_swing)
             for swing, plant_swing in zip(self.hold_swings_N, plant_swings_N, strict=True)
@@ -127,13 +126,12 @@ class StepOscillation:
 def simulate_swing(
     hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int
 ) -> StepOscillation:
-    """Execute both steps on a simulated plant, and return the largest oscillations.
+    """Run both steps on a simulated plant, and return the largest oscillations.
 
     Args:
         hand: description of the simulated hand.
         model: model of the hand, with its gains.
-        factors: factors by which the parameters of the hand are multiplied to get those of the
-            plant.
+        factors: factors by which the parameters of the plant differ from the description.
         seed: seed of the simulated noise.
     """
     ticks, truth, failure = simulate_program(hand, model, StepExercise(), factors, seed)
@@ -154,7 +152,7 @@ def simulate_swing(
 def _measure_swing(
     hand: Hand, truth: TruthRecord, model: HandModel, end_ns: int
 ) -> tuple[Matrix, Matrix]:
-    """Return the oscillations of the angles and the tensions in the last `EVALUATED_DURATION_S` before `end_ns`."""
+    """Return the oscillations of angles and tensions during `EVALUATED_DURATION_S` before `end_ns`."""
     times = np.arange(
         end_ns - round(EVALUATED_DURATION_S * 1e9),
         end_ns,
@@ -166,14 +164,14 @@ def _measure_swing(
 
 
 def _peak_to_peak(values: Matrix) -> Matrix:
-    """Subtract a parabola from each column, and return the difference between largest and smallest value.
+    """Return the peak-to-peak value of each column after a parabola is subtracted.
 
-    The parabola removes slow creep, which is not an oscillation.
+    The parabola removes slow creep, because creep is not an oscillation.
     """
     t = np.linspace(-1.0, 1.0, len(values))
-    # The columns of this matrix are t^2, t and 1.
+    # The columns are t^2, t and 1.
     powers = np.vander(t, 3)
-    # The rest after the least-squares parabola is subtracted is the oscillation.
+    # The residual of the least-squares parabola is the oscillation.
     return np.asarray(
         np.ptp(values - powers @ np.linalg.lstsq(powers, values, rcond=None)[0], axis=0)
     )
@@ -182,13 +180,13 @@ def _peak_to_peak(values: Matrix) -> Matrix:
 def is_loop_ringing(model: HandModel, factors: PlantFactors) -> bool:
     """Return True if a linear tension loop still oscillates when the oscillations after a step are measured.
 
-    The eigenvalues that cause the oscillation are the same at every tension below the knee of the
-    tendon. The measurement begins `REST_DURATION_S - EVALUATED_DURATION_S` after the step. At this
-    time, the oscillation must be below `MAX_HOLD_SWING_N`.
+    The oscillating eigenvalues are the same at every tension below the knee of the tendon. The
+    measurement begins `REST_DURATION_S - EVALUATED_DURATION_S` after the step. At this time, the
+    oscillation must be below `MAX_HOLD_SWING_N`.
 
     Args:
         model: model of the hand with its gains.
-        factors: factors for the linear parameters of the plant.
+        factors: linear factors of the plant.
     """
     ticks = (REST_DURATION_S - EVALUATED_DURATION_S) / model.period
     for i in distinct_tendons(model):
@@ -226,26 +224,24 @@ All other parameters of the plant are nominal.
 
 @dataclass
 class RestTest:
-    """Test of gains by simulations in lockstep.
+    """Test of gains in a lockstep simulation. The hand must come to rest with these gains.
 
-    With gains that pass this test, the simulated hand comes to rest.
-
-    The test simulates four plants: the nominal plant, the nominal plant with the lowest friction of
-    all ensembles, the plant with the smallest margins, and the plant with the highest friction. A
+    Four plants are simulated: the nominal plant, the nominal plant with the lowest friction of all
+    ensembles, the plant with the smallest margins, and the plant with the highest friction. A
     simulation is necessary because the linear models neglect friction.
 
-    While a digit presses on an object, its links may chatter even at constant motor torque. This
-    chatter is a property of the plant, and does not depend on the gains. Therefore the oscillation
-    of the same plant without feedback is also measured, and subtracted for each tendon. It is not
-    subtracted if the eigenvalues of a linear tension loop show that the loop itself oscillates.
+    The links of a digit that presses on an object may chatter even at constant motor torque. The
+    chatter is a property of the plant. The oscillation is measured on the same plant without
+    feedback, and subtracted for each tendon. Nothing is subtracted if the eigenvalues of a linear
+    tension loop show that the loop itself oscillates.
 
     Attributes:
         hand: description of the simulated hand.
-        factors: factors of the plants of the ensemble. The first plant is the nominal one.
-        plants: factors for the linear parameters of the plants.
+        factors: factors of the plants of the ensemble. The nominal plant comes first.
+        plants: linear factors of the plants.
         seed: seed of the simulated noise.
-        reason: reason why the hand did not come to rest with the gains that were tested last, or an
-            empty text.
+        reason: reason why the hand did not come to rest with the gains that were tested last. The
+            value is empty if it did.
     """
 
     hand: Hand
@@ -265,7 +261,7 @@ class RestTest:
         return not self.reason
 
     def _simulate(self, model: HandModel) -> str:
-        """Simulate the plants. If the hand does not come to rest, return the reason.
+        """Simulate the plants, and return the reason why the hand does not come to rest.
 
         If the hand comes to rest, return an empty text.
         """
@@ -300,7 +296,7 @@ class RestTest:
     ) -> tuple[float, ...]:
         """Return the largest oscillation of each held tension without feedback [N].
 
-        If this run fails, the oscillations count as zero.
+        If the run fails, the oscillations count as zero.
         """
         if name not in self._chatter:
             still = HandModel.from_hand(

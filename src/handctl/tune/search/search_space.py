@@ -1,4 +1,4 @@
-"""Gains that a search varies, with the range of each gain."""
+"""Search space: the gains that a search varies, with the range of each."""
 
 from typing import NamedTuple
 
@@ -7,9 +7,9 @@ from handctl.core.gains.gains import Gains
 
 
 class GainRange(NamedTuple):
-    """Range in which a search varies a gain.
+    """Range of a gain in a search.
 
-    If `is_logarithmic` is True, the search varies the logarithm of the gain uniformly.
+    If `is_logarithmic` is True, the search is uniform in the logarithm of the gain.
     """
 
     low: float
@@ -35,9 +35,9 @@ The force of Bryson's rule is fixed, because only ratios of weights have an effe
 
 
 def clamped_gains(gains: Gains) -> dict[str, float]:
-    """Return gains as a point of the search space, which contains only gains within their ranges.
+    """Return gains as a point of the search space.
 
-    If a value is outside of its range, it is replaced by the nearest value of the range.
+    Values outside of their range are clamped to the range.
     """
     values = values_by_key(gains)
     return {

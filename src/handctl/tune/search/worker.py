@@ -1,6 +1,6 @@
 """Worker process of a search.
 
-It reads jobs as JSON lines from standard input, and writes scores to standard output.
+The process reads jobs as JSON lines from standard input, and writes scores to standard output.
 """
 
 import json
@@ -12,9 +12,9 @@ from handctl.tune.scoring import evaluate_job
 
 
 def main() -> int:
-    """Compute the scores of jobs until the input ends.
+    """Evaluate jobs until the input ends.
 
-    The worker ignores Ctrl-C, because the process of the search handles Ctrl-C.
+    The worker ignores Ctrl-C, because the search handles it.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for line in sys.stdin:

@@ -1,4 +1,4 @@
-"""Workers that compute scores for a search: this process, a pool of processes, or a Dask cluster.
+"""Workers of a search: this process, a pool of processes, or a Dask cluster.
 
 The scores do not depend on the kind of worker.
 """
@@ -27,10 +27,10 @@ If a worker dies in every attempt, the search ends and reports the job as the ca
 
 
 class SearchWorkers(Protocol):
-    """Interface of all kinds of workers, which compute scores."""
+    """Interface of the workers that calculate scores."""
 
     def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
-        """Yield the index and the score of each job, in the order in which the jobs are finished."""
+        """Yield index and score of each job, in the order in which the jobs are finished."""
         ...
 
     def close(self) -> None:
@@ -39,24 +39,21 @@ class SearchWorkers(Protocol):
 
 
 class InProcessWorkers:
-    """Workers that run all jobs one after the other, in the calling process."""
+    """Workers that run all jobs in the calling process, one after the other."""
 
     def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
-        """Yield the index and the score of each job.
-
-        The interface `SearchWorkers` describes the order.
-        """
+        """Yield index and score of each job. See `SearchWorkers`."""
         for i, job in enumerate(jobs):
             yield i, evaluate_job(job)
 
     def close(self) -> None:
-        """Do nothing, because these workers have no resources to release."""
+        """Do nothing, because these workers hold no resources."""
 
 
 class ProcessPool:
     """Pool of worker processes on this machine.
 
-    If a process has died, a new process repeats its job.
+    A process that has died is replaced, and its job is repeated.
     """
 
     def __init__(self, count: int) -> None:
@@ -70,14 +67,14 @@ class ProcessPool:
 
     @staticmethod
     def _start_process() -> "subprocess.Popen[bytes]":
-        # Each worker process uses one core. Additional threads of numerical libraries would compete
-        # for these cores.
+        # Each worker uses one core. Additional threads of numerical libraries would compete for the
+        # cores.
         environment = os.environ | dict.fromkeys(
             ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
         )
         command = [sys.executable, "-m", "handctl.tune.search.worker"]
-        # The worker has a process session of its own. So it does not receive Ctrl-C from the
-        # terminal, not even during its imports.
+        # The worker has its own session, so it does not receive Ctrl-C from the terminal, not even
+        # during its imports.
         return subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -87,12 +84,10 @@ class ProcessPool:
         )
 
     def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
-        """Yield the index and the score of each job.
-
-        The interface `SearchWorkers` describes the order.
+        """Yield index and score of each job. See `SearchWorkers`.
 
         Raises:
-            ConfigError: a job is invalid, or every worker that tries a job dies.
+            ConfigError: A job is invalid, or every worker that tries a job dies.
         """
         waiting = deque(range(len(jobs)))
         attempts = [0] * len(jobs)
@@ -116,8 +111,8 @@ class ProcessPool:
                         "tune search",
                         "--jobs 1",
                     )
-                # If a worker has died, its job is the next one that is run. So the order of the
-                # results changes only a little.
+                # The job of a worker that has died is repeated next. So the order of the results
+                # changes little.
                 waiting.appendleft(i)
 
     def _wait_for_readable(self, busy_workers: Iterable[int]) -> list[int]:
@@ -127,7 +122,7 @@ class ProcessPool:
         return [outputs[output] for output in ready]
 
     def _send_job(self, slot: int, job: ScoreJob) -> None:
-        """Send a job to a worker. If the worker has died, replace it first."""
+        """Send a job to a worker. If the worker has died, it is first replaced."""
         if self._processes[slot].poll() is not None:
             self._replace_process(slot)
         channel = self._processes[slot].stdin
@@ -136,7 +131,7 @@ class ProcessPool:
             channel.write(json.dumps(job).encode() + b"\n")
             channel.flush()
         except BrokenPipeError:
-            return  # the code that reads the output of the worker will notice that the worker has died
+            return  # the code that reads the output detects that the worker has died
 
     def _replace_process(self, slot: int) -> None:
         """Replace a worker by a new process."""
@@ -145,7 +140,7 @@ class ProcessPool:
         self._processes[slot] = self._start_process()
 
     def close(self) -> None:
-        """End the workers, even if they are running a job."""
+        """End the workers, even during a job."""
         for worker in self._processes:
             worker.kill()
             worker.communicate()
@@ -161,7 +156,7 @@ class DaskCluster:
             address: address of the scheduler.
 
         Raises:
-            ConfigError: the package `distributed` is not installed, or the scheduler does not
+            ConfigError: The package `distributed` is not installed, or the scheduler does not
                 answer.
         """
         require_extra("tune search --scheduler", "distributed")
@@ -175,10 +170,9 @@ class DaskCluster:
             ) from None
 
     def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
-        """Yield the index and the score of each job.
+        """Yield index and score of each job.
 
-        The interface `SearchWorkers` describes the order. If a worker of the cluster is lost, Dask
-        repeats its jobs.
+        See `SearchWorkers`. Dask repeats the jobs of a lost worker.
         """
         from distributed import as_completed
 
@@ -188,7 +182,7 @@ class DaskCluster:
             yield indices[future.key], result
 
     def close(self) -> None:
-        """Disconnect from the cluster. The cluster itself keeps running."""
+        """Disconnect from the cluster. The cluster keeps running."""
         self._client.close()
 
 
@@ -204,7 +198,7 @@ def _check_result(result: ScoreResult) -> ScoreResult:
 
 
 def make_workers(count: int, scheduler: str | None) -> SearchWorkers:
-    """Return workers, which are either processes on this machine or the cluster of a Dask scheduler."""
+    """Return workers: either a number of processes on this machine, or the cluster of a Dask scheduler."""
     if scheduler:
         return DaskCluster(scheduler)
     return InProcessWorkers() if count == 1 else ProcessPool(count)

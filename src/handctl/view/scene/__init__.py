@@ -1,4 +1,1 @@
-"""Content of the dashboard that the viewer Rerun shows.
-
-The content is computed from the topics of a log.
-"""
+"""Content of the dashboard in the viewer. The content is computed from the topics of a log."""

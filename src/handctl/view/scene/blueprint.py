@@ -1,4 +1,4 @@
-"""Layout of the dashboard in the viewer Rerun."""
+"""Layout of the dashboard in the viewer."""
 
 import numpy as np
 import rerun.blueprint as rrb
@@ -31,12 +31,12 @@ The camera is in front of the palm, on the thumb side, and above.
 def dashboard_layout(run: RunInfo, live: bool = False) -> rrb.Blueprint:
     """Return the layout of the dashboard.
 
-    The left side shows the hand, the timing and the log lines. The right side shows forces, joint
-    angles and states. All plots share one time axis.
+    The hand, the timing and the log lines are on the left. Forces, joint angles and states are on
+    the right. All plots share one time axis.
 
     Args:
-        run: data about the run and the hand to show.
-        live: True to show only the last seconds of the run. The time axis then moves with the run.
+        run: run and hand to show.
+        live: True to show only the last seconds, and to move on with the run.
     """
     window = [LIVE_TIME_RANGE] if live else None
     left = rrb.Vertical(
@@ -106,13 +106,13 @@ def _force_plots(window: PlotTimeRange) -> rrb.Horizontal:
 
 
 def _angle_unit(digit: Digit) -> str:
-    """Return the quantity and the unit of the joint positions of a digit, for the title of a plot."""
+    """Return quantity and unit of the joint positions of a digit."""
     units = tuple(dict.fromkeys(digit.display_units.names))
     return f"{'angles' if units == ('deg',) else 'positions'} [{', '.join(units)}]"
 
 
 def _angle_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Grid:
-    """Return one plot for each digit, with the joint angles of this digit."""
+    """Return a plot of the joint angles of each digit."""
     views = [
         rrb.TimeSeriesView(
             name=f"{digit.name} joint {_angle_unit(digit)}, grey: command",
@@ -127,7 +127,7 @@ def _angle_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Grid:
 
 
 def _state_lanes(window: PlotTimeRange) -> rrb.StateTimelineView:
-    """Return the lanes that show the grasp phase, the mode of the hand and the reaction to faults over time."""
+    """Return the lanes that show grasp phase, mode of the hand and safety action over time."""
     return rrb.StateTimelineView(
         name="Grasp phase, mode of the hand, safety",
         contents="/state/**",
@@ -158,7 +158,7 @@ def _timing_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Horizontal:
 
 
 def _log_view() -> rrb.TextLogView:
-    """Return the part of the dashboard that shows the log lines."""
+    """Return the view of the log lines."""
     return rrb.TextLogView(
         name="Log",
         contents="/rosout",

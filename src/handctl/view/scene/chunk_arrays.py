@@ -19,19 +19,19 @@ FloatArray = NDArray[np.float64]
 
 
 def times_since_start(chunk: Chunk, offset_ns: int) -> TimesNs:
-    """Return the time of each row of a chunk since the start of the run (n,) [ns]."""
+    """Return the time since the start of the run of each row in a chunk (n,) [ns]."""
     return (
         np.asarray(chunk.to_record_batch().column(LOG_TIME_TIMELINE).cast(pa.int64())) - offset_ns
     )
 
 
 def timed_chunk(entity: str, times: TimesNs, columns: Iterable[ComponentColumn]) -> Chunk:
-    """Create a chunk in which each row has a time.
+    """Create a chunk whose rows have times.
 
     Args:
-        entity: path of the entity to which the rows belong.
+        entity: path of the entity that has the rows.
         times: (n,) time of each row since the start of the run [ns].
-        columns: components of the entity, with one value for each row.
+        columns: components of the entity, with a value for each row.
     """
     return Chunk.from_columns(
         entity, [TimeColumn(RUN_TIME_TIMELINE, duration=times.astype("timedelta64[ns]"))], columns
@@ -39,14 +39,14 @@ def timed_chunk(entity: str, times: TimesNs, columns: Iterable[ComponentColumn])
 
 
 def static_chunk(entity: str, columns: Iterable[ComponentColumn]) -> Chunk:
-    """Create a chunk with a single row, which is valid at all times."""
+    """Create a chunk with a single row that is valid at all times."""
     return Chunk.from_columns(entity, [], columns)
 
 
 def chunk_on_run_time(chunk: Chunk, offset_ns: int) -> Chunk:
-    """Return a chunk of Rerun's MCAP reader with its times converted to the timeline of the run.
+    """Return a chunk of Rerun's MCAP reader, moved to the timeline of the run.
 
-    A chunk without times is returned unchanged.
+    A chunk without times stays unchanged.
     """
     if LOG_TIME_TIMELINE not in chunk.timeline_names:
         return chunk
@@ -61,8 +61,7 @@ def chunk_on_run_time(chunk: Chunk, offset_ns: int) -> Chunk:
                 column.type,
                 metadata=field.metadata | {b"rerun:index_name": RUN_TIME_TIMELINE.encode()},
             )
-        # Rerun marks the column of each timeline as an index. All timelines except the timeline of
-        # the run are removed.
+        # Rerun marks each timeline as an index. All timelines except that of the run are removed.
         elif (field.metadata or {}).get(b"rerun:kind") == _INDEX_KIND:
             continue
         fields.append(field)
@@ -73,9 +72,9 @@ def chunk_on_run_time(chunk: Chunk, offset_ns: int) -> Chunk:
 
 
 def decoded_messages(chunk: Chunk) -> pa.StructArray | None:
-    """Return the decoded messages of a chunk, one message for each row.
+    """Return the decoded messages of a chunk, one for each row.
 
-    If the chunk has no messages, return None.
+    Return None if the chunk has no messages.
     """
     batch = chunk.to_record_batch()
     for field, column in zip(batch.schema, batch.columns, strict=True):
@@ -85,5 +84,5 @@ def decoded_messages(chunk: Chunk) -> pa.StructArray | None:
 
 
 def column_as_array(column: pa.ListArray) -> FloatArray:
-    """Convert a column of n lists of equal length to an array (n, width)."""
+    """Return a column of n lists of equal length as an array (n, width)."""
     return np.asarray(column.flatten(), np.float64).reshape(len(column), -1)

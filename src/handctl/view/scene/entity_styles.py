@@ -1,4 +1,4 @@
-"""Names, colours and coordinate frames of the dashboard's entities, which stay the same during a run."""
+"""Static chunks of a run: names, colours and frames of the dashboard's entities."""
 
 from collections.abc import Iterator, Sequence
 
@@ -22,7 +22,7 @@ The constants above are the widths of the lines for estimates and commands.
 
 
 def style_chunks(run: RunInfo) -> Iterator[Chunk]:
-    """Yield the chunks with names, colours and coordinate frames, which stay the same during a run."""
+    """Yield the static chunks of a run with names, colours and frames."""
     yield from _tension_styles(run)
     yield from _angle_styles(run)
     yield from _force_styles(run)
@@ -48,7 +48,7 @@ def style_chunks(run: RunInfo) -> Iterator[Chunk]:
 def _line_style(
     entity: str, names: Sequence[str], colours: Sequence[Colour], width: float
 ) -> Chunk:
-    """Return the chunk that sets the style of an entity's plot lines."""
+    """Return the chunk with the style of the plot lines of an entity."""
     style = rr.SeriesLines.columns(
         names=list(names), colors=list(colours), widths=[width] * len(names)
     )
@@ -56,7 +56,7 @@ def _line_style(
 
 
 def _band_style(entity: str, names: Sequence[str], colours: Sequence[Colour], unit: str) -> Chunk:
-    """Return the chunk that sets the style of plot lines with a band for the standard deviation."""
+    """Return the chunk with the style of plot lines that have a band for the standard deviation."""
     style = rr.Measurements.columns(
         names=list(names),
         colors=list(colours),
@@ -67,13 +67,10 @@ def _band_style(entity: str, names: Sequence[str], colours: Sequence[Colour], un
 
 
 def _tension_styles(run: RunInfo) -> Iterator[Chunk]:
-    """Yield the styles of the tension plot.
-
-    Estimates have the colours of the digits, commands are dimmed, and limits are red.
-    """
+    """Yield the styles of the tension plot: estimates in the colours of the digits, commands dimmed, limits red."""
     names = run.hand.tendon_names
-    # The tendons of each digit are one slice of the list of tendons. Each digit has its own colour,
-    # and each tendon of the digit has a shade of that colour.
+    # There is one slice of tendons for each digit. Each digit has its own colour, and each tendon
+    # of the digit has a shade of this colour.
     tendon_slices = run.hand.digit_tendons.values()
     colours = [
         shade
@@ -109,7 +106,7 @@ def _angle_styles(run: RunInfo) -> Iterator[Chunk]:
 
 
 def _force_styles(run: RunInfo) -> Iterator[Chunk]:
-    """Yield the coordinate frames and the colours of the force arrows.
+    """Yield the frames and colours of the force arrows.
 
     Each arrow starts at the fingertip on which the force acts.
     """

@@ -20,18 +20,16 @@ little.
 
 
 class FrameLoad:
-    """Calculator for the load of each bus.
+    """Calculator for the load of each bus: the worst-case share of the last `LOAD_WINDOW_NS` that the frames take.
 
-    The load is the fraction of the last `LOAD_WINDOW_NS` that the frames take in the worst case.
-
-    The caller must pass the ticks in the order of time.
+    The ticks must be passed in order.
     """
 
     def __init__(self, run: RunInfo) -> None:
-        """Compute a table with the longest possible time of a frame of each length on each bus.
+        """Compute a table with the worst-case time of a frame of each length on each bus.
 
         Args:
-            run: data about the run and the hand, with the buses and the control period.
+            run: run and hand, with the buses and the control period.
         """
         self._period_ns = run.header.period_ns
         seconds = [
@@ -52,7 +50,7 @@ class FrameLoad:
         self._spent = np.empty((0, len(self._times)), np.int64)
 
     def loads_of_ticks(self, ticks: pa.StructArray) -> FloatArray:
-        """Return the load of each bus (0 to 1) in each of the next n ticks, as an array (n, buses)."""
+        """Return the load of each bus at each of the next n ticks (n, buses), from 0 to 1."""
         now = np.asarray(ticks.field("t_ns"))
         t = np.concatenate([self._t, now])
         spent = np.concatenate(
@@ -63,7 +61,7 @@ class FrameLoad:
             ]
         )
         total = np.concatenate([np.zeros((1, spent.shape[1]), np.int64), np.cumsum(spent, axis=0)])
-        # A difference of two running totals is the sum over a window.
+        # Differences of the running total are the sums over the window.
         first = np.searchsorted(t, now - LOAD_WINDOW_NS, side="right")
         span = np.clip(now + self._period_ns, self._period_ns, LOAD_WINDOW_NS)
         self._t = t[first[-1] :]
@@ -73,9 +71,9 @@ class FrameLoad:
         )
 
     def _occupied_times(self, frames: pa.ListArray) -> NDArray[np.int64]:
-        """Return the time for which the frames of each tick occupy each bus (n, buses) [ns].
+        """Return for how long the frames of each tick occupy each bus (n, buses) [ns].
 
-        The times are integers, so that rounding does not make their sums depend on the order.
+        The times are integers, so that sums do not depend on the order of addition.
         """
         counts: NDArray[np.int64] = np.diff(np.asarray(frames.offsets))
         tick = np.repeat(np.arange(len(frames)), counts)

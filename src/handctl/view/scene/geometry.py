@@ -1,4 +1,4 @@
-"""Shapes of the hand's links, drawn as solids in the colours of the digits."""
+"""Shapes of the hand's links, drawn solid in the colours of the digits."""
 
 from collections.abc import Iterator
 
@@ -29,11 +29,11 @@ def entity_path(path: str) -> str:
 
 
 def solid_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
-    """Yield the chunks that draw one part of the hand as a solid, from the URDF in the log.
+    """Yield the chunks that draw a part of the hand from the log's URDF as a solid.
 
-    For a link with a mesh, nothing is yielded.
+    A link with a mesh yields nothing.
 
-    Without these chunks, Rerun would draw the shapes of a URDF as wire frames.
+    By default, Rerun draws the shapes of a URDF as wire frames.
     """
     path = entity_path(chunk.entity_path)
     link = path.split("/")[2]
@@ -50,7 +50,7 @@ def solid_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
 
 
 def mesh_chunks(run: RunInfo) -> Iterator[Chunk]:
-    """Yield the chunks that draw the meshes of links and palm, as entities /hand/<link>/mesh."""
+    """Yield the chunks that draw the meshes of links and palm as entities /hand/<link>/mesh in the links' frames."""
     for link, attached in run.meshes.items():
         mesh = attached.mesh
         path = f"/hand/{link}/mesh"
@@ -70,10 +70,7 @@ def mesh_chunks(run: RunInfo) -> Iterator[Chunk]:
 
 
 def link_colour(link: str, run: RunInfo) -> palette.Colour:
-    """Return the colour of a link, which is the colour of the digit.
-
-    The links near the tip are lighter.
-    """
+    """Return the colour of a link: the colour of the digit, lighter towards the tip."""
     colours = {
         f"{digit.name}_link{i + 1}": shade
         for index, digit in zip(colour_numbers(run.hand.digit_names), run.hand.digit, strict=True)

@@ -1,7 +1,4 @@
-"""Data about the run and the hand that a log records.
-
-The converters and the layout of the dashboard use these data.
-"""
+"""Data about the run and the hand of a log, for the converters and the layout of the dashboard."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,10 +24,10 @@ class RunInfo:
     """Data about one run of one hand.
 
     Attributes:
-        header: header of the log, with names, control period and clock offset.
-        hand: description of the hand, as the log contains it.
-        name: name of the log that the user sees.
-        truth: true values from the simulator during the run, or None if there are none.
+        header: names, period and offset of the run.
+        hand: description of the hand from the log.
+        name: name of the log for the user.
+        truth: true values from the simulator during the run, or None.
     """
 
     header: RunHeader
@@ -43,7 +40,7 @@ class RunInfo:
         """Return the data about a run from the header of a log.
 
         Raises:
-            LogError: the description of the hand and the header contain different names.
+            LogError: the names in the description of the hand differ from those in the header.
             ConfigError: the description in the log is not a valid hand.
         """
         where = f"{name}, attachment hand.toml"
@@ -51,12 +48,12 @@ class RunInfo:
 
     @cached_property
     def meshes(self) -> dict[str, AttachedMesh]:
-        """Return the meshes that the log contains, by the name of the link."""
+        """Return the meshes that the log contains, by name of the link."""
         return attached_meshes(self.hand, self.header.attachments)[0]
 
     @cached_property
     def missing_mesh_note(self) -> str:
-        """Return a line that names the meshes which the log lacks.
+        """Return a line about the meshes that the log lacks.
 
         The text is empty if no mesh is missing.
         """
@@ -67,21 +64,18 @@ class RunInfo:
 
     @property
     def application_id(self) -> str:
-        """Return the application id with which the run is sent to Rerun.
-
-        Rerun stores one layout for each application id.
-        """
+        """Return the application id for Rerun. Rerun stores one layout for each id."""
         return f"handctl_{self.hand.name}"
 
     def split_telemetry(self, table: FloatArray) -> dict[str, FloatArray]:
-        """Split rows of the topic /controller/values into the fields of the telemetry.
+        """Return rows of the topic /controller/values, divided into telemetry fields.
 
         Args:
             table: (n, columns) rows of the topic.
 
         Returns:
-            an array (n, names) for each field of the telemetry. If an older version wrote the log
-            and did not know a field, the array of this field is NaN.
+            an array (n, names) for each field. The array is NaN for a field that the log of an
+            earlier version lacks.
         """
         slices = columns_of_fields(self.header, row_fields(self.header, table.shape[1]))
         missing = {
@@ -94,7 +88,7 @@ class RunInfo:
 
     @property
     def tension_limits(self) -> list[float]:
-        """Return the distinct tension limits of the hand's tendons in rising order [N]."""
+        """Return the different tension limits that the tendons of the hand have, in rising order [N]."""
         return sorted({tendon.tension_max_N for tendon in self.hand.tendon})
 
     @property
@@ -104,5 +98,5 @@ class RunInfo:
 
 
 def _missing_fields(slices: dict[str, slice]) -> list[tuple[str, str]]:
-    """Return the name and the axis of each telemetry field that a log lacks."""
+    """Return name and axis of each telemetry field that a log lacks."""
     return [(name, axis) for name, axis in TELEMETRY_AXES.items() if name not in slices]

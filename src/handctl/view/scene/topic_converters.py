@@ -1,4 +1,4 @@
-"""Conversion of the topics of a log to the entities that the dashboard shows.
+"""Conversion of the topics of a log to the entities of the dashboard.
 
 Entities: /hand/<link>/<part>, /force/<digit>, /tension/{estimate,command,limit},
 /angle/<digit>/{estimate,command}, /state/{phase,mode,safety}, /loop/late, /bus/load,
@@ -45,16 +45,13 @@ STATE_TOPICS = {
 
 
 class TopicConverters:
-    """Converter of chunks of a log to chunks for the dashboard.
-
-    The topic of a chunk determines the conversion.
-    """
+    """Converter that turns chunks of a log into chunks for the dashboard, according to their topics."""
 
     def __init__(self, run: RunInfo) -> None:
-        """Choose the conversion of each topic.
+        """Choose the converter of each topic.
 
         Args:
-            run: data about the run and the hand of the log.
+            run: run and hand of the log.
         """
         self._run = run
         self._offset = run.header.offset_ns
@@ -69,12 +66,12 @@ class TopicConverters:
 
     @property
     def topics(self) -> list[str]:
-        """Return regular expressions that match the topics to convert."""
+        """Return regular expressions for the topics to convert."""
         exact = [*self._converters, "/tf", "/tf_static", "/rosout", "/robot_description"]
         return [f"^{topic}$" for topic in exact] + ["^/actuator/.*/temperature$"]
 
     def __call__(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Convert a chunk of the log, and yield the resulting chunks for the dashboard."""
+        """Yield the chunks for the dashboard that result from a chunk of the log."""
         entity = chunk.entity_path
         if "/visual_geometries/" in entity:
             yield from solid_chunks(chunk, self._run)
@@ -86,7 +83,7 @@ class TopicConverters:
             yield chunk_on_run_time(chunk, self._offset)
 
     def _convert_values(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Convert the telemetry of the controller to plots, force arrows and single values."""
+        """Convert the telemetry of the controller to plots, force arrows and values."""
         messages = decoded_messages(chunk)
         if messages is None:
             return
@@ -104,9 +101,8 @@ class TopicConverters:
         for digit, joints in self._run.hand.digit_joints.items():
             factor = self._run.hand.display_units.factor[joints]
             angle = factor * part["q"][:, joints]
-            # Without an encoder, the standard deviation of a joint angle is about 20 deg. A band of
-            # this width would cover the plot. So the plot of the angles shows no band. The plot of
-            # the signal q_sigma shows the standard deviation instead.
+            # The standard deviation of an angle without encoder is some 20 deg. A band of this
+            # width would cover the plot, so the plot has none. The signal q_sigma has its own plot.
             yield timed_chunk(f"/angle/{digit}/estimate", times, plot_lines(angle))
             yield timed_chunk(
                 f"/angle/{digit}/command", times, plot_lines(factor * part["q_goal"][:, joints])
@@ -133,7 +129,7 @@ class TopicConverters:
             yield timed_chunk("/bus/load", times_since_start(chunk, self._offset), plot_lines(load))
 
     def _convert_state(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Convert messages that contain the name of a state to a lane of the dashboard."""
+        """Convert the messages that name a state to a lane of the dashboard."""
         messages = decoded_messages(chunk)
         if messages is not None:
             names = messages.field("name").to_pylist()
@@ -144,10 +140,9 @@ class TopicConverters:
 
 
 def near_limits(limits: list[float], tension: FloatArray) -> FloatArray:
-    """Return the tension limits (n,) [N], with NaN in place of each limit that is far above all tensions.
+    """Return the tension limits (n,) [N], NaN for each limit that is far above all tensions.
 
-    The range of the plot follows from the lines that the plot shows. With a very high limit, the
-    lines of the tensions would be too close together.
+    The plot scales itself to its lines. A distant limit would squeeze the tensions together.
     """
     largest = float(np.fmax.reduce(tension, axis=None, initial=0.0))
     return np.array([x if largest >= LIMIT_SHOWN_FRACTION * x else np.nan for x in limits])
@@ -165,15 +160,15 @@ def lines_with_band(values: FloatArray, sigma: FloatArray) -> rr.ComponentColumn
 
 
 def plot_lines(values: FloatArray) -> rr.ComponentColumnList:
-    """Return values (n, lines) as plot lines without a band."""
+    """Return values (n, lines) as plot lines."""
     return rr.Scalars.columns(scalars=values.ravel()).partition([values.shape[1]] * len(values))
 
 
 def force_arrows(force: FloatArray) -> rr.ComponentColumnList:
-    """Return the forces of the object on a fingertip (n,) [N] as arrows in the coordinate frame of the tip."""
+    """Return the forces of the object on a fingertip (n,) [N] as arrows in the frame of the tip."""
     shown = np.where(force >= MIN_ARROW_FORCE_N, force, 0.0)
     vectors = np.zeros((len(force), 3))
-    # A closing tip moves along +y of its own frame, so the object pushes the tip along -y.
+    # The tip closes towards +y of its frame, so the object pushes it towards -y.
     vectors[:, 1] = -ARROW_LENGTH_M_PER_N * shown
     labels = [f"{value:.1f} N" if value else "" for value in shown.tolist()]
     radii = np.where(shown > 0, ARROW_RADIUS_M, 0.0)

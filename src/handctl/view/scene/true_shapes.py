@@ -1,6 +1,6 @@
-"""Shapes and poses of the object and the table in a simulated run.
+"""Object and table of a simulated run.
 
-The poses come from the truth file, in which the simulator records true values.
+The poses of object and table come from the simulator's truth file.
 """
 
 from collections.abc import Iterator, Mapping
@@ -30,9 +30,9 @@ The components of the quaternion are in Rerun's order.
 
 
 def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
-    """Yield the chunks with the shapes and the poses of object and table.
+    """Yield the chunks with shapes and poses of object and table.
 
-    If the run has no truth file with shapes, yield nothing.
+    Yield none if the run has no truth file with shapes.
 
     Raises:
         LogError: the truth file names an unknown shape or lacks a column.
@@ -59,7 +59,7 @@ def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
 
 
 def _solid_shape(shape: Mapping[str, Any], colour: Colour) -> Any:
-    """Convert a shape of the truth file to a Rerun archetype that is drawn as a solid.
+    """Return a shape of the truth file as a Rerun archetype that is drawn solid.
 
     Raises:
         LogError: the kind of shape is unknown.
@@ -77,15 +77,15 @@ def _solid_shape(shape: Mapping[str, Any], colour: Colour) -> Any:
 
 
 def _object_pose(truth: TruthRecord, shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
-    """Return the position [m] and the quaternion (x, y, z, w) of the object, with one row for each time."""
+    """Return position [m] and quaternion x, y, z, w of the object, with one row for each time."""
     pose = truth.columns_at([f"object/{part}" for part in POSE_COLUMNS], times)
     return pose[:, :3], pose[:, 3:]
 
 
 def _table_pose(truth: TruthRecord, shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
-    """Return the position [m] and the quaternion of the table, with one row for each time.
+    """Return position [m] and quaternion of the table, with one row for each time.
 
-    The table only moves down, and does not turn.
+    The table only moves down.
     """
     position = np.tile(np.array(shape["position_m"], np.float64), (len(times), 1))
     if truth.has_column("support"):
