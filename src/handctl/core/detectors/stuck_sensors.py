@@ -2,10 +2,9 @@
 
 A constant reading is no fault while its reference is at rest. A motor's encoder has two references:
 the goal of the tendon's excursion, and the tension of the tendon. The reference of a load cell is
-the range of the motor force, because the tension loop may
-first raise the force and then lower it. The reference of a joint encoder is the joint angle that is
-computed from the
-positions of the spools.
+the range of the motor force, because the tension loop may first raise the force and then lower it.
+The reference of a joint encoder is the joint angle that is computed from the positions of the
+spools.
 """
 
 import math

@@ -205,8 +205,7 @@ class Recorder:
     def take_events(self) -> tuple[IoEvent, ...]:
         """Return the events of the recorder since the last call. The loop calls this method in every tick.
 
-        The recorder process is asked for events in the
-        first of `CALLS_PER_CHECK` calls only.
+        The recorder process is asked for events in the first of `CALLS_PER_CHECK` calls only.
 
         All these events have the kind "recorder".
 
