@@ -150,15 +150,13 @@ class TruthWriter:
         self._buffered.clear()
         disk = os.fstatvfs(self._file.fileno())
         free = disk.f_bavail * disk.f_frsize
-        if self._file.tell() + len(data) > self._max_bytes or free < MIN_FREE_DISK_BYTES:
-            self.full = True
-        if self.full:
-            return
+        fits = self._file.tell() + len(data) <= self._max_bytes and free >= MIN_FREE_DISK_BYTES
         try:
-            self._file.write(data)
-            self._file.flush()
-        except OSError:  # the disk became full meanwhile, or does not work
-            self.full = True
+            # An unbuffered file writes a part of the data if the disk becomes full meanwhile.
+            complete = not self.full and fits and self._file.write(data) == len(data)
+        except OSError:  # nothing could be written
+            complete = False
+        self.full = not complete
 
     def close(self, summary: dict[str, object]) -> None:
         """Write the collected rows, add a summary of the run to the header, and close the file.

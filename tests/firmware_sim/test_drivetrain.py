@@ -1,5 +1,6 @@
 """The simulated motion is the same with compiled code, with Python code and with MuJoCo's ``mj_step``."""
 
+import resource
 import subprocess
 import sys
 from itertools import pairwise
@@ -225,3 +226,22 @@ def test_a_full_truth_file_ends_and_the_simulation_goes_on(
     assert truth.t_ns.tolist() == [t_ms * 1_000_000 for t_ms in range(768)]
     assert path.stat().st_size <= limit
     assert (truth.header["truncated"], truth.header["frames"]) == (True, 7)
+
+
+def test_a_truth_file_ends_after_a_part_of_the_rows_was_written(tmp_path: Path) -> None:
+    """Reproduce a defect: the next rows followed the half of a row, and were read as other numbers."""
+    plant = LockstepHand("jamia").world.plant
+    row_bytes = 8 * (1 + len(truth_columns(plant)))
+    writer = TruthWriter(tmp_path / "truth", plant, {})
+    own, largest = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for t_ms in range(2000):
+        if t_ms == 700:
+            limit = 8192 + 600 * row_bytes + row_bytes // 2
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, largest))
+        if t_ms == 800:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (own, largest))
+        writer.write(t_ms * 1_000_000, plant)
+    writer.close({})
+    truth = read_truth(tmp_path / "truth")
+    assert truth.t_ns.tolist() == [t_ms * 1_000_000 for t_ms in range(600)]
+    assert truth.header["truncated"]
