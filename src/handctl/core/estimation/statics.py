@@ -62,6 +62,23 @@ def wrap_of_joint(c: ConstantTables, j: int, q: float) -> float:
 
 
 @kernel_helper
+def capstan_ratio(c: ConstantTables, n: int, friction_state: float, wrap_angle: float) -> float:
+    """Return the tension of tendon n after a wrap angle, divided by the tension at the load cell.
+
+    Args:
+        c: constants of the hand.
+        n: index of the tendon.
+        friction_state: development of friction, from 1 for a winding tendon to -1 for a tendon that is
+            paid out.
+        wrap_angle: wrap angle of the tendon [rad].
+
+    Source: capstan equation.
+    """
+    exponent = -c.tendon[h.CAPSTAN_COEFFICIENT, n] * friction_state * wrap_angle
+    return math.exp(MAX_EXPONENT if exponent > MAX_EXPONENT else exponent)
+
+
+@kernel_helper
 def pulley_torque(
     c: ConstantTables, n: int, arm: float, tension: float, friction_state: float, wrap_angle: float
 ) -> float:
@@ -75,13 +92,8 @@ def pulley_torque(
         friction_state: development of friction, from 1 for a winding tendon to -1 for a tendon that is
             paid out.
         wrap_angle: wrap angle of the tendon up to the pulley [rad].
-
-    Source: capstan equation.
     """
-    exponent = -c.tendon[h.CAPSTAN_COEFFICIENT, n] * friction_state * wrap_angle
-    if exponent > MAX_EXPONENT:
-        exponent = MAX_EXPONENT
-    passed = math.exp(exponent)
+    passed = capstan_ratio(c, n, friction_state, wrap_angle)
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         return arm * net_tension_at_joint(tension, c.tendon[h.PRETENSION, n], passed)
     return arm * tension * passed
@@ -248,7 +260,5 @@ def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
             wrapped += wrap_of_joint(c, j, q[j])
-            efficiency += c.tendon_joint[h.PULLEY_WEIGHTS, n, j] * math.exp(
-                -c.tendon[h.CAPSTAN_COEFFICIENT, n] * wrapped
-            )
+            efficiency += c.tendon_joint[h.PULLEY_WEIGHTS, n, j] * capstan_ratio(c, n, 1.0, wrapped)
     return efficiency
