@@ -156,8 +156,10 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
     buses = list[list[str]]([[]])
     for drive in make_drives(hand):
         listens = isinstance(drive, Cia402Drive)
-        alone = replace(drive, sync=False) if isinstance(drive, Cia402Drive) else drive
-        load = BusLoad("", 1, drive_rows(alone, first)).load_at(rate_hz)
+        # Any drive may become the one that makes the host send its heartbeat. ``sync_load`` has the SYNC frame.
+        if isinstance(drive, Cia402Drive):
+            drive = replace(drive, sync=False, sends_heartbeat=True)
+        load = BusLoad("", 1, drive_rows(drive, first)).load_at(rate_hz)
         with_sync = load + sync_load * listens
         if with_sync > MAX_BUS_LOAD:
             return []
