@@ -246,25 +246,25 @@ def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tu
     A bus already has SYNC frames if the sensor node uses the identifier 0x080, or if a drive has
     the option ``sync`` in the hand file.
     """
-    with_sync = {sensors.bus} if SYNC in sensors.host_ids else set()
-    periods_ns = dict[int, list[int]]()
-    last = dict[int, int]()
+    completed = list(drives)
+    of_bus = dict[int, dict[int, Cia402Drive]]()
     for n, drive in enumerate(drives):
         if isinstance(drive, Cia402Drive):
-            with_sync |= {drive.bus} if drive.sync else set()
-            periods_ns.setdefault(drive.bus, []).append(drive.heartbeat_period_ns)
-            last[drive.bus] = n
-    return tuple(
-        replace(
-            drive,
-            sync=drive.sync or (n == last[drive.bus] and drive.bus not in with_sync),
-            sends_heartbeat=n == last[drive.bus],
-            heartbeat_period_ns=min(periods_ns[drive.bus]),
+            of_bus.setdefault(drive.bus, {})[n] = drive
+    for bus, on_bus in of_bus.items():
+        period_ns = min(drive.heartbeat_period_ns for drive in on_bus.values())
+        has_sync = (bus == sensors.bus and SYNC in sensors.host_ids) or any(
+            drive.sync for drive in on_bus.values()
         )
-        if isinstance(drive, Cia402Drive)
-        else drive
-        for n, drive in enumerate(drives)
-    )
+        for n, drive in on_bus.items():
+            is_last = n == max(on_bus)
+            completed[n] = replace(
+                drive,
+                sync=drive.sync or (is_last and not has_sync),
+                sends_heartbeat=is_last,
+                heartbeat_period_ns=period_ns,
+            )
+    return tuple(completed)
 
 
 def make_sensors(hand: Hand) -> SensorInterface:

@@ -297,9 +297,7 @@ class Controller:
         """Apply targets, and compute the frames to send, see ``TickInProgress.command``."""
         state, entry = open_tick.state, open_tick.entry
         for target in targets:
-            open_tick.events += apply_target(
-                self.model, state, parse_target(target), state.run_integer(s.T_NS)
-            )
+            open_tick.events += apply_target(self.model, state, parse_target(target), entry.t_ns)
         open_tick.unchanged = state.copy() if state.decisions.pending else None
         self._compute_torques(state, open_tick.action, entry.k - open_tick.before.k)
         open_tick.sent = self._encode_frames(state, entry.t_ns)

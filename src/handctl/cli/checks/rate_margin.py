@@ -122,22 +122,26 @@ def _smallest_gain_margin(hand: Hand, gains: Gains, rate_hz: float) -> tuple[str
     return min(found.items(), key=lambda item: item[1])
 
 
+def _lacks_a_cell(hand: Hand, digit: str) -> bool:
+    """Return True if a digit has a tendon without load cell, other than a spool pair."""
+    without_cell = ~hand.has_cell & ~hand.is_pair
+    return bool(without_cell[hand.digit_tendons[digit]].any())
+
+
 def _has_springs_without_cells(hand: Hand) -> bool:
     """Return True if a digit with springs has a tendon without load cell, other than a spool pair."""
-    blind = ~hand.has_cell & ~hand.is_pair
     return any(
-        any(digit.spring_stiffness_N_m_per_rad) and blind[hand.digit_tendons[digit.name]].any()
+        any(digit.spring_stiffness_N_m_per_rad) and _lacks_a_cell(hand, digit.name)
         for digit in hand.digit
     )
 
 
 def _lowest_unchecked_rate(hand: Hand) -> float:
     """Return the control rate at and above which the loops of a hand are not checked [Hz]."""
-    blind = ~hand.has_cell & ~hand.is_pair
     for digit in hand.digit:
         tendons = hand.digit_tendons[digit.name]
         coordinates = len(digit.joints) if digit.coupling is None else len(digit.coupling[0])
         # A digit with more tendons than coordinates has antagonists instead of springs.
-        if tendons.stop - tendons.start > coordinates and blind[tendons].any():
+        if tendons.stop - tendons.start > coordinates and _lacks_a_cell(hand, digit.name):
             return LOWEST_UNCHECKED_WITHOUT_CELLS_HZ
     return LOWEST_UNCHECKED_RATE_HZ

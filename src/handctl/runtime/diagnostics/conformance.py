@@ -62,7 +62,7 @@ class CheckFailed(Exception):  # noqa: N818 - a verdict, not an error; never lea
     """Raised if a drive does not meet a requirement. The text describes the observation."""
 
 
-class CheckNotPossible(Exception):  # noqa: N818
+class CheckNotPossible(Exception):  # noqa: N818 - a verdict, not an error; never leaves this module
     """Raised if a requirement cannot be checked. The text gives the reason."""
 
 
