@@ -58,7 +58,7 @@ lint: env ## ruff with its formatter, mypy --strict, the import contracts, and l
 
 # Otherwise each worker of the next stage compiles the same functions in its first test.
 kernels: env
-	$(BIN)/python -c 'import handctl.controller.tick, handctl.compiled; handctl.compiled.compile_kernels()'
+	$(BIN)/python -c 'import handctl.session.run, handctl.compiled; handctl.compiled.compile_kernels()'
 
 # A process has one core: threads of BLAS would wait for each other by spinning.
 unit: export OPENBLAS_NUM_THREADS = 1
