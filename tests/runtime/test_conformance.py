@@ -34,11 +34,22 @@ def check_results(
 ) -> tuple[dict[str, ConformanceCheck], VirtualBench, DriveRig]:
     place = VirtualBench(protocol, fault, inertia, delay)
     rig = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M, options)
-    return (
-        {check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))},
-        place,
-        rig,
-    )
+    return checks_of(rig), place, rig
+
+
+def checks_of(rig: DriveRig) -> dict[str, ConformanceCheck]:
+    """Run the checks on a drive, and return them by name."""
+    return {check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))}
+
+
+def checks_of_three_runs(place, protocol, options=None):
+    """Run the checks three times on a drive, which is silent for two seconds after each run."""
+    for _ in range(3):
+        rig = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M, options)
+        found = checks_of(rig)
+        assert release_drive(rig, 0.05)
+        place.pass_time(2.0)
+        yield found
 
 
 def read_defect_table() -> list[tuple[str, str, str]]:
@@ -107,14 +118,8 @@ def test_a_good_drive_passes_three_times_running(protocol):
     So these drives failed when the checks ran a second time.
     """
     place = VirtualBench(protocol)
-    for _ in range(3):
-        rig = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M)
-        found = {
-            check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))
-        }
+    for found in checks_of_three_runs(place, protocol):
         assert failed_checks(found) == []
-        assert release_drive(rig, 0.05)
-        place.pass_time(2.0)
         late = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M)
         late.run_tick(DriveTarget.LISTEN)
         late.run_for(DriveTarget.POLL, 0.3)
@@ -265,30 +270,18 @@ def test_an_odrive_whose_watchdog_was_set_over_usb_passes_without_options():
 def test_a_good_motor_without_guards_passes_all_that_can_be_checked_three_times(protocol):
     """Reproduce a defect: each good motor of these protocols failed the checks of watchdog and cut."""
     place = VirtualBench(protocol)
-    for _ in range(3):
-        rig = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M)
-        found = {
-            check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))
-        }
+    for found in checks_of_three_runs(place, protocol):
         assert failed_checks(found) == []
         names = not_checked(found)
         assert names == [FAILED_CHECK["readback"], FAILED_CHECK["watchdog"], CUT_CHECK]
         assert all("the protocol has no " in found[name].reason for name in names)
-        assert release_drive(rig, 0.05)
-        place.pass_time(2.0)
 
 
 def test_an_odrive_without_endpoint_options_passes_all_that_can_be_checked_three_times():
     place = VirtualBench("odrive", **WITHOUT_ENDPOINTS)
-    for _ in range(3):
-        rig = drive_rig_on(place, "odrive", TORQUE_LIMIT_N_M, WITHOUT_ENDPOINTS)
-        found = {
-            check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))
-        }
+    for found in checks_of_three_runs(place, "odrive", WITHOUT_ENDPOINTS):
         assert failed_checks(found) == []
         assert len(not_checked(found)) == 2
-        assert release_drive(rig, 0.05)
-        place.pass_time(2.0)
 
 
 def test_a_reason_names_a_few_identifiers_of_many():

@@ -46,6 +46,10 @@ PAYLOAD_WORD = 2
 FLAGS_BIT = 32
 BUS_BIT = 48
 LENGTH_BIT = 56
+ID_MASK = 0xFFFFFFFF
+"""Mask of the identifier with its flag bits in the word HEAD_WORD."""
+BYTE_MASK = 0xFF
+"""Mask of the lowest byte of a shifted word, for example of the bus and of the length."""
 
 
 class Frames(Sequence[Frame]):

@@ -46,7 +46,9 @@ from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from handctl.drives.frame_records import (
     BUS_BIT,
+    BYTE_MASK,
     HEAD_WORD,
+    ID_MASK,
     LENGTH_BIT,
     PAYLOAD_WORD,
     TIME_WORD,
@@ -76,9 +78,6 @@ POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(
     int, tuple(SignalQuantity)[:8]
 )
 """Values of ``drives.signals.SignalQuantity``, for compiled code."""
-ID_MASK = 0xFFFFFFFF
-"""Mask of a CAN identifier with its flags."""
-BYTE_MASK = 0xFF
 NUMBER_MASK = 0x1FFFFFFF
 """Mask of a CAN identifier without its flags."""
 STANDARD_IDS = 0x800

@@ -38,6 +38,7 @@ from handctl.drives.contract import (
 )
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec as mit
+from handctl.drives.mit import cubemars
 from handctl.drives.mit.cubemars import (
     ANSWERS_REQUIRED,
     MAX_RESTING_TORQUE_FRACTION,
@@ -89,9 +90,8 @@ UNVERIFIED_PROTECTIONS = (
 )
 """Protections of a RobStride motor in MIT mode that handctl cannot verify, one line each."""
 UNCHECKED_PROPERTIES = {
-    DriveProperty.READBACK: "the protocol has no settings that can be read back",
+    **cubemars.UNCHECKED_PROPERTIES,
     DriveProperty.WATCHDOG: "the protocol has no command that switches the watchdog on",
-    DriveProperty.CUT: "the protocol has no report of the drive's state",
 }
 """Reason for each property of a RobStride motor in MIT mode that handctl cannot check."""
 OPTIONS = {

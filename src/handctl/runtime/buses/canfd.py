@@ -15,8 +15,10 @@ from handctl.compiled import kernel, kernel_helper
 from handctl.drives.frame import ERROR_FLAG, FDF, Frame
 from handctl.drives.frame_records import (
     BUS_BIT,
+    BYTE_MASK,
     FLAGS_BIT,
     HEAD_WORD,
+    ID_MASK,
     LENGTH_BIT,
     PAYLOAD_WORD,
     TIME_WORD,
@@ -41,9 +43,6 @@ PAYLOAD_WORDS = MAX_PAYLOAD_BYTES // 8
 STRUCT_LENGTH_BIT = 32
 STRUCT_FLAGS_BIT = 40
 STRUCT_RESERVED_BIT = 48
-ID_MASK = 0xFFFFFFFF
-"""Mask of the identifier, which has the same place in a struct and in a record."""
-BYTE_MASK = 0xFF
 FLAGS_MASK = 0xFFFF
 """Mask of the flags of a record."""
 ALL_FLAGS = 0xFF
