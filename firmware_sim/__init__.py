@@ -1,1 +1,1 @@
-"""The simulator of a tendon-driven hand: its drives, sensor node and mechanics, as a host sees them over CAN."""
+"""The simulator of a tendon-driven hand: drives, sensor node and mechanics, as a host sees them over CAN."""

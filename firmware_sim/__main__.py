@@ -11,16 +11,16 @@ EXTRA_PACKAGES = ("mujoco",)
 
 
 def main(words: list[str]) -> int:
-    """Run one of the three programs: hand, drives or hub.
+    """Run one of the three programs: a simulated hand, simulated drives, or the hub of a bus.
 
     Args:
         words: command-line arguments without the name of the program.
 
     Returns:
-        Exit code: 0 after SIGTERM or SIGINT, and 2 for arguments that the program cannot use or if
+        Exit code: 0 after SIGTERM or SIGINT, and 2 if the program cannot use the arguments or
         MuJoCo is missing.
     """
-    try:  # Imported here, because the hub of a bus needs neither MuJoCo nor a compiler.
+    try:  # The import is here, because the hub of a bus needs neither MuJoCo nor a compiler.
         check_words(words)
         if words[:1] == ["bus"]:
             from firmware_sim.programs import bus as alone

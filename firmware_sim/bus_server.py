@@ -1,6 +1,6 @@
-"""The server of the simulator in real time.
+"""The main loop of a simulator that runs in real time.
 
-One thread reads frames, advances the plant to the time of the clock, and answers at once.
+A single thread reads frames, advances the plant to the time of the clock, and answers at once.
 """
 
 import select
@@ -57,7 +57,7 @@ class ServerClock(Protocol):
         ...
 
     def note_answered(self, ticks: int) -> None:
-        """Report the number of ticks whose frames have all been answered."""
+        """Report the number of ticks whose frames have all been answered by the nodes."""
         ...
 
     def note_reached(self, t_ns: int) -> None:
@@ -66,11 +66,11 @@ class ServerClock(Protocol):
 
 
 class ServedNodes(Protocol):
-    """The nodes that a server serves: the nodes of a hand, or drives on a bench.
+    """The simulated nodes that a server advances: the nodes of a hand, or drives on a test bench.
 
     Attributes:
         t_ns: present time of the nodes [ns].
-        slip_ns: delay behind the wall clock that the simulation will never make up [ns].
+        slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
         foreign: number of received frames that no node has handled.
     """
 
@@ -88,15 +88,15 @@ class ServedNodes(Protocol):
         ...
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Pass a frame to the nodes of its bus and return the answers."""
+        """Pass a frame to the nodes of the frame's bus, and return the answers."""
         ...
 
     def advance(self, t_ns: int) -> None:
-        """Advance the nodes towards ``t_ns`` in whole steps."""
+        """Advance the nodes towards the time ``t_ns``, by whole time steps."""
         ...
 
     def reach(self, t_ns: int) -> None:
-        """Advance the nodes to exactly ``t_ns``."""
+        """Advance the nodes exactly to the time ``t_ns``."""
         ...
 
     def take_unsolicited(self) -> list[Frame]:
@@ -105,12 +105,12 @@ class ServedNodes(Protocol):
 
 
 class BusServer:
-    """The loop that advances a world with a clock, and exchanges frames through the ports of the buses.
+    """The loop that advances simulated nodes by a clock, and exchanges frames through the ports of the buses.
 
     Attributes:
         pace: measured pace of the simulation.
-        overruns: number of turns of the loop in which the plant was late.
-        slips: number of slips of the clock of the plant.
+        overruns: number of turns of the loop in which the plant was behind the clock.
+        slips: number of delays behind the clock for which the plant will never make up.
         running: True while ``run`` serves. A signal handler sets it to False to end ``run``.
     """
 
@@ -125,11 +125,13 @@ class BusServer:
         """Set up the server.
 
         Args:
-            world: nodes to serve. The time of the nodes must be the present time of the clock.
+            world: simulated nodes to serve. The time of the nodes must be the present time of the
+                clock.
             ports: one port for each bus, in the order of the hand's buses.
-            clock: clock that the world follows.
+            clock: clock that the nodes follow.
             faults: socket for faults and other requests. None without such a socket.
-            priority: real-time priority of the process. None for an ordinary process.
+            priority: real-time priority of the process, or None for a process with ordinary
+                priority.
         """
         self._faults = faults
         self._priority = priority
@@ -142,12 +144,12 @@ class BusServer:
         self._served = False
 
     def run(self) -> None:
-        """Serve until ``running`` is False."""
+        """Serve the buses until the attribute ``running`` is False."""
         while self.running:
             self.turn()
 
     def turn(self) -> None:
-        """Wait for frames or for the next millisecond.
+        """Wait until frames arrive or the next millisecond begins.
 
         After the wait, advance the plant, and answer the frames.
         """
@@ -168,16 +170,16 @@ class BusServer:
     def _note_progress(self) -> None:
         """Report the number of answered ticks and the time of the plant to a controller that uses the same clock."""
         self._clock.note_reached(self._world.t_ns + self._world.slip_ns)
-        # The number of ticks is read before the sockets are checked. Frames that arrive between
-        # these two steps belong to a later tick.
+        # The number of ticks must be read before the sockets are checked. Frames that arrive
+        # between these two steps then belong to a later tick.
         ticks = self._clock.ticks_sent()
         if ticks and not self._ready_links(0.0):
             self._clock.note_answered(ticks)
 
     def _note_host(self) -> None:
-        """Take the real-time priority.
+        """Take the real-time priority, because a host has sent frames.
 
-        At the first frame of a host, restart the measurement of the pace.
+        When the first frame of a host arrives, restart the measurement of the pace.
         """
         if not self._served:
             self._served = True
@@ -195,7 +197,8 @@ class BusServer:
         Returns:
             The sockets that are ready for reading.
         """
-        # The time of the world is behind the wall clock by the time that was lost in slips.
+        # The time of the nodes is behind the wall clock by the total time that clock slips have
+        # lost.
         due_ns = self._world.t_ns + self._world.slip_ns + MAX_TURN_NS
         due_ns = min(due_ns, *(port.due_ns for port in self._ports))
         return self._ready_links(
@@ -214,8 +217,8 @@ class BusServer:
         """Advance the plant to the time of the clock.
 
         Args:
-            sampled: True to reach the time exactly. This is necessary if the answers to frames
-                sample the plant.
+            sampled: True to reach the time of the clock exactly. This is necessary if answers to
+                frames contain readings of the plant.
         """
         world = self._world
         target_ns = self._clock.now_ns() - world.slip_ns
@@ -228,9 +231,9 @@ class BusServer:
         follow(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
 
     def _give_up_lost_time(self, behind_ns: int) -> None:
-        """Give up the time that was lost while this process did not run.
+        """Give up the time during which this process did not run: the plant does not catch up.
 
-        The plant and the watchdogs stood still during this time.
+        The plant and the watchdogs of the drives stood still during this time.
         """
         self._world.slip_ns += behind_ns
         self.slips += 1
@@ -241,7 +244,7 @@ class BusServer:
         time.sleep(SLIP_PAUSE_S)
 
     def _send_answers(self, frames: list[Frame]) -> None:
-        """Send the answers to frames, and all unsolicited frames."""
+        """Send the answers to frames, and all frames that nodes send without a request."""
         answers: list[list[Frame]] = [[] for _ in self._ports]
         for frame in frames:
             answers[frame.bus] += self._world.receive(frame)
@@ -252,7 +255,7 @@ class BusServer:
                 port.send(batch)
 
     def summary(self) -> dict[str, object]:
-        """Return the counts of a run, for the truth file and for the last line that is printed."""
+        """Return the counts of a run, for the truth file and for the last line that the program prints."""
         return {
             "overruns": self.overruns,
             "slips": self.slips,

@@ -1,4 +1,4 @@
-"""Common parts of the programs: errors of one line, checks of arguments, end after SIGTERM or SIGINT."""
+"""Common parts of the simulator's programs: one-line errors, checks of arguments, end after a signal."""
 
 import argparse
 import re
@@ -11,10 +11,10 @@ from firmware_sim.hand_description import SimulatorError
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser of command lines with error messages of a single line."""
+    """A parser for command lines whose error messages have a single line."""
 
     def error(self, message: str) -> NoReturn:
-        """Raise a usage error as SimulatorError, instead of ending the program."""
+        """Raise a usage error as a SimulatorError, where argparse would end the program."""
         raise SimulatorError(f"{message}; --help shows how")
 
 
@@ -30,7 +30,7 @@ def check_words(words: list[str]) -> None:
 
 
 def check_time_scale(value: float) -> None:
-    """Check that the factor between simulated time and clock time lies between 0.001 and 100."""
+    """Check that the ratio of simulated time to wall time lies between 0.001 and 100."""
     if not 0.001 <= value <= 100.0:
         raise SimulatorError(f"--time-scale {value:g}: expected 0.001 to 100")
 

@@ -1,15 +1,16 @@
 """Kernels: plain functions that numba can compile.
 
-The kernels are used by programs that advance a plant without waiting for a clock.
+The kernels are used by programs that advance a plant without waiting for the time of a clock.
 
 ``compiled`` registers the argument types of a kernel. ``machine_code`` compiles the kernels of a
-module. Only ``machine_code`` imports numba. The import takes almost a second. This is too long for
-a simulator in a separate process.
+module. Only the function ``machine_code`` imports numba. The import takes almost a second. This is
+too long for a simulator in a separate process. A compiled kernel and the same kernel in Python
+return the same bits, because compilation keeps the order and the rounding of all operations (no
+fast math).
 
-A compiled kernel and its Python form return the same bits: operations keep their order and their
-rounding (no fast math). Numba stores the compiled code in a cache for each source file. The cache
-of a file is not renewed when only another file changes. Kernels that call each other therefore
-belong in the same file, or their names carry a digest of the other files.
+For each source file, numba stores the compiled code in a cache. If only another file changes, numba
+does not renew the cache of this file. Therefore kernels that call each other must be in the same
+file, or their names must contain a digest of the other files.
 """
 
 import ctypes
@@ -40,7 +41,8 @@ def compiled(*arguments: ArgumentType) -> Callable[[F], F]:
 
     Args:
         arguments: type of each argument: real, count, flag, address, vector (of reals) or counts. A
-            ``ctypes.Structure`` or a structured dtype stands for an array of its rows.
+            ``ctypes.Structure`` or a structured dtype stands for an array whose rows have this
+            type.
     """
 
     def note(function: F) -> F:
@@ -51,13 +53,13 @@ def compiled(*arguments: ArgumentType) -> Callable[[F], F]:
 
 
 def kernel_helper(function: F) -> F:
-    """Register a function as a kernel that only other kernels call."""
+    """Register a function as a kernel that is called only by other kernels."""
     _KERNEL_ARGUMENTS.setdefault(function.__module__, {})[function.__name__] = None
     return function
 
 
 def call_c_function(function: int, first: int, second: int) -> None:
-    """Call a C function ``void f(void *, void *)``.
+    """Call a C function with the signature ``void f(void *, void *)``.
 
     The function and both arguments are given as addresses.
 
@@ -93,7 +95,7 @@ def machine_code(module: ModuleType) -> Any:
     Division by zero gives inf or NaN, as in numpy.
 
     Returns:
-        A namespace that contains each compiled kernel under its name.
+        A namespace that contains each compiled kernel under the name of the kernel.
     """
     from numba import njit
 
@@ -105,9 +107,9 @@ def machine_code(module: ModuleType) -> Any:
     for name, arguments in _KERNEL_ARGUMENTS[module.__name__].items():
         kernel = FunctionType(
             vars(module)[name].__code__, names, name
-        )  # calls compiled kernels, not Python functions
-        # The qualified name is a part of numba's cache key. With the digest in it, a change in an
-        # imported kernel changes the key.
+        )  # inside this code, kernels call compiled kernels instead of Python functions
+        # The qualified name of a function is a part of numba's cache key. With the digest in the
+        # name, a change in an imported kernel changes the key.
         kernel.__qualname__ = f"{name}{digest}"
         if arguments is None:
             names[name] = njit(error_model="numpy")(kernel)
@@ -127,9 +129,9 @@ def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
 
 
 def _source_digest(modules: set[ModuleType]) -> str:
-    """Return a digest of the sources of some modules and of all modules with kernels that they import.
+    """Return a digest of the source code of some modules, and of all modules whose kernels these modules import.
 
-    Without any module, the digest is empty.
+    If no module is given, the digest is an empty text.
     """
     reached = set(modules)
     new = set(modules)
@@ -144,12 +146,16 @@ def _source_digest(modules: set[ModuleType]) -> str:
 
 
 def _compile_kernel(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
-    """Compile a kernel. Store the code for the next process, if a cache folder can be written."""
+    """Compile a kernel with numba.
+
+    If a cache folder can be written, store the code for the next process.
+    """
     from numba import njit
 
     try:
         return njit(arguments, cache=True, error_model="numpy")(kernel)
-    except RuntimeError:  # No cache folder is writable, neither here nor in the user's home folder.
+    # No cache folder can be written, neither here nor in the user's home folder.
+    except RuntimeError:
         return njit(arguments, error_model="numpy")(kernel)
 
 
@@ -181,8 +187,8 @@ def _numba_type(name: ArgumentType) -> Any:
 def _call_intrinsic() -> Any:
     """Build the compiled form of ``call_c_function``.
 
-    The address of the function is an argument of the compiled code. Code that contains a constant
-    address could not be stored for the next process.
+    The address of the function is an argument of the compiled code. If the address were a constant
+    in the code, the code could not be stored for the next process.
     """
     from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]  # some releases come without types
     from numba import types
@@ -223,7 +229,7 @@ def _rows_at() -> Any:
 def array_addresses(arrays: Iterable[Any]) -> list[int]:
     """Return the address and the length of each array, for ``rows_at``.
 
-    The caller must keep the arrays in memory.
+    The caller must keep the arrays alive.
     """
     return [number for array in arrays for number in (array.ctypes.data, len(array))]
 

@@ -1,6 +1,6 @@
 """The simulator's description of a hand, read from the hand file.
 
-Reading needs only Python's standard library.
+Python's standard library is sufficient for the reading.
 """
 
 import importlib.util
@@ -49,28 +49,29 @@ class SimulatorError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Digit:
-    """One finger or thumb. Each tuple has one entry for each joint.
+    """One finger or thumb of a hand. Each tuple has one entry for each joint of the digit.
 
-    For a prismatic joint, the units are m in place of rad and deg, N in place of N m, and kg in
-    place of kg m2.
+    The values of a prismatic joint have the unit m in place of rad and deg, N in place of N m, and
+    kg in place of kg m2.
 
     Attributes:
         name: name of the digit.
-        carrier: name of the digit whose last link carries this digit, empty for a digit on
-            the palm.
-        position: position of the first hinge in the palm frame, or in the frame of the last link of
-            the carrier [m].
-        rpy_deg: extrinsic roll, pitch and yaw of the mount of the digit in the same frame [deg].
-        length: length of each link [m], 0 where the axes of two joints meet.
-        prismatic: True for each joint that slides along its axis.
-        axis: axis of each joint in the frame of its link.
+        carrier: name of the digit whose last link carries this digit, or an empty text for a digit
+            on the palm.
+        position: position of the first joint in the palm frame, or in the frame of the last link of
+            the carrying digit [m].
+        rpy_deg: extrinsic roll, pitch and yaw of the digit's mount, in the same frame as
+            ``position`` [deg].
+        length: length of each link [m], or 0 where the axes of two joints intersect.
+        prismatic: True for each joint that slides along its axis instead of turning.
+        axis: axis of each joint, in the frame of the link that the joint moves.
         joint_rpy_deg: extrinsic roll, pitch and yaw of the frame of each link at joint angle zero,
             in the frame of the previous link [deg]. The rotation of the first link is relative to
             the frame of the mount.
         com: centre of mass of each link: x, y, z in the frame of the link [m].
         mass: mass of each link [kg].
-        inertia: inertia of each link about its centre of mass: xx, yy, zz, xy, xz, yz in the frame
-            of the link [kg m2].
+        inertia: inertia of each link about the centre of mass of the link: xx, yy, zz, xy, xz, yz
+            in the frame of the link [kg m2].
         radius: radius of the links of this digit [m].
         joint_min_deg: angle of the lower stop of each joint [deg].
         joint_max_deg: angle of the upper stop of each joint [deg].
@@ -104,16 +105,16 @@ class Digit:
 
     @property
     def joints(self) -> list[str]:
-        """Return the names of the digit's joints, from the palm outwards."""
+        """Return the names of the digit's joints, from the palm to the tip."""
         return [f"{self.name}_j{i + 1}" for i in range(len(self.length))]
 
 
 @dataclass(frozen=True, slots=True)
 class LinkMesh:
-    """A mesh that stands for a link or for the palm in pictures of the hand.
+    """A mesh that is drawn in place of a link or of the palm.
 
     Attributes:
-        link: name of the link. The link is ``palm`` for the palm.
+        link: name of the link. The name ``palm`` stands for the palm.
         file: path of the mesh file.
         scale: factors from the unit of the mesh file to metres, for x, y, z.
         position: position of the mesh in the link's frame [m].
@@ -131,13 +132,13 @@ class LinkMesh:
 class ArmCurve:
     """Moment arm of a tendon at a joint, as a function of the joint angle.
 
-    At angles beyond the limits of the joint, the moment arm is constant.
+    Beyond the limits of the joint, the moment arm is constant.
 
     Attributes:
         low: smallest joint angle [rad].
         high: largest joint angle [rad].
-        powers: ``POWER_COUNT`` coefficients of the polynomial that gives the arm [m] from the angle
-            [rad]. The constant comes first.
+        powers: ``POWER_COUNT`` coefficients of the polynomial that gives the moment arm [m] for a
+            joint angle [rad]. The constant term comes first.
     """
 
     low: float
@@ -154,7 +155,7 @@ class ArmCurve:
 
     @property
     def mean(self) -> float:
-        """Return the mean moment arm over the range of the joint [m]."""
+        """Return the moment arm, averaged over the range of the joint [m]."""
         area = 0.0
         for i, power in enumerate(self.powers, 1):
             area += power * (self.high**i - self.low**i) / i
@@ -163,25 +164,27 @@ class ArmCurve:
 
 @dataclass(frozen=True, slots=True)
 class TendonSpec:
-    """One tendon of a hand, with its routing, elasticity and friction.
+    """One tendon of a hand, with its path, elasticity and friction.
 
     Attributes:
         name: name of the tendon.
         motor: name of the motor that winds the tendon.
-        arms: moment arm of the tendon at each joint [m], by the name of the joint. If the moment
-            arm depends on the joint angle, the value is its mean.
+        arms: moment arm of the tendon at each joint [m], by the name of the joint. For a moment arm
+            that depends on the joint angle, the value is the mean.
         curves: moment arms of the tendon that depend on the joint angle, by the name of the joint.
         stiffness: stiffness of the tendon at tensions below the knee [N/m].
         damping: viscous damping of the tendon [N s/m].
         knee: highest tension at which the stiffness is constant [N].
-        after_knee_ratio: stiffness at tensions far above the knee, divided by ``stiffness``.
-        knee_width: width of the transition at the knee, as an elongation of the tendon [m].
-        friction: friction coefficient of the tendon in its guides, for the capstan equation.
+        after_knee_ratio: stiffness at tensions far above the knee of the curve, divided by
+            ``stiffness``.
+        knee_width: width of the transition at the knee, as a difference of the tendon's elongation
+            [m].
+        friction: coefficient of friction between the tendon and its guides, for the capstan
+            equation.
         wrap: wrap angle of the tendon before the first joint [rad].
-        pretension: tension at rest in both tendons of a spool pair [N], 0 for a single
-            tendon.
+        pretension: tension at rest in both tendons of a spool pair [N], or 0 for a single tendon.
         winding: 1 if a positive spool angle winds the tendon up, and -1 if it pays the tendon out.
-        curves: moment arms that depend on the joint angle, by joint.
+        curves: moment arms that depend on the joint angle, by the name of the joint.
         straight: prismatic joints. For these, the entry in ``arms`` is the excursion per motion
             [m/m]. The tendon does not bend at these joints.
     """
@@ -228,21 +231,20 @@ class MotorSpec:
         viscous: viscous friction of the motor [N m s/rad].
         coulomb: Coulomb friction of the motor [N m].
         torque_constant: torque of the motor per current [N m/A].
-        torque_max: torque limit of the motor in continuous operation [N m].
-        torque_peak: torque limit of the motor for a short time [N m].
-        position_range: largest position that the frames of the drive can contain [rad].
-        velocity_range: largest velocity that the frames of the drive can contain [rad/s].
-        direction: +1 or -1: sign of the motor angle when the spool angle is positive.
-        zero: encoder angle at which the spool angle theta of the homed hand is 0 [rad].
+        torque_max: largest torque of the motor in continuous operation [N m].
+        torque_peak: largest torque of the motor for a short time [N m].
+        position_range: largest position that a CAN frame of the drive can contain [rad].
+        velocity_range: largest velocity that a CAN frame of the drive can contain [rad/s].
+        direction: sign of the motor angle while the spool angle is positive, +1 or -1.
+        zero: encoder angle at which the spool angle theta of a homed hand is 0 [rad].
         options: options of the drive's protocol.
         serial: serial number of the drive. If None, the drive has the default serial number
             of its protocol.
         torque_gain: true torque divided by the torque that the drive computes from its current. The
-            value is 1 unless the plant is perturbed.
-        top_speed: speed of the motor without load at the supply voltage [rad/s], 0 for a
-            motor without a speed limit.
-        stall_torque: torque of the motor at standstill, if only the supply voltage limited its
-            current [N m].
+            value is 1 for a plant without perturbation.
+        top_speed: speed of the motor without load at the supply voltage [rad/s], or 0 if the speed
+            is not limited.
+        stall_torque: torque at standstill that the supply voltage alone would allow [N m].
     """
 
     name: str
@@ -273,11 +275,11 @@ class SensorSpec:
 
     Attributes:
         bus: name of the bus of the sensor node.
-        sync_id: identifier of the SYNC frame that the node answers.
+        sync_id: identifier of the SYNC frame to which the node replies.
         base_id: identifier of the first frame with tensions.
         tendons: name of the tendon of each load cell.
         joints: name of the joint of each joint encoder.
-        joint_decimation: number of SYNC frames per frame with joint angles.
+        joint_decimation: number of SYNC frames for each frame with joint angles.
         tension_noise: standard deviation of the noise of a measured tension [N].
         bias_drift: standard deviation of the random drift of a load cell after 100 s [N].
         joint_noise: standard deviation of the noise of a measured joint angle [rad].
@@ -315,14 +317,14 @@ class Hand:
         name: name of the hand.
         gravity: acceleration of gravity in the palm frame [m/s2].
         buses: names of the CAN buses of the hand.
-        bitrates: nominal bit rate and data bit rate of each bus [bit/s]. The data bit rate is 0
-            without CAN FD.
+        bitrates: nominal bit rate and data bit rate of each bus [bit/s]. The data bit rate is 0 for
+            a bus without CAN FD.
         digits: all digits of the hand.
-        tendons: all tendons of the hand. Of each spool pair, it contains only the first tendon.
+        tendons: all tendons of the hand, with only the first tendon of each spool pair.
         motors: all motors of the hand.
         sensors: sensor node of the hand. None for a hand without a sensor node.
-        meshes: meshes of the links and of the palm, for pictures. The plant does not use the
-            meshes, and the comparison of hands ignores them.
+        meshes: meshes of the links and of the palm, for pictures. The plant does not use these
+            meshes, and the comparison of two hands ignores them.
     """
 
     name: str
@@ -348,7 +350,7 @@ class Hand:
         return [tendon for tendon in self.tendons if tendon.pretension]
 
     def has_pairs(self, digit: Digit) -> bool:
-        """Return True if spool pairs move the joints of a digit."""
+        """Return True if spool pairs move the joints of the given digit."""
         return any(joint in tendon.arms for tendon in self.pairs for joint in digit.joints)
 
     @property
@@ -368,7 +370,7 @@ class Hand:
 
 
 def find_hand(name_or_path: str) -> Path:
-    """Find the file of a hand.
+    """Find the file of a hand by name or path.
 
     Args:
         name_or_path: name of a packaged hand, or path of a .toml file.
@@ -400,7 +402,7 @@ def load_hand(name_or_path: str) -> Hand:
         return _parse_hand(_resolved_file(tomllib.loads(path.read_text("utf-8"))), path.parent)
     except OSError as error:
         raise SimulatorError(f"{path}: cannot be read: {error.strerror}") from error
-    # A number in the file is too long, or the file is not UTF-8.
+    # A number in the hand file is too long, or the file is not in UTF-8.
     except (ValueError, RecursionError) as error:
         raise SimulatorError(f"{path}: not TOML: {error}") from error
     except (KeyError, TypeError, AttributeError) as error:
@@ -410,7 +412,7 @@ def load_hand(name_or_path: str) -> Hand:
 
 
 def _resolved_file(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of a hand file of schema 2 with all defaults and templates applied."""
+    """Return the content of a hand file of schema 2, after all defaults and templates have been applied."""
     if content.get("schema") != 2:
         return content
     sections: dict[str, list[dict[str, Any]]] = {"digit": [], "tendon": [], "motor": []}
@@ -456,10 +458,10 @@ def _resolved_file(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_template(content: dict[str, Any], kind: str, section: dict[str, Any]) -> dict[str, Any]:
-    """Return an entry with the missing keys filled in.
+    """Return an entry of a hand file, with all missing keys filled in.
 
-    A key comes first from the template of the entry, and then from the defaults for this kind of
-    entry.
+    The template of the entry gives the value of a missing key. If the template lacks the key, the
+    defaults for this kind of entry do.
     """
     default = content.get("default", {}).get(kind, {})
     template = content[f"{kind}_template"][section["template"]] if "template" in section else {}
@@ -467,7 +469,7 @@ def _with_template(content: dict[str, Any], kind: str, section: dict[str, Any]) 
 
 
 def _merged_tables(base: dict[str, Any], override: dict[str, Any]) -> dict[str, Any]:
-    """Return two tables merged key by key.
+    """Merge two tables key by key.
 
     If both tables have a value for a key, the value of ``override`` is used.
     """
@@ -496,7 +498,7 @@ def _parse_hand(content: dict[str, Any], folder: Path) -> Hand:
 def _parse_meshes(content: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
     """Yield the meshes of a hand.
 
-    Relative paths of mesh files are relative to the folder of the hand file.
+    Relative paths of mesh files start at the folder of the hand file.
     """
     mount = content["mount"]
     pose_keys = ("scale", "position_m", "rpy_deg")
@@ -513,7 +515,10 @@ def _parse_meshes(content: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
 
 
 def _make_mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
-    """Return a mesh. If an argument is None, there is no scaling, no shift or no rotation."""
+    """Return a mesh with the given placement.
+
+    An argument that is None stands for no scaling, no shift or no rotation.
+    """
     factors = scale if isinstance(scale, list) else [1.0 if scale is None else scale] * 3
     return LinkMesh(
         link=link,
@@ -566,7 +571,7 @@ def _parse_digit(section: dict[str, Any]) -> Digit:
 
 
 def _prismatic(section: dict[str, Any]) -> list[bool]:
-    """Return True for each joint of a digit that slides along its axis."""
+    """Return, for each joint of a digit, True if the joint slides along its axis."""
     kinds = section.get("joint_type", ["revolute"] * len(section["link_length_m"]))
     return [kind == PRISMATIC for kind in kinds]
 
@@ -574,11 +579,10 @@ def _prismatic(section: dict[str, Any]) -> list[bool]:
 def _joint_values(
     section: dict[str, Any], key: str, default: float | None = None
 ) -> tuple[float, ...]:
-    """Return the value of each joint.
+    """Return a value for each joint of a digit.
 
-    The value comes from a key for hinges, or from the corresponding key for prismatic joints.
-
-    Without a default, a missing key raises KeyError.
+    For a hinge, the value comes from ``key``. For a prismatic joint, the value comes from the
+    corresponding other key. Without a default, a missing key raises KeyError.
     """
     slides = _prismatic(section)
     lists = {}
@@ -590,13 +594,14 @@ def _joint_values(
 
 
 def _link_inertia(section: dict[str, Any], i: int) -> tuple[float, ...]:
-    """Return the six inertia values of link ``i`` of a digit.
+    """Return the six values of the inertia of link ``i`` of a digit.
 
-    If the file contains a single number, it is the moment of inertia of a round bar about y and z.
+    If the file contains a single number, this is the moment of inertia of a round bar about the
+    axes y and z.
     """
     value = section["link_inertia_kg_m2"][i]
     if isinstance(value, int | float):
-        # No principal moment of inertia of a body is larger than the sum of the other two.
+        # For any body, the largest principal moment of inertia is at most the sum of the other two.
         along = min(section["link_mass_kg"][i] * section["link_radius_m"] ** 2 / 2, 2 * value)
         return (along, value, value, 0.0, 0.0, 0.0)
     return tuple(value) if len(value) == 6 else (*value, 0.0, 0.0, 0.0)
@@ -618,9 +623,10 @@ def _joint_ranges(section: dict[str, Any]) -> dict[str, tuple[float, float]]:
 
 
 def _parse_arm_curve(section: dict[str, list[float]], limits: tuple[float, float]) -> ArmCurve:
-    """Return a moment arm that depends on the joint angle.
+    """Return a moment arm of a tendon that depends on the joint angle.
 
-    A least-squares polynomial replaces a table of moment arms.
+    If the file contains a table of moment arms, a polynomial is fitted to the table by least
+    squares.
 
     Args:
         section: entry of the hand file with ``polynomial_m``, or with ``angle_deg`` and ``arm_m``.
@@ -635,7 +641,7 @@ def _parse_arm_curve(section: dict[str, list[float]], limits: tuple[float, float
 
 
 def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
-    """Fit a polynomial to a table of moment arms by least squares (normal equations), and return its coefficients."""
+    """Fit a polynomial to a table of moment arms by least squares, and return the coefficients."""
     count = min(TABLE_POWERS, len(angles))
     rows = [
         [math.fsum(angle ** (i + j) for angle in angles) for j in range(count)]
@@ -643,7 +649,7 @@ def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
         for i in range(count)
     ]
     for k in range(count):
-        # The matrix is symmetric and positive definite, so elimination needs no exchange of rows.
+        # The matrix is symmetric and positive definite. So the elimination need not exchange rows.
         rows[k] = [value / rows[k][k] for value in rows[k]]
         for i in range(count):
             if i != k:

@@ -1,4 +1,4 @@
-"""The simulator in lockstep: its clock advances only when the caller executes a tick."""
+"""The simulator in lockstep. Its clock advances only when the caller executes a tick."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -19,12 +19,12 @@ from firmware_sim.wire.wire_options import parse_wire_options
 class LockstepHand:
     """A simulated hand that runs in lockstep with a caller.
 
-    If the seeds and the frames of two runs are equal, their answers and truth files are equal byte
-    for byte.
+    If two runs have equal seeds and equal frames, their answers and truth files are equal in every
+    byte.
 
     Attributes:
         world: plant and nodes of the hand, for tests that need the true state.
-        wired: simulated wires of the buses. None without simulated wires.
+        wired: simulated wires of the buses, or None if frames take no time.
     """
 
     def __init__(  # noqa: PLR0913 - a keyword for each thing that a test varies
@@ -76,15 +76,15 @@ class LockstepHand:
         """Answer the frames of the host in one tick, then advance the simulation to the next tick.
 
         Args:
-            t_ns: start of the tick [ns], which must not be before the previous tick.
+            t_ns: start of the tick [ns], which must not be earlier than the previous tick.
             frames: frames of the host as a contiguous array of ``frame_records.FRAME_DTYPE``. The
-                times in these frames are ignored.
+                function ignores the times in these frames.
 
         Returns:
             The answers as an array of ``frame_records.FRAME_DTYPE``. The times of the answers are
-            those of frames that follow one another on their bus within the tick. With simulated
-            wires, the array contains the frames that have arrived by the end of the tick, and error
-            frames of the host's CAN controllers.
+            those of frames that are sent one after the other on each bus within the tick. With
+            simulated wires, the result contains the frames that have arrived by the end of the
+            tick, and error frames of the host's CAN controllers.
         """
         end_ns = t_ns + self._period_ns
         if self.wired:
@@ -103,7 +103,7 @@ class LockstepHand:
     def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
         """Answer the frames of the host in one tick, and return the answers as objects.
 
-        See ``exchange``.
+        The method ``exchange`` explains the times of the answers.
 
         Args:
             t_ns: start of the tick [ns], not before the previous tick.
@@ -118,7 +118,7 @@ class LockstepHand:
             text: fault as text, see ``faults.fault_text``.
 
         Raises:
-            SimulatorError: this hand cannot have the fault in the text.
+            SimulatorError: the hand of this simulation cannot have the fault.
         """
         self.world.faults.inject(text)
 
@@ -145,6 +145,6 @@ class LockstepHand:
             self._truth = None
 
     def _loads(self) -> list[float]:
-        """Return, for each wire, the fraction of the elapsed time in which frames occupied the wire."""
+        """Return, for each wire, the fraction of the simulated time in which frames occupied the wire."""
         assert self.wired
         return [round(wire.load(0, max(1, self.world.t_ns)), 4) for wire in self.wired.wires]

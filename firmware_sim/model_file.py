@@ -1,4 +1,7 @@
-"""Reading of the tree of links in a robot description (URDF or MJCF) with MuJoCo, as plain values."""
+"""Reading of the links in a robot description (URDF or MJCF) with MuJoCo.
+
+The result consists of plain values.
+"""
 
 import warnings
 from collections.abc import Sequence
@@ -124,9 +127,9 @@ def _format_name(file_format: str) -> str:
 
 
 def _check_joint_types(root: ET.Element, path: str) -> None:
-    """Refuse joints of a URDF that a hand cannot have.
+    """Refuse a URDF with joints that a hand cannot have.
 
-    MuJoCo would read some of these joints as joints of another type.
+    MuJoCo would read some of these joints as joints of another type, without an error.
     """
     for joint in root.iter("joint"):
         kind = joint.get("type")
@@ -142,16 +145,16 @@ def _check_joint_types(root: ET.Element, path: str) -> None:
 def _compiled_model(
     path: str, file_format: str, root: ET.Element, notes: list[str]
 ) -> tuple[Any, Any]:
-    """Compile the model file without merging fixed bodies.
+    """Compile a model file with MuJoCo, without merging bodies that are fixed to each other.
 
-    If a mesh cannot be read, the shapes that use meshes are left out.
+    If a mesh cannot be read, the model contains no shapes with meshes.
     """
     try:
         spec = _parsed_spec(path)
         spec.compiler.fusestatic = False
         spec.compiler.discardvisual = False
         if file_format == "urdf":
-            # In a URDF, the inertia is given by separate elements and does not follow from the
+            # In a URDF, separate elements give the inertia of a link. It does not follow from the
             # shapes.
             spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
             _name_mesh_files(spec, root, Path(path).absolute().parent)
@@ -168,7 +171,7 @@ def _compiled_model(
 
 
 def _name_mesh_files(spec: Any, root: ET.Element, folder: Path) -> None:
-    """Replace the mesh names of a URDF by the paths of the mesh files.
+    """Replace the names of meshes in a URDF by the paths of the mesh files.
 
     MuJoCo itself finds no files in ROS packages, and ignores the folder in the name of a mesh.
     """
@@ -192,7 +195,7 @@ def _compile_spec(spec: Any) -> Any:
 def _parsed_spec(path: str) -> Any:
     """Parse a model file.
 
-    A file without a suffix of ``MODEL_SUFFIXES`` is given to MuJoCo as text.
+    If the file has no suffix of ``MODEL_SUFFIXES``, MuJoCo gets the content of the file as text.
     """
     if Path(path).suffix in MODEL_SUFFIXES:
         return mujoco.MjSpec.from_file(path)
@@ -202,9 +205,9 @@ def _parsed_spec(path: str) -> Any:
 
 
 def _remove_meshes(spec: Any) -> bool:
-    """Remove all shapes with a mesh and all images from a model.
+    """Remove all shapes with meshes, and all images, from a model.
 
-    Return False without such shapes and images.
+    If there are none, return False.
     """
     shapes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
     parts = [*shapes, *spec.meshes, *spec.textures]
@@ -224,7 +227,7 @@ def _first_line(mujoco_error: Exception) -> str:
 
 
 def _check_structure(model: Any, path: str) -> None:
-    """Check that the model is a tree in which each moving body has exactly one joint."""
+    """Check that the bodies of a model form a tree, and that each moving body has exactly one joint."""
     if model.njnt == 0:
         raise SimulatorError(f"{path}: no joints; expected a hand with hinges or prismatic joints")
     for joint in range(model.njnt):
@@ -318,7 +321,10 @@ def _link_values(model: Any, data: Any, roots: list[int], body: int, path: str) 
 def _mesh_values(
     meshes: Sequence[BodyMesh], model: Any, data: Any, root: int, origin: Any, link_rotation: Any
 ) -> list[dict[str, Any]]:
-    """Return the meshes of a link as plain values, placed in the link's frame."""
+    """Return the meshes of a link as plain values.
+
+    The poses of the meshes are given in the frame of the link.
+    """
     found = []
     members = _fixed_bodies(model, root)
     for mesh in meshes:
@@ -347,7 +353,7 @@ def _link_inertia(
     for body in members:
         axes = data.ximat[body].reshape(3, 3)
         away = data.xipos[body] - centre
-        # Steiner's theorem moves the inertia of each body to the common centre of mass.
+        # Steiner's theorem converts the inertia of each body to the common centre of mass.
         total += axes @ np.diag(model.body_inertia[body]) @ axes.T
         total += model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
     return (
@@ -360,10 +366,11 @@ def _link_inertia(
 def _frame_origins(
     model: Any, data: Any, root: int, origin: Any, link_rotation: Any
 ) -> dict[str, list[float]]:
-    """Return the origins (3,) of the named bodies and sites fixed to a link, by name, in its frame [m]."""
+    """Return the origins (3,) of the named bodies and sites of a link, by name, in the frame of the link [m]."""
     members = _fixed_bodies(model, root)
     places = {model.body(body).name: data.xpos[body] for body in members if body != root}
-    # MuJoCo places sites only in its first step, so this function computes their places.
+    # MuJoCo computes the positions of sites only in its first step. So this function computes these
+    # positions.
     for site in range(model.nsite):
         body = int(model.site_bodyid[site])
         if body in members:
@@ -380,7 +387,7 @@ def _frame_origins(
 def _shape_corners(
     model: Any, data: Any, members: list[int], origin: Any, link_rotation: Any
 ) -> tuple[list[list[float]], float | None]:
-    """Return the corners (n, 3) of the boxes around the shapes of a link, and its half width or None [m]."""
+    """Return the corners (n, 3) of the boxes around the shapes of a link, and half of their width or None [m]."""
     corners: list[Any] = []
     radii: dict[int, float] = {}
     for geom in range(model.ngeom):
@@ -408,7 +415,7 @@ def _shape_corners(
 
 
 def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
-    """Return the tendons with constant moment arms, each with its moment arms and the motor that pulls it."""
+    """Return the tendons that have constant moment arms, each with these moment arms and its motor."""
     found = []
     for tendon in range(model.ntendon):
         name = model.tendon(tendon).name or f"tendon_{tendon + 1}"
@@ -434,7 +441,7 @@ def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
 
 
 def _pull_direction(model: Any, motors: list[int]) -> dict[str, Any]:
-    """Return the only actuator of a tendon by name, and the maximum tension [N] if it controls tension."""
+    """Return the name of a tendon's only actuator, and the largest tension [N] if it controls tension."""
     if len(motors) != 1:
         return {"motor": None, "tension_max": None}
     motor = motors[0]

@@ -1,4 +1,4 @@
-"""Files and places of the meshes in a robot description, URDF or MJCF.
+"""Files and positions of the meshes in a robot description (URDF or MJCF).
 
 The mesh files themselves are not read here.
 """
@@ -21,11 +21,11 @@ class BodyMesh(NamedTuple):
     """A mesh fixed to a body of the model.
 
     Attributes:
-        body: number of the body, 0 for the world.
+        body: number of the body, or 0 for the world body.
         file: path of the mesh file.
         scale: (3,) factors from the unit of the mesh file to metres.
         position: (3,) origin of the mesh in the frame of the body [m].
-        rotation: (3, 3) rotation from the axes of the mesh to the frame of the body.
+        rotation: (3, 3) rotation from the axes of the mesh file to the frame of the body.
     """
 
     body: int
@@ -44,7 +44,7 @@ def urdf_files(root: ET.Element, folder: Path) -> dict[str, Path]:
 def _urdf_path(name: str, folder: Path) -> Path:
     """Return the path of a mesh file of a URDF.
 
-    If the path names a ROS package, the package is searched in all folders above the URDF.
+    If the name contains a ROS package, the package is searched in all folders above the URDF.
     """
     if not name.startswith(PACKAGE_PREFIX):
         return folder / name.removeprefix(FILE_SCHEME_PREFIX)
@@ -63,7 +63,7 @@ def urdf_meshes(root: ET.Element, folder: Path, model: Any) -> Iterator[BodyMesh
     Args:
         root: first XML element of the URDF.
         folder: folder of the URDF.
-        model: compiled model that has a body for each link except the root link.
+        model: compiled model, which has a body for each link except the root link.
     """
     files = urdf_files(root, folder)
     for link in root.iter("link"):
@@ -99,8 +99,8 @@ def mjcf_meshes(spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterat
         spec: source of the model (``mujoco.MjSpec``).
         model: compiled model.
         folder: folder of the MJCF file.
-        notes: list of notes. The function adds a line for each mesh whose place a hand file cannot
-            express.
+        notes: list of notes for the user. The function adds a line for each mesh whose placement a
+            hand file cannot express.
     """
     geoms = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
     visual = (model.geom_contype | model.geom_conaffinity) == 0
@@ -118,8 +118,8 @@ def mjcf_meshes(spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterat
                 f"mesh {asset.file} is not read: it is scaled differently along axes after a turn"
             )
             continue
-        # MuJoCo moves each vertex v to scale * reference^T (v - refpos). MuJoCo then turns the mesh
-        # to its principal axes of inertia.
+        # MuJoCo moves each vertex v of a mesh to scale * reference^T (v - refpos). Then MuJoCo
+        # turns the mesh to the principal axes of the mesh's inertia.
         mesh = int(model.geom_dataid[geom])
         rotation = rotation_of(model.geom_quat[geom]) @ rotation_of(model.mesh_quat[mesh]).T
         origin = model.geom_pos[geom] - rotation @ model.mesh_pos[mesh]

@@ -11,7 +11,7 @@ OMISSION_MARK = " [...] "
 
 
 def printable_text(text: str) -> str:
-    """Replace characters that cannot be printed by escape sequences.
+    """Replace unprintable characters of a text by escape sequences.
 
     Examples are line ends and terminal escapes.
     """
@@ -23,10 +23,10 @@ def printable_text(text: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """Convert a text to a message of one line.
+    """Convert a text to a message that has a single line.
 
-    The start of a message names the problem, and the end names the remedy. If a text is too long,
-    only its middle is therefore removed.
+    A message starts with the problem and ends with the remedy. Therefore only the middle of a long
+    text is removed.
     """
     if len(text) > 4 * MAX_MESSAGE_LENGTH:  # escape sequences never make a text shorter
         text = text[: 2 * MAX_MESSAGE_LENGTH] + text[-2 * MAX_MESSAGE_LENGTH :]

@@ -1,6 +1,6 @@
 """Real-time priority for the simulator.
 
-The simulator must keep up with the clock, as real firmware does.
+The simulator must keep up with the wall clock, as the firmware of a real drive does.
 """
 
 import math
@@ -41,7 +41,7 @@ def take_priority() -> bool:
 
 
 def restore_priority() -> None:
-    """Return this process to the ordinary scheduler."""
+    """Give this process the ordinary priority again."""
     if sys.platform.startswith("linux"):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
@@ -69,9 +69,9 @@ class RealTimePriority:
         """Start without real-time priority.
 
         Args:
-            take_priority_function: function that takes the priority, and returns True if the system
-                has granted it.
-            restore: function that restores the ordinary priority.
+            take_priority_function: function that requests the priority, and returns True if the
+                system has granted it.
+            restore: function that gives the process the ordinary priority again.
             now_s: function that returns the present time [s].
         """
         self._take = take_priority_function
@@ -82,15 +82,15 @@ class RealTimePriority:
         self._slips_s: deque[float] = deque(maxlen=MAX_SLIPS)
 
     def note_host_frames(self) -> None:
-        """Take the real-time priority, because frames of a host have arrived."""
+        """Take the real-time priority, because the host has sent frames."""
         if not self.active and self._now_s() >= self._not_before_s:
             self.active = self._take()
             self._not_before_s = (
                 self._now_s() + ORDINARY_PRIORITY_S
-            )  # after a refusal, the priority is not requested in every turn again
+            )  # if the priority has been refused, it is not requested in every turn
 
     def note_slip(self) -> None:
-        """Count a slip of the clock, and give the priority back after ``MAX_SLIPS`` slips."""
+        """Count a slip of the clock. After ``MAX_SLIPS`` slips, give the priority back."""
         if not self.active:
             return
         now_s = self._now_s()

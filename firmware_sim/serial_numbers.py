@@ -1,6 +1,6 @@
 """Serial numbers of simulated drives.
 
-Two hands of the same design differ only in their serial numbers.
+Two hands of the same design can be distinguished only by the serial numbers of their drives.
 """
 
 from collections.abc import Iterable
@@ -20,16 +20,17 @@ EXPECTED_FORM = (
 
 
 def with_serial_numbers(hand: Hand, words: Iterable[str]) -> Hand:
-    """Return the description of a hand with serial numbers of its drives.
+    """Return the description of a hand in which the drives have the given serial numbers.
 
     Args:
         hand: description of the hand.
-        words: NUMBER for all drives, to which each drive adds the node number, or MOTOR=NUMBER for
-            a single drive. A later word takes precedence over an earlier word.
+        words: NUMBER for all drives, where each drive has NUMBER plus its node number, or
+            MOTOR=NUMBER for a single drive. If two words concern the same drive, the later word
+            applies.
 
     Raises:
-        SimulatorError: the motor does not exist, or the number is not valid for the protocol of its
-            drive.
+        SimulatorError: the motor does not exist, or the protocol of the drive does not allow the
+            number.
     """
     serials: dict[str, int | None] = {motor.name: motor.serial for motor in hand.motors}
     for word in words:

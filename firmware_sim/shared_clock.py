@@ -1,9 +1,9 @@
-"""A clock that simulator and controller share on one machine.
+"""A clock that the simulator and the controller on one machine share.
 
 The clock pauses while the machine is too slow.
 
-The operating system may stop the simulator for many milliseconds. The answers of the simulator are
-then late although the simulated hand works correctly. A controller that uses the shared clock waits
+The operating system may stop the simulator for many milliseconds. The answers of the simulator then
+arrive late, although the simulated hand has no fault. A controller that uses the shared clock waits
 for these answers. In every tick, the controller sets a time called the gate. The simulator never
 advances beyond the gate.
 
@@ -40,9 +40,9 @@ for a late controller is shorter than this wait.
 
 
 class SharedClock:
-    """The clock of a simulator, which includes the pauses and the gate of its controller.
+    """The clock of a simulator, including the pauses and the gate that a controller sets.
 
-    See ``bus_server.ServerClock``.
+    The class ``bus_server.ServerClock`` describes the methods.
 
     Before ``publish``, no controller shares the clock, and the time of the clock is CLOCK_MONOTONIC
     times the scale.
@@ -55,7 +55,7 @@ class SharedClock:
         """Start without a controller.
 
         Args:
-            scale: plant time per wall time.
+            scale: ratio of plant time to wall time.
         """
         self.scale = scale
         self._path: Path | None = None
@@ -67,7 +67,8 @@ class SharedClock:
         """Create the file of the clock, for sharing with a controller.
 
         Args:
-            path: path of the file. If a killed simulator has left such a file, it is replaced.
+            path: path of the file. If an earlier simulator was killed and has left such a file, the
+                file is replaced.
 
         Raises:
             SimulatorError: the file cannot be created.
@@ -87,7 +88,10 @@ class SharedClock:
         self._path = path
 
     def now_ns(self) -> int:
-        """Return the present time [ns]. If the gate is earlier, return the gate."""
+        """Return the present time [ns].
+
+        If the gate is earlier than the present time, return the time of the gate.
+        """
         now, gate = time.monotonic_ns() - self._numbers[PAUSED_INDEX], self._numbers[GATE_INDEX]
         if gate < now <= gate + MAX_GATE_WAIT_NS:
             now = gate

@@ -1,6 +1,6 @@
-"""The world of a hand: the plant and the nodes.
+"""The simulated world of a hand: the plant and the nodes.
 
-The caller passes times and frames to the world. The world itself has no sockets and no clocks.
+The caller passes times and frames to the world. The world itself uses no sockets and no clocks.
 
 Injected faults act on frames of nodes, in a node, in a sensor or in the plant. See ``faults``.
 """
@@ -54,14 +54,16 @@ class SimulatedWorld:
         plant: mechanics of the hand.
         nodes: list of the nodes on each bus of the hand.
         t_ns: present time of plant and nodes [ns].
-        slip_ns: time that was lost by slips while this process did not run [ns].
-        foreign: number of received frames that no node has handled.
-        sensor_node: node with load cells and joint encoders, or the collection of all amplifiers.
-        sensor_nodes: the nodes on the bus that read load cells.
-        faults: faults that were injected.
-        encoder_offset: encoder angle at theta = 0 [rad], by the name of the motor.
-        row_of: kind and row of each node that compiled kernels handle, by the ``id()`` of the node.
-        exchange: exchange of frames by a compiled kernel. None without compiled kernels.
+        slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
+        foreign: number of received frames that no simulated node has handled.
+        sensor_node: node with load cells and joint encoders, or an object for all load-cell
+            amplifiers.
+        sensor_nodes: all nodes on the bus that read load cells.
+        faults: faults that have been injected.
+        encoder_offset: encoder angle at the spool angle theta = 0 [rad], by the name of the motor.
+        row_of: kind and array row of each node that compiled kernels handle, by the ``id()`` of the
+            node.
+        exchange: exchange of frames by a compiled kernel, or None without compiled kernels.
     """
 
     def __init__(
@@ -73,7 +75,7 @@ class SimulatedWorld:
         origin_ns: int = 0,
         compiled: bool = True,
     ) -> None:
-        """Build the plant and the nodes of a hand.
+        """Build the plant and the simulated nodes of a hand.
 
         Args:
             hand: description of the hand.
@@ -118,7 +120,7 @@ class SimulatedWorld:
         self.slip_ns = 0
 
     def open_camera(self, width_px: int, height_px: int) -> "Camera":
-        """Return a camera that draws hand and object. The caller closes the camera.
+        """Return a camera that draws the hand and the object. The caller must close the camera.
 
         Args:
             width_px: width of the pictures [pixels].
@@ -127,13 +129,13 @@ class SimulatedWorld:
         Raises:
             SimulatorError: the machine has no graphics library.
         """
-        # Most runs draw no pictures, and need no graphics library.
+        # The import is here, because most runs draw no pictures and need no graphics library.
         from firmware_sim.plant.camera import Camera
 
         return Camera(self.hand, self.plant.scene, width_px, height_px)
 
     def _bus_index(self, name: str) -> int:
-        """Return the index of a bus of the hand, given its name."""
+        """Return the index of the bus with the given name."""
         if name not in self.hand.buses:
             raise SimulatorError(
                 f"{self.hand.name}: no bus {name}; expected one of {', '.join(self.hand.buses)}"
@@ -141,11 +143,12 @@ class SimulatedWorld:
         return self.hand.buses.index(name)
 
     def _build_drives(self, compiled: bool, rows: dict[type, Any]) -> dict[str, DriveNode]:
-        """Build the drive node of each motor.
+        """Build the simulated drive of each motor.
 
         Args:
-            compiled: True to store the numbers of the nodes in rows, for compiled kernels.
-            rows: arrays of rows by row type. The function extends the arrays.
+            compiled: True to store the state of each drive in an array row, for compiled kernels.
+            rows: rows with the states of nodes, by the type of the row. The method adds the rows of
+                the drives.
 
         Returns:
             The drive node of each motor, by the name of the motor.
@@ -178,7 +181,10 @@ class SimulatedWorld:
     def _build_sensor_node(
         self, spec: SensorSpec, compiled: bool, rows: dict[type, Any]
     ) -> SensorNode | LoadCellAmplifiers:
-        """Build the sensor node (with a row if kernels are compiled), or the amplifiers."""
+        """Build the sensor node, or the load-cell amplifiers.
+
+        For compiled kernels, the state of the sensor node is in an array row.
+        """
         plant = self.plant
         joints = self.hand.joints
         names = [tendon.name for tendon in self.hand.tendons]
@@ -203,15 +209,15 @@ class SimulatedWorld:
         return node
 
     def motor_spec(self, name: str) -> MotorSpec:
-        """Return the description of a motor by the name of the motor."""
+        """Return the description of the motor with the given name."""
         return next(motor for motor in self.hand.motors if motor.name == name)
 
     def node_of(self, name: str) -> SimulatedNode:
-        """Return the drive node of a motor by the name of the motor."""
+        """Return the simulated drive of the motor with the given name."""
         return self._motor_nodes[name]
 
     def host_frame(self, name: str) -> Frame:
-        """Build a frame that has no effect and that only the host of a motor sends."""
+        """Build a frame without effect that only the host of a motor would send."""
         spec = self.motor_spec(name)
         can_id, data = PROTOCOL_SPECS[spec.protocol].host_frame(spec.node_id)
         return Frame(can_id, data, 0, self._bus_index(spec.bus), self.t_ns)
@@ -221,7 +227,7 @@ class SimulatedWorld:
         self._truth = truth
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Pass a frame to the nodes of its bus, and collect the answers.
+        """Pass a frame to the nodes of the frame's bus, and return the answers.
 
         Args:
             frame: frame of the host.
@@ -234,7 +240,7 @@ class SimulatedWorld:
         t_ns = self.t_ns
         bus = frame[3]
         faults = self.faults
-        # a fault may also react to frames that are for other nodes
+        # a fault may also act on frames that are meant for other nodes
         wire_faulty = faults.wire_faults_of
         receivers = (
             self._nodes_of_bus[bus]
@@ -272,20 +278,21 @@ class SimulatedWorld:
         return receivers
 
     def refresh_identifiers(self) -> None:
-        """Read the identifiers of all nodes again, because some identifiers may have changed."""
+        """Read the identifiers of all nodes again, because identifiers may have changed."""
         self._nodes_of_bus = [[(node, node.ids) for node in bus] for bus in self.nodes]
         self._by_id = [{} for _ in self.nodes]
         if self.exchange:
             self.exchange.refresh_identifiers()
 
     def advance(self, t_ns: int, row_wake_ns: int | None = None) -> None:
-        """Advance plant and nodes towards ``t_ns`` in whole steps.
+        """Advance the plant and the nodes towards the time ``t_ns``, by whole time steps.
 
-        The next call makes up for the remaining time.
+        The next call makes up for the rest of the time.
 
         Args:
             t_ns: time to which the world advances [ns].
-            row_wake_ns: earliest wake time of the drives whose state is in array rows [ns], None if it is not known.
+            row_wake_ns: earliest wake time of the drives whose state is in array rows [ns], or None
+                if it is not known.
         """
         plant = self.plant
         truth = self._truth
@@ -315,8 +322,8 @@ class SimulatedWorld:
     def reach(self, t_ns: int) -> None:
         """Advance plant and nodes to exactly ``t_ns``, so that samples belong to their exact time.
 
-        All other steps keep their places in time. The step that contains ``t_ns`` is divided, and
-        the next call completes this step.
+        All other steps begin and end at the usual times. The step that contains ``t_ns`` is
+        divided, and the next call completes this step.
         """
         self.advance(t_ns)
         rest_ns = t_ns - self.t_ns
@@ -350,11 +357,11 @@ class SimulatedWorld:
         )
 
     def _wake(self, now_ns: int) -> int | None:
-        """Wake the nodes that are due, and store the frames that they send.
+        """Wake the nodes whose wake time has come, and store the frames that they send.
 
         Returns:
-            The earliest wake time of the drives whose state is in array rows [ns]. None if it
-            is not known.
+            The earliest wake time of the drives whose state is in array rows [ns], or None if it is
+            not known.
         """
         if self.exchange and not self._without_row and self.exchange.send_due(now_ns):
             return self.exchange.wake_ns
@@ -385,7 +392,7 @@ class SimulatedWorld:
     def take_unsolicited_records(self) -> Any:
         """Return the unsolicited frames as an array of ``frame_records.FRAME_DTYPE``.
 
-        The array stays valid until the next frame is sent.
+        The array stays valid until a node sends the next frame.
         """
         assert self.exchange
         return (
@@ -398,7 +405,7 @@ class SimulatedWorld:
         return sum(node.malformed for _, node in self._nodes_by_bus)
 
     def header(self, clock: str) -> dict[str, object]:
-        """Return the header of a truth file of this world.
+        """Return the header for a truth file of this world.
 
         Args:
             clock: name of the clock to which the times in the file belong.
@@ -415,7 +422,9 @@ class SimulatedWorld:
 
 
 def _steps_until(now_ns: int, due_ns: int, end_ns: int) -> int:
-    """Count the steps until an event is due or the end is reached. The result is at least 1.
+    """Count the time steps until an event is due or until the end is reached.
+
+    The result is at least 1.
 
     Args:
         now_ns: present time [ns].
@@ -444,7 +453,8 @@ def make_world(
         compiled: True to use compiled kernels, see ``Plant``.
 
     Raises:
-        SimulatorError: numbers or names in the description of the hand do not make a plant.
+        SimulatorError: a plant cannot be built from the numbers or names in the description of the
+            hand.
     """
     try:
         return SimulatedWorld(hand, scene, seed, homed, origin_ns, compiled)

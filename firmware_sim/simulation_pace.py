@@ -1,4 +1,4 @@
-"""The pace of the simulation: reports of a delay behind the clock, and a pace that this machine can keep."""
+"""The pace of the simulation: reports of delays behind the clock, and the pace that this machine can keep."""
 
 import math
 import os
@@ -25,7 +25,7 @@ ADVISED_FRACTION = 0.8
 
 @dataclass(frozen=True, slots=True)
 class ClockReadings:
-    """Readings of all clocks, taken at the same time.
+    """Readings of three clocks, taken at the same time.
 
     Attributes:
         wall_s: time of the wall clock [s].
@@ -44,8 +44,8 @@ class PaceCounter:
     The counter measures and reports the pace of the simulation.
 
     Attributes:
-        advice: pace that this machine can keep, as the ratio of plant time to wall time. The value
-            is None until the machine proves too slow.
+        advice: highest pace that this machine can keep, as the ratio of plant time to wall time.
+            The value is None until the machine has proved too slow for the requested pace.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class PaceCounter:
             wall_s: function that returns the time of the wall clock [s].
             cpu_s: function that returns the computing time of this process [s].
             report_line: function that prints a line.
-            time_scale: requested pace, as plant time per wall time.
+            time_scale: requested pace, as the ratio of plant time to wall time.
         """
         self._time_scale = time_scale
         self._wall_s = wall_s
@@ -76,7 +76,7 @@ class PaceCounter:
         self.advice: float | None = None
 
     def restart(self, plant_ns: int) -> None:
-        """Restart the measurement, because a host has appeared.
+        """Restart the measurement of the pace, because a host has appeared.
 
         Args:
             plant_ns: present time of the plant [ns].
@@ -84,7 +84,9 @@ class PaceCounter:
         self._mark = self._start = self._clock_readings(plant_ns)
 
     def slipped(self, behind_ns: int, plant_ns: int) -> None:
-        """Count a slip of the clock. Report it, unless the last report is less than a second old.
+        """Count a slip of the clock, after which the lost time is never made up.
+
+        If the last report is at least a second old, report the slip.
 
         Args:
             behind_ns: plant time that was lost by the slip [ns].
@@ -117,12 +119,12 @@ class PaceCounter:
         }
 
     def _slow_machine_text(self, seconds: float) -> str:
-        """Return the line that reports a machine that is too slow."""
+        """Return the line that tells the user that the machine is too slow."""
         lost = f"clock slipped {self._slips} times in {seconds:.1f} s, {self._lost_ns / 1e6:.0f} ms given up"
         return f"firmware_sim: {lost}: this machine is fast enough for --time-scale {self.advice:g}"
 
     def _update_advice(self, now: ClockReadings) -> None:
-        """Update the advised pace, using the pace since the last report."""
+        """Update the advised pace from the pace since the last report."""
         measured = (now.plant_s - self._mark.plant_s) / (now.wall_s - self._mark.wall_s)
         advice = ADVISED_FRACTION * min(
             measured,
@@ -140,20 +142,20 @@ def rounded_down(pace: float) -> float:
     """Round a pace down to one significant digit, but not below the minimum of ``--time-scale``."""
     if pace <= 0.001:
         return 0.001
-    # Without the tolerance of 1e-9, the rounded quotient would make 0.2 of 0.3.
+    # Without the tolerance of 1e-9, rounding errors would turn 0.3 into 0.2.
     step = 10.0 ** math.floor(math.log10(pace))
     return float(f"{math.floor(pace / step + 1e-9) * step:.6g}")
 
 
 def _pace_ratio(start: ClockReadings, end: ClockReadings) -> float:
-    """Return the ratio of plant time to computing time.
+    """Return the ratio of plant time to processor time between two readings.
 
-    The value is infinite if no computing time has passed.
+    If no processor time has passed, the ratio is infinite.
     """
     cpu_s = end.cpu_s - start.cpu_s
     return (end.plant_s - start.plant_s) / cpu_s if cpu_s > 0.0 else math.inf
 
 
 def _usable_cores() -> set[int]:
-    """Return the processor cores that this process may use."""
+    """Return the processor cores on which this process may run."""
     return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else {0, 1}

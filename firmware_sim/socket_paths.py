@@ -15,13 +15,13 @@ _PATH_MAX = 103
 
 
 def run_dir() -> Path:
-    """Return the run directory.
+    """Return the run directory, for the sockets and truth files of the user.
 
     A missing directory is created. A directory that other users can access is refused.
 
     Raises:
-        SimulatorError: the directory cannot be created. Or it, or a directory above it, is a link,
-            belongs to another user, or is open to others.
+        SimulatorError: the directory cannot be created. The error is also raised if the directory,
+            or one above it, is a link, belongs to another user, or is open to others.
     """
     if named := os.environ.get("HANDCTL_RUN_DIR"):
         folder = Path(named)
@@ -35,8 +35,8 @@ def run_dir() -> Path:
     folder = Path(os.path.abspath(folder))
     folder = Path(os.path.realpath(_parent_dir(folder, path_parts)), *folder.parts[-path_parts:])
     try:
-        # The check goes from the top down: in a checked directory, no other user can replace an
-        # entry.
+        # The check starts at the top. In a directory that has passed the check, no other user can
+        # replace an entry.
         for path in [*reversed(folder.parents), folder][1:]:
             _check_directory(path, mine=len(folder.parts) - len(path.parts) < path_parts)
     except OSError as error:
@@ -65,7 +65,7 @@ def _check_directory(path: Path, mine: bool) -> None:
     """Make a missing directory, and refuse a directory that another user can change.
 
     Args:
-        path: path of the directory. The directories above it have been checked.
+        path: path of a directory, whose parent directories have already been checked.
         mine: True for a part of the run directory, which no other user may access.
 
     Raises:
@@ -78,8 +78,8 @@ def _check_directory(path: Path, mine: bool) -> None:
         raise _path_error(path, "is a link")
     if status.st_uid != os.geteuid() and (mine or status.st_uid):
         raise _path_error(path, f"belongs to another user ({status.st_uid})")
-    # A directory that others may write is safe if it has the sticky bit. As in /tmp, only owners
-    # can replace their entries.
+    # A directory in which others may write is safe if it has the sticky bit. In such a directory,
+    # as in /tmp, only the owner of an entry can replace the entry.
     if status.st_mode & 0o022 and (mine or not status.st_mode & stat.S_ISVTX):
         raise _path_error(path, f"is open to others (mode {stat.S_IMODE(status.st_mode):04o})")
     if mine and status.st_mode & 0o077:
@@ -95,7 +95,7 @@ def _path_error(path: Path, problem: str) -> SimulatorError:
 
 
 def bus_path(name: str) -> Path:
-    """Return the path of a local bus's socket.
+    """Return the path of the socket of a local bus.
 
     Raises:
         SimulatorError: the name is not a valid file name, or the path is too long for a socket.
@@ -111,7 +111,7 @@ def bus_path(name: str) -> Path:
 
 
 def faults_path(spec: str) -> Path:
-    """Return the path of the fault socket of a simulator on this bus.
+    """Return the path of the fault socket of the simulator on a given bus.
 
     ``join:NAME`` has the same path as ``local:NAME``.
     """
@@ -119,7 +119,7 @@ def faults_path(spec: str) -> Path:
 
 
 def truth_path(spec: str) -> Path:
-    """Return the default path of the truth file of a simulator on this bus.
+    """Return the default path of the truth file of the simulator on a given bus.
 
     ``join:NAME`` has the path of ``local:NAME``.
     """
@@ -128,5 +128,5 @@ def truth_path(spec: str) -> Path:
 
 
 def clock_path(spec: str) -> Path:
-    """Return the path of the file with the shared clock of a simulator on this bus."""
+    """Return the path of the file that contains the shared clock of the simulator on a given bus."""
     return truth_path(spec).with_suffix(".clock")

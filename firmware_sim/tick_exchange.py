@@ -34,8 +34,8 @@ class TickExchange:
     """The computation of the answers of a tick, for a world whose node states are in array rows.
 
     Attributes:
-        sends_unsolicited: True if the compiled kernel sends the unsolicited frames of drives. False
-            if the world sends them.
+        sends_unsolicited: True if the compiled kernel sends the frames that drives send without a
+            request. False if the world sends these frames.
     """
 
     def __init__(self, world: Any, rows: dict[type, Any]) -> None:
@@ -43,7 +43,7 @@ class TickExchange:
 
         Args:
             world: world to which the nodes belong.
-            rows: arrays of rows with the states of nodes, by row type.
+            rows: arrays with the states of nodes in their rows, by the type of the row.
         """
         self._world, self._kernels = world, machine_code(cyclic_kernels)
         self._capacity = INITIAL_CAPACITY
@@ -76,7 +76,7 @@ class TickExchange:
         self._receivers: Any = None
 
     def refresh_identifiers(self) -> None:
-        """Build the table of identifiers again when the next frame arrives."""
+        """Make the next frame rebuild the table of identifiers."""
         self._table = None
 
     def answer(self, frames: Any, t_ns: int, last_ns: int) -> tuple[Any, bool]:
@@ -88,7 +88,7 @@ class TickExchange:
             last_ns: largest delay of an answer after the start of the tick [ns].
 
         Returns:
-            The answers, with times as if they were sent one after the other, and True if their
+            The answers, with times as if they were sent one after the other, and True if these
             times are in rising order.
         """
         world = self._world
@@ -117,7 +117,7 @@ class TickExchange:
             self._drop_stale_table()
 
     def _run_kernel(self, frames: Any, answers: Any, t_ns: int, last_ns: int) -> None:
-        """Run the compiled kernel up to the first frame that a node must answer in Python."""
+        """Run the compiled kernel until a frame comes that a node must answer in Python."""
         if self._table is None:
             self._build_table()
         if self._noise:
@@ -140,10 +140,10 @@ class TickExchange:
         return answers
 
     def _build_table(self) -> None:
-        """Build the table that gives the receivers of each identifier.
+        """Build the table that gives the nodes which receive each identifier.
 
-        If the state of a node is not in an array row, Python handles the identifiers that this node
-        may answer.
+        If the state of a node is not in an array row, Python handles all frames with identifiers of
+        this node.
         """
         world = self._world
         receivers = list[tuple[int, int, int]]()
@@ -158,13 +158,13 @@ class TickExchange:
             }
             for can_id in {can_id for ids in cyclic_ids.values() for can_id in ids}:
                 accepting = [node for node in nodes if _does_node_accept(node, can_id)]
-                # A node whose state is not in an array row also accepts this identifier, so Python
-                # must handle these frames.
+                # A node whose state is not in an array row also accepts this identifier. So Python
+                # must handle frames with this identifier.
                 if not all(can_id in cyclic_ids[id(node)] for node in accepting):
                     continue
                 next_receiver = -1
-                # Each entry contains the index of the next receiver, so the list is built from its
-                # end.
+                # Each entry of the list contains the index of the next receiver. So the list is
+                # built from its end.
                 for node in reversed(accepting):
                     receivers.append((*world.row_of[id(node)], next_receiver))
                     next_receiver = len(receivers) - 1
@@ -192,9 +192,9 @@ class TickExchange:
         self._addresses = np.array(array_addresses(arrays), np.int64)
 
     def _accepted_identifiers(self) -> list[Any]:
-        """Return the identifiers that each node accepts.
+        """Return the identifiers that each node accepts now.
 
-        After a change of its identifiers, a node returns another object.
+        If the identifiers of a node have changed, the node returns a different object.
         """
         return [
             getattr(node, "accepted_ids", node.ids) for nodes in self._world.nodes for node in nodes
@@ -209,7 +209,7 @@ class TickExchange:
 
     @property
     def wake_ns(self) -> int:
-        """Return the earliest wake time of drives in array rows [ns], after the last ``answer`` or ``send_due``."""
+        """Return the earliest wake time of drives in array rows [ns], as of the last ``answer`` or ``send_due``."""
         return int(self._progress[WAKE_NS])
 
     def next_wake(self) -> int:
@@ -225,13 +225,13 @@ class TickExchange:
             now_ns: present time [ns].
 
         Returns:
-            False if a node must be woken in Python. In this case, no frame is sent.
+            False if Python must wake a node. In this case, no frame is sent.
         """
         if not self.sends_unsolicited or self._world.faults.in_frames:
             return False
         if self._table is None:
             self._build_table()
-        # A drive sends at most two frames at a time: a heartbeat and its encoder estimates.
+        # At one time, a drive sends at most two frames: a heartbeat and its encoder estimates.
         while self._progress[SENT] + 2 * len(self._drive_rows) > len(self._sent):
             self._sent = np.concatenate((self._sent, np.empty(len(self._sent), FRAME_DTYPE)))
         rotors = self._world.plant.sampled[3]
@@ -244,20 +244,20 @@ class TickExchange:
     def take_sent(self) -> Any:
         """Return the unsolicited frames since the last call.
 
-        The array is valid until the next frame is sent.
+        The array is valid until a drive sends the next frame.
         """
         count = int(self._progress[SENT])
         self._progress[SENT] = 0
         return self._sent[:count]
 
     def merged(self, frames: Any, other_frames: Any) -> Any:
-        """Return the frames of two arrays in one array, sorted by time."""
+        """Return the frames of two arrays as one array, sorted by time."""
         out = np.empty(len(frames) + len(other_frames), FRAME_DTYPE)
         self._kernels.merge(frames, other_frames, out)
         return out
 
 
 def _does_node_accept(node: Any, can_id: int) -> bool:
-    """Check whether a node may answer an identifier."""
+    """Check whether a node may answer frames with an identifier."""
     accepted_ids = getattr(node, "accepted_ids", node.ids)
     return accepted_ids is None or can_id in accepted_ids

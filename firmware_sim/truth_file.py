@@ -1,6 +1,6 @@
 """The truth file: a record of the true state of the plant in every millisecond.
 
-Tests compare a controller with this record.
+Tests compare the estimates of a controller with this record.
 
 The file starts with a line of JSON. This line is padded with spaces, and completed when the file is
 closed. Rows follow. Each row consists of an int64 t_ns and of a float64 for each column,
@@ -39,9 +39,8 @@ class TruthFile(NamedTuple):
 
     Attributes:
         header: content of the header line.
-        t_ns: times of the rows, shape (rows,) [ns].
-        values: true values, shape (rows, columns). ``header["units"]`` contains the unit of each
-            column.
+        t_ns: (rows,) time of each row [ns].
+        values: (rows, columns) true values. ``header["units"]`` contains the unit of each column.
     """
 
     header: dict[str, Any]
@@ -49,7 +48,7 @@ class TruthFile(NamedTuple):
     values: npt.NDArray[np.float64]
 
     def column(self, name: str) -> npt.NDArray[np.float64]:
-        """Return the values of a column by its name, shape (rows,)."""
+        """Return the values (rows,) of the column with the given name."""
         return self.values[:, self.header["columns"].index(name)]
 
 
@@ -95,7 +94,7 @@ class TruthWriter:
 
         Args:
             path: path of the file.
-            plant: plant to record.
+            plant: plant whose true state is recorded.
             header: additional content of the header line.
             max_bytes: largest size of the file [bytes].
         """
@@ -116,11 +115,11 @@ class TruthWriter:
         self._file.write(self._header_line(_HEAD_SIZE))
 
     def _header_line(self, size: int) -> bytes:
-        """Return the header line, padded to a size [bytes]."""
+        """Return the header line, padded with spaces to a given size [bytes]."""
         return json.dumps(self._header).encode().ljust(size - 1) + b"\n"
 
     def write(self, t_ns: int, plant: Plant) -> None:
-        """Record the present true state of the plant as a row."""
+        """Write the present true state of the plant as a row."""
         self.due_ns += PERIOD_NS
         if self.full:
             return
@@ -159,7 +158,7 @@ class TruthWriter:
         self.full = not complete
 
     def close(self, summary: dict[str, object]) -> None:
-        """Write the collected rows, add a summary of the run to the header, and close the file.
+        """Write the collected rows, complete the header with a summary of the run, and close the file.
 
         The header also says whether the last rows are missing, because the file or the disk was full.
         """

@@ -1,1 +1,1 @@
-"""Buses of the simulator: local hubs, Linux CAN interfaces, and local buses with simulated times on the wire."""
+"""Buses of the simulator: local buses, CAN interfaces of Linux, and local buses with simulated transmission times."""

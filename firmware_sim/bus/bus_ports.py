@@ -1,6 +1,6 @@
 """Ports: connections of the simulator to its buses.
 
-Each bus has a port, and ports of all bus types work alike.
+Each bus has a port, and the ports of all types of buses have the same methods.
 """
 
 import socket
@@ -21,10 +21,10 @@ Source: Linux sysfs.
 
 
 class BusPort(Protocol):
-    """A connection to one bus of the hand. No method blocks.
+    """The connection of the simulator to one bus of the hand. No method of a port blocks.
 
     Attributes:
-        lost: frames that could not be sent or read.
+        lost: number of frames that could not be sent or read.
         due_ns: time when the port must be served even if no socket is ready [ns]. The time is
             ``medium.NEVER_NS`` if the port must be served only when a socket is ready.
     """
@@ -50,14 +50,14 @@ class BusPort(Protocol):
     def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """Receive frames from the sockets that are ready.
 
-        The caller repeats the call until no frame is returned.
+        The caller repeats the call until the result is empty.
         """
         ...
 
     def send(self, frames: list[Frame]) -> None:
         """Send frames in the given order.
 
-        Frames for which the bus has no room are lost and counted.
+        If the bus has no room for a frame, the frame is lost and counted.
         """
         ...
 
@@ -74,9 +74,9 @@ def open_port(
     Args:
         spec: ``local:NAME`` (this process serves the bus), ``join:NAME`` (another process serves
             the bus) or ``socketcan:INTERFACE``.
-        bus: index of the bus in the hand's list.
-        timed_port: function that opens the port of a local bus with simulated wire times. If it is
-            None, frames take no time.
+        bus: index of the bus in the list of the hand's buses.
+        timed_port: function that opens the port of a local bus with simulated transmission times.
+            If it is None, the transmission of a frame takes no time.
 
     Raises:
         SimulatorError: the type of the bus is unknown, or the bus cannot be opened.
@@ -98,7 +98,7 @@ def open_port(
 def is_on_this_machine(spec: str) -> bool:
     """Return True if all frames of a bus stay on this machine.
 
-    On such a bus the clock may pause, because no frame comes from another machine or goes to one.
+    The clock of such a bus may pause, because no other machine sends or receives its frames.
     """
     kind, _, name = spec.partition(":")
     return kind == "local" or (kind == "socketcan" and (VIRTUAL_INTERFACES / name).exists())
@@ -108,14 +108,14 @@ def assign_buses(specs: list[str], buses: list[str]) -> list[str]:
     """Assign a bus specification to each bus of a hand.
 
     Args:
-        specs: one ``BUS=SPEC`` for each bus, or only ``SPEC`` for a hand with one bus.
+        specs: one text ``BUS=SPEC`` for each bus, or only ``SPEC`` for a hand with one bus.
         buses: names of the hand's buses.
 
     Returns:
         The specifications in the order of the hand's buses.
 
     Raises:
-        SimulatorError: a bus is missing, unknown or given twice.
+        SimulatorError: a bus has no specification, is not part of the hand, or is given twice.
     """
     specs_by_bus: dict[str, str] = {}
     for text in specs:

@@ -1,4 +1,4 @@
-"""Frames as records of 80 bytes in a numpy array.
+"""Frames as records of 80 bytes in a numpy array, for compiled code.
 
 Compiled code reads and writes the array without Python objects.
 
@@ -50,8 +50,8 @@ def to_records(frames: Iterable[tuple[Any, ...]]) -> Any:
     packed = [
         pack(t_ns, can_id, flags, bus, len(data), data) for can_id, data, flags, bus, t_ns in frames
     ]
-    # The buffer is a bytearray, because kernels write into the array. An array over bytes would be
-    # read-only.
+    # The buffer is a bytearray, because kernels write into the resulting array. An array made from
+    # bytes would be read-only.
     return np.frombuffer(bytearray(b"".join(packed)), FRAME_DTYPE)
 
 

@@ -35,19 +35,19 @@ The limit keeps a client that floods the bus from blocking the others.
 
 
 class HubConnection:
-    """One connection of a hub and a client.
+    """One connection between a hub and a client.
 
-    Both directions of the connection carry whole records, and no method blocks.
+    Both directions of the connection carry whole records. No method blocks.
 
     Attributes:
         socket: non-blocking stream socket of the connection.
         dropped: number of records dropped because the kernel's send buffer was full.
         closed: True once the other end has closed the connection.
-        unsent: bytes of a partly sent record that are not yet sent.
+        unsent: bytes of a partly sent record that must still be sent.
     """
 
     def __init__(self, link: socket.socket) -> None:
-        """Make the socket non-blocking and enlarge its buffers.
+        """Make the socket non-blocking, and enlarge the buffers of the socket.
 
         Args:
             link: connected stream socket.
@@ -64,7 +64,8 @@ class HubConnection:
     def receive(self) -> bytes:
         """Receive whole records.
 
-        The first bytes of an incomplete record are kept until the other bytes arrive.
+        If only the first bytes of a record have arrived, they are kept until the other bytes
+        arrive.
         """
         try:
             piece = self.socket.recv(_MAX_READ_BYTES)
@@ -79,24 +80,27 @@ class HubConnection:
         return data[:end]
 
     def deliver(self, records: bytes) -> None:
-        """Send whole records. Records that the kernel does not accept are dropped and counted."""
+        """Send whole records.
+
+        If the kernel does not accept a record, the record is dropped and counted.
+        """
         count = len(records) // RECORD_SIZE
         if not self.flush():
             self.dropped += count
             return
         stamped = bytearray(records)
-        # Write bytes 6 and 7 of all records at once. The step of the slice is the size of a record.
+        # This statement writes bytes 6 and 7 of all records at once. The step of the slice is the
+        # size of one record.
         stamped[6::RECORD_SIZE] = bytes((self.dropped & 0xFF,)) * count
         stamped[7::RECORD_SIZE] = bytes((self.dropped >> 8 & 0xFF,)) * count
         sent = self._send(stamped)
-        # The count of started records is rounded up, because a partly sent record must be completed
-        # later.
+        # The number of records is rounded up, because a partly sent record must be completed later.
         started = -(-sent // RECORD_SIZE)
         self.unsent = bytes(stamped[sent : started * RECORD_SIZE])
         self.dropped += count - started
 
     def flush(self) -> bool:
-        """Send the remaining bytes of a partly sent record.
+        """Send the rest of a partly sent record.
 
         Returns:
             True if no bytes remain, so that the next record may be sent.
@@ -129,7 +133,7 @@ class BusHub:
             name: name of the bus.
 
         Raises:
-            SimulatorError: another hub serves this name, or the socket cannot be made.
+            SimulatorError: another hub serves a bus of this name, or the socket cannot be created.
         """
         self.name = name
         self._path = bus_path(name)
@@ -162,13 +166,13 @@ class BusHub:
         return [link.socket for link in self._links if link.unsent]
 
     def serve(self, ready_sockets: Collection[socket.socket]) -> bytes:
-        """Accept clients, read their records, and forward them to the other clients.
+        """Accept new clients, read the records of all clients, and forward each record to the other clients.
 
         Args:
             ready_sockets: sockets that are ready for reading.
 
         Returns:
-            The records that all clients sent, for the owner of the hub.
+            The records that all clients have sent, for the owner of the hub.
         """
         received = self.poll(ready_sockets)
         for link, records in received:
@@ -177,13 +181,13 @@ class BusHub:
         return b"".join(records for _, records in received)
 
     def poll(self, ready_sockets: Collection[socket.socket]) -> list[tuple[HubConnection, bytes]]:
-        """Accept clients and read their records, but forward no records.
+        """Accept new clients, and read the records of all clients without forwarding them.
 
         Args:
             ready_sockets: sockets that are ready for reading.
 
         Returns:
-            Pairs of connection and records, one for each client that sent records.
+            One pair (connection, records) for each client that has sent records.
         """
         if self._listener in ready_sockets:
             self._accept_clients()
@@ -233,27 +237,27 @@ class BusHub:
         self._links.clear()
         self._listener.close()
         with contextlib.suppress(FileNotFoundError):
-            # If the file has another inode, another hub now serves the name of this bus.
+            # If the file has another inode, another hub now serves a bus of this name.
             if self._path.stat().st_ino == self._inode:
                 self._path.unlink()
 
 
 def _is_foreign(link: socket.socket) -> bool:
-    """Check whether the other end of a connection runs as a third user, neither this process's user nor root.
+    """Check whether the process at the other end of a connection belongs neither to this process's user nor to root.
 
-    Only Linux tells the user of the other process.
+    Only Linux can tell the user of the other process.
     """
     if not sys.platform.startswith("linux"):
         return False
     raw = link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER_CREDENTIALS.size)
-    # Field 1 of the credentials is the user. Root may join the bus for diagnosis.
+    # Field 1 of the credentials is the user id. Root may join the bus for diagnosis.
     return _PEER_CREDENTIALS.unpack(raw)[1] not in (0, os.geteuid())
 
 
 def _listening_socket(path: Path, name: str) -> socket.socket:
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        # The directory is locked, because two hubs must not check, unlink and bind the same path at
+        # The folder is locked, because two hubs must not check, unlink and bind the same path at
         # the same time.
         with _locked_folder(path.parent):
             if _is_served(path):
@@ -275,7 +279,7 @@ def _listening_socket(path: Path, name: str) -> socket.socket:
 
 @contextlib.contextmanager
 def _locked_folder(folder: Path) -> Iterator[None]:
-    """Lock a directory.
+    """Lock a folder.
 
     Only the hub with the lock may remove and replace an unused socket there.
     """

@@ -20,10 +20,10 @@ class HubPort:
 
         Args:
             name: name of the bus.
-            bus: index of the bus in the hand.
+            bus: index of the bus in the list of the hand's buses.
 
         Raises:
-            SimulatorError: the bus is already served.
+            SimulatorError: another process already serves the bus.
         """
         self._hub = BusHub(name)
         self._bus = bus
@@ -31,7 +31,7 @@ class HubPort:
 
     @property
     def lost(self) -> int:
-        """Return the number of frames dropped for slow clients, plus the number of records without a valid frame."""
+        """Return the number of frames dropped because a client was slow, plus the number of invalid records."""
         return self._hub.dropped + self._unreadable
 
     def read_sockets(self) -> list[socket.socket]:
@@ -58,19 +58,22 @@ class HubPort:
 
 
 class JoinedPort:
-    """A port that is a client of a hub. See ``bus_ports.BusPort``."""
+    """A port that is a client of a hub in another process.
+
+    The class ``bus_ports.BusPort`` describes the methods.
+    """
 
     due_ns = NEVER_NS
 
     def __init__(self, name: str, bus: int) -> None:
-        """Connect to the hub.
+        """Connect to the hub of the bus.
 
         Args:
             name: name of the bus.
-            bus: index of the bus in the hand.
+            bus: index of the bus in the list of the hand's buses.
 
         Raises:
-            SimulatorError: no hub serves the bus.
+            SimulatorError: no process serves the bus.
         """
         self._link = HubConnection(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
         self._name = name
@@ -85,7 +88,7 @@ class JoinedPort:
 
     @property
     def lost(self) -> int:
-        """Return the number of frames that the hub did not accept, plus the number of records without a valid frame."""
+        """Return the number of frames that the hub did not accept, plus the number of invalid records."""
         return self._link.dropped + self._unreadable
 
     def read_sockets(self) -> list[socket.socket]:
@@ -127,7 +130,7 @@ def split_records(records: bytes, bus: int) -> tuple[list[Frame], int]:
         bus: index of the bus to set in the returned frames.
 
     Returns:
-        The frames, and the number of records that held no valid frame.
+        The frames, and the number of records that contain no valid frame.
     """
     starts = range(0, len(records), RECORD_SIZE)
     read = [unpack_record(records[start : start + RECORD_SIZE], bus) for start in starts]

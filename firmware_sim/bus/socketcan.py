@@ -1,6 +1,6 @@
-"""A port on a Linux CAN interface.
+"""A port on a CAN interface of Linux.
 
-The interface may be real or virtual, with classical CAN or CAN FD.
+The interface is real or virtual, and uses classical CAN or CAN FD.
 """
 
 import errno
@@ -24,16 +24,19 @@ The limit keeps a flooded bus from stopping the simulation.
 
 
 class SocketCanPort:
-    """A port on a SocketCAN interface. See ``bus_ports.BusPort``."""
+    """A port of the simulator on a SocketCAN interface.
+
+    The class ``bus_ports.BusPort`` describes the methods.
+    """
 
     due_ns = NEVER_NS
 
     def __init__(self, interface: str, bus: int) -> None:
-        """Open the interface.
+        """Open the CAN interface.
 
         Args:
             interface: name of the interface, such as vcan0.
-            bus: index of the bus in the hand's list.
+            bus: index of the bus in the list of the hand's buses.
 
         Raises:
             SimulatorError: the operating system has no SocketCAN, or the interface does not exist.
@@ -82,12 +85,12 @@ class SocketCanPort:
         except OSError as error:
             if error.errno != errno.ENETDOWN:
                 raise
-            self.lost += 1  # The interface is down. Reads succeed again once the interface is up.
+            self.lost += 1  # The CAN interface is down. Reading succeeds again after the interface has been set up.
         return frames
 
     def _frame_from_bytes(self, raw: bytes) -> Frame:
-        # The number of bytes read tells the format of the frame: 16 bytes for classical CAN, 72
-        # bytes for CAN FD.
+        # The number of bytes shows the format of the frame: 16 bytes for classical CAN, 72 bytes
+        # for CAN FD.
         if len(raw) == _CAN_FRAME_STRUCT.size:
             can_id, length, data = _CAN_FRAME_STRUCT.unpack(raw)
             return Frame(can_id, data[: min(length, 8)], 0, self._bus)
@@ -107,7 +110,7 @@ class SocketCanPort:
                 self._socket.send(raw)
             except (
                 OSError
-            ):  # Lost: the queue is full (ENOBUFS), or the interface is down or lacks CAN FD.
+            ):  # frame lost: the queue is full (ENOBUFS), or the interface is down or has no CAN FD
                 self.lost += 1
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""One tick in lockstep with wire timing: each frame of the host and of the nodes occupies a simulated wire."""
+"""One tick in lockstep with transmission times: every frame occupies a simulated wire for some time."""
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
@@ -14,12 +14,12 @@ class TimedLockstep:
     """The buses of a hand as simulated wires between the host and the nodes, in virtual time.
 
     Attributes:
-        wires: one wire for each bus.
-        refused: number of frames that a full queue of a node refused.
+        wires: one simulated wire for each bus.
+        refused: number of frames that a node could not send because its queue was full.
     """
 
     def __init__(self, world: SimulatedWorld, spec: WireSpec) -> None:
-        """Connect the host and the nodes to each wire.
+        """Connect the host and the nodes of each bus to the wire of the bus.
 
         Args:
             world: the simulated hand.
@@ -56,7 +56,7 @@ class TimedLockstep:
         return receive
 
     def step(self, t_ns: int, frames: Iterable[Frame], end_ns: int) -> list[Frame]:
-        """Queue the host's frames for sending, and process all events before the end of the tick.
+        """Queue the frames of the host for sending, and process all events before the end of the tick.
 
         Args:
             t_ns: start of the tick [ns].
@@ -71,8 +71,8 @@ class TimedLockstep:
         while True:
             at_ns = min([wire.next_ns() for wire in self.wires])
             self._world.advance(min(at_ns, end_ns))
-            # Nodes may just have sent frames earlier than at_ns, so each wire must tell its next
-            # event again.
+            # Nodes may just have queued frames for a time before at_ns. So each wire must determine
+            # its next event again.
             if self._queue_node_frames(self._world.take_unsolicited()):
                 continue
             if at_ns >= end_ns:
@@ -80,7 +80,7 @@ class TimedLockstep:
             for wire in self.wires:
                 wire.advance(at_ns)
             # The answer of a node contains readings of the plant. Therefore the plant first
-            # advances to the time when the request ends on the wire.
+            # advances to the time at which the wire has carried the whole request.
             if any(map(self._world.has_receiver, self._received)):
                 self._world.reach(at_ns)
             self._answer_received_frames()

@@ -1,4 +1,4 @@
-"""A port that serves a local bus with wire timing.
+"""A port that serves a local bus with simulated transmission times.
 
 Every client and every identifier of a node has its own simulated CAN controller.
 """
@@ -37,12 +37,14 @@ _QUEUE_STRUCT = struct.Struct("<II")
 
 
 class TimedPort:
-    """A port on a simulated wire. See ``bus_ports.BusPort``.
+    """A port of the simulator on a simulated wire.
 
-    Events since the last call are processed in the order in which they occur on the wire.
-    ``receive`` returns only frames that ended at the same time, because the nodes must answer
-    before the next frame. The caller repeats the call until no frame is returned. The nodes have a
-    CAN controller for each identifier that they send.
+    The class ``bus_ports.BusPort`` describes the methods.
+
+    Each call processes the events since the last call, in the order in which they occur on the
+    wire. ``receive`` returns only frames that end at the same time on the wire, because the nodes
+    must answer them before the next frame. The caller repeats the call until the result is empty.
+    The nodes have one CAN controller for each identifier that they send.
 
     Attributes:
         wire: the simulated wire.
@@ -58,20 +60,20 @@ class TimedPort:
         nodes: bool = True,
         latency: Callable[[int], AdapterLatency] | None = None,
     ) -> None:
-        """Open the hub and connect the nodes to the wire.
+        """Open the hub of the bus, and connect the nodes to the wire.
 
         Args:
             name: name of the bus.
-            bus: index of the bus in the hand.
+            bus: index of the bus in the list of the hand's buses.
             rate: bit rates of the wire.
-            options: behaviour of the wire.
-            now_ns: clock of the wire [ns].
-            nodes: True if nodes in this process acknowledge frames.
+            options: options that describe the behaviour of the wire.
+            now_ns: function that returns the present time of the wire [ns].
+            nodes: True if simulated nodes in this process acknowledge frames.
             latency: function that returns the latency of a client's CAN adapter, by the number of
-                the client. None for no latency.
+                the client. None for clients without latency.
 
         Raises:
-            SimulatorError: the bus is already served.
+            SimulatorError: another process already serves the bus.
         """
         self._latency = latency or no_latency
         self._latencies: dict[HubConnection, AdapterLatency] = {}
@@ -94,10 +96,10 @@ class TimedPort:
 
     @property
     def lost(self) -> int:
-        """Return the number of frames lost on this bus.
+        """Return the number of frames that were lost on this bus.
 
-        The sum counts frames dropped for slow clients, frames refused by a full queue of a node,
-        and invalid records.
+        The number includes frames dropped because a client was slow, frames refused because a
+        node's queue was full, and invalid records.
         """
         return self._hub.dropped + self._unreadable + self._refused
 
@@ -108,7 +110,7 @@ class TimedPort:
 
     @property
     def load(self) -> float:
-        """Return the fraction of the time since the port was opened in which frames occupied the wire."""
+        """Return the fraction of time in which frames occupied the wire, since the port was opened."""
         return self.wire.load(0, max(1, self._now_ns() - self._start_ns))
 
     def read_sockets(self) -> list[socket.socket]:
@@ -120,11 +122,11 @@ class TimedPort:
         return self._hub.write_sockets()
 
     def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
-        """Receive the next frames that have ended on the wire.
+        """Receive the next frames whose transmission on the wire has ended.
 
-        If none has ended by now, return no frames.
+        If the transmission of no frame has ended yet, return an empty list.
 
-        See ``bus_ports.BusPort``.
+        The class ``bus_ports.BusPort`` describes the call.
         """
         now_ns = self._now_ns()
         if ready_sockets:
@@ -161,7 +163,7 @@ class TimedPort:
                 self._queues[link] = arrived, left if link.dropped == dropped else -1
 
     def _read_clients(self, ready_sockets: Collection[socket.socket], now_ns: int) -> None:
-        """Read frames from the clients and queue them for sending at the present time.
+        """Read frames from the clients, and queue them for sending at the present time.
 
         Args:
             ready_sockets: sockets that are ready for reading.
@@ -190,7 +192,7 @@ class TimedPort:
         self._hub.drop_closed()
 
     def _delivery_function(self, link: HubConnection) -> Callable[[Frame, int], None]:
-        """Return the function that passes frames from the wire to a client, with the delay of the client's adapter."""
+        """Return the function that passes frames from the wire to a client, delayed by the client's CAN adapter."""
 
         def deliver(frame: Frame, t_ns: int) -> None:
             at_ns = self._latencies[link].receive(t_ns)
@@ -232,17 +234,17 @@ def timed_port_maker(
     """Build the function that opens the ports of a hand's buses with simulated wires.
 
     Args:
-        words: KEY=VALUE words of ``--wire``, None if the option was not given.
+        words: words KEY=VALUE after the option ``--wire``, or None if the option was not given.
         bitrates: nominal and data bit rate of each bus [bit/s].
-        now_ns: clock of the wires [ns].
-        nodes: True if nodes in this process acknowledge frames.
+        now_ns: function that returns the present time of the wires [ns].
+        nodes: True if simulated nodes in this process acknowledge frames.
 
     Returns:
-        Function of bus name and bus index that opens the port of a bus. None if ``--wire`` was not
-        given.
+        Function that opens the port of a bus with the given name and index. None if ``--wire`` was
+        not given.
 
     Raises:
-        SimulatorError: a word of ``--wire`` is not valid.
+        SimulatorError: a word after ``--wire`` is not valid.
     """
     if words is None:
         return None
@@ -253,5 +255,5 @@ def timed_port_maker(
 
 
 def no_latency(adapter_number: int) -> AdapterLatency:
-    """Return no latency, for a client that is on the wire without an adapter."""
+    """Return a latency of zero, for a client that is connected to the wire without a CAN adapter."""
     return AdapterLatency(NO_LATENCY_CLASS)

@@ -1,4 +1,7 @@
-"""The faults of a simulated hand that wait, act or are over. Each has a count of its effects."""
+"""Injected faults of a simulated hand: waiting, acting and finished faults.
+
+Each fault counts its effects.
+"""
 
 import random
 from typing import Any
@@ -37,8 +40,8 @@ class ActiveFaults:
     The effects of faults are deterministic, in lockstep and in real time.
 
     Attributes:
-        on: True once a fault has been injected.
-        wire_faults_of: faults that act on the frames of a node, by the ``id()`` of the node.
+        on: True after the first fault has been injected.
+        wire_faults_of: faults that act on the frames of a node, by the ``id()`` of the node object.
         injected: all faults injected so far, in the order of injection.
         in_frames: True if a fault acts on frames, in a node or in a sensor, and may therefore
             change frames.
@@ -66,7 +69,7 @@ class ActiveFaults:
 
     @property
     def slip_ns(self) -> int:
-        """Return the time lost by slips while this process did not run [ns]."""
+        """Return the total delay behind the wall clock that the simulation will never make up [ns]."""
         return int(self._world.slip_ns)
 
     def inject(self, text: str) -> Fault:
@@ -79,7 +82,7 @@ class ActiveFaults:
             The fault.
 
         Raises:
-            SimulatorError: this hand cannot have the fault in the text.
+            SimulatorError: the hand of this simulation cannot have the fault.
         """
         fault = parse_fault(text, self._world.hand, self._world.t_ns)
         active = ActiveFault(fault, random.Random(f"fault {fault.seed} {fault.text}"))
@@ -124,13 +127,13 @@ class ActiveFaults:
         ]
 
     def advance(self, t_ns: int) -> list[Frame]:
-        """Start the faults whose start is due, and end those whose end is due.
+        """Start the faults whose start is due, and end the faults whose end is due.
 
         Args:
             t_ns: present time [ns].
 
         Returns:
-            Frames that the faults send or have delayed.
+            Frames that the faults send now, either as new frames or after a delay.
         """
         for active in [active for active in self._waiting if active.fault.start_ns <= t_ns]:
             self._waiting.remove(active)
@@ -150,14 +153,15 @@ class ActiveFaults:
         if not self._turn_ns or (
             t_ns >= self._turn_ns and (t_ns - self._turn_ns) % GENERATION_PERIOD_NS == 0
         ):
-            # Generated frames are sent at the ends of whole steps of the plant. A fault can start
-            # within a step, so the completed part of this step is subtracted.
+            # Frames that a fault generates are sent at the ends of whole steps of the plant. A
+            # fault can start within a step of the plant. So the part of the step that is already
+            # completed is subtracted.
             self._turn_ns = t_ns - self._world.plant.part_ns + GENERATION_PERIOD_NS
             frames += self._generated_frames(t_ns)
         return frames
 
     def due_ns(self) -> int:
-        """Return the time of the next event [ns]: start or end of a fault, a delayed frame, or a generated frame."""
+        """Return the time of the next event [ns]: a fault starts or ends, or a delayed or generated frame is sent."""
         due = [active.fault.start_ns for active in self._waiting]
         for active, _ in self._acting:
             due += [
@@ -201,16 +205,16 @@ class ActiveFaults:
         ]
 
     def exchange(self, node: Any, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Return the answers of a node to a frame, after faults have acted on the request and on the answers.
+        """Return the answers of a node to a request, after the faults have acted on the request and on the answers.
 
         Args:
             node: the node.
-            frame: request to the node.
+            frame: frame with the request to the node.
             t_ns: present time [ns].
 
         Returns:
-            The answers that reach the host. None if the node does not receive or does not handle
-            the frame.
+            The answers that reach the host, or None if the node does not receive or does not handle
+            the request.
         """
         actives = self.wire_faults_of.get(id(node))
         if not actives:

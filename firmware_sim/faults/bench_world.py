@@ -1,6 +1,6 @@
-"""A bench of drives in the form of a hand, as a target of faults.
+"""Drives on a test bench, represented as a hand, so that faults can be injected into them.
 
-Each drive is a motor of a hand without digits.
+Each drive is represented as a motor of a hand without digits.
 """
 
 from collections.abc import Sequence
@@ -17,13 +17,13 @@ BENCH_BUS = "bench"
 
 
 class BenchInterface(Protocol):
-    """The attributes and methods of a bench of drives that faults use.
+    """The attributes and methods of a test bench of drives that faults use.
 
     Attributes:
-        motors: rotors in the order of the drive descriptions.
-        nodes: nodes in the order of the drive descriptions.
-        slip_ns: time lost by slips [ns].
-        part_ns: completed part of the step in progress [ns].
+        motors: rotors of the drives, in the order of the drive descriptions.
+        nodes: simulated nodes of the drives, in the order of the drive descriptions.
+        slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
+        part_ns: completed part of the plant step in progress [ns].
     """
 
     motors: list[Motor]
@@ -42,17 +42,17 @@ class BenchInterface(Protocol):
 
 
 class BenchPlant:
-    """The rotors of a bench by name, with the clock of the bench.
+    """The rotors of a test bench by name, with the clock of the bench.
 
     Attributes:
         motors: rotors by the names of their drives.
-        tendons: empty, because a bench has no tendons.
+        tendons: empty mapping, because a bench has no tendons.
     """
 
     tendons: Sequence[Any] = ()
 
     def __init__(self, bench: BenchInterface, specs: Sequence[MotorSpec]) -> None:
-        """Give each rotor of a bench the name of its drive."""
+        """Give each rotor of the bench the name of its drive."""
         self._bench = bench
         self.motors = {spec.name: motor for spec, motor in zip(specs, bench.motors, strict=True)}
 
@@ -63,24 +63,24 @@ class BenchPlant:
 
     @property
     def part_ns(self) -> int:
-        """Return the completed part of the step in progress [ns]."""
+        """Return the completed part of the plant step in progress [ns]."""
         return self._bench.part_ns
 
 
 class BenchWorld:
-    """A bench in the form of a world for ``active_faults.ActiveFaults``.
+    """A test bench of drives, with the interface of a simulated world, for ``active_faults.ActiveFaults``.
 
     Attributes:
-        hand: description of a hand with the drives as its motors.
+        hand: description of a hand whose motors are the drives of the bench.
         plant: rotors of the drives.
-        nodes: one list, with the nodes of the only bus.
+        nodes: list with one entry, the list of the nodes on the only bus of the bench.
         sensor_node: None, because a bench has no sensor node.
     """
 
     sensor_node = None
 
     def __init__(self, bench: BenchInterface, specs: Sequence[MotorSpec]) -> None:
-        """Describe the drives of a bench as the motors of a hand."""
+        """Describe the drives of the bench as the motors of a hand."""
         self._bench = bench
         motors = list(specs)
         self.hand = Hand("bench", (0.0, 0.0, 0.0), [BENCH_BUS], [(0, 0)], [], [], motors, None)
@@ -95,20 +95,23 @@ class BenchWorld:
 
     @property
     def slip_ns(self) -> int:
-        """Return the time lost by slips [ns]."""
+        """Return the total delay behind the wall clock that the simulation will never make up [ns]."""
         return self._bench.slip_ns
 
     def node_of(self, name: str) -> Any:
-        """Return the node of a drive, without the wrapper for a deliberate fault."""
+        """Return the simulated node of a drive.
+
+        If the node has a deliberate fault, return the node inside the wrapper.
+        """
         node = self._nodes[name]
         return node.node if isinstance(node, FaultyDrive) else node
 
     def motor_spec(self, name: str) -> MotorSpec:
-        """Return the description of a drive by the name of the drive."""
+        """Return the description of the drive with a given name."""
         return next(motor for motor in self.hand.motors if motor.name == name)
 
     def host_frame(self, name: str) -> Frame:
-        """Return a frame that has no effect and that only the host of a drive sends."""
+        """Return a frame without effect that only the host of the named drive would send."""
         spec = self.motor_spec(name)
         can_id, data = PROTOCOL_SPECS[spec.protocol].host_frame(spec.node_id)
         return Frame(can_id, data, 0, 0, self.t_ns)
@@ -118,4 +121,4 @@ class BenchWorld:
         self._bench.queue_frames(frames)
 
     def refresh_identifiers(self) -> None:
-        """Do nothing: a bench passes every frame to every node."""
+        """Do nothing, because a bench passes every frame to every node."""

@@ -1,4 +1,4 @@
-"""The socket through which a running simulator takes faults.
+"""The socket through which a user injects faults into a running simulator.
 
 Each request and each answer is one datagram.
 """
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from firmware_sim.hand_description import SimulatorError
 
-if TYPE_CHECKING:  # The program ``bus`` has no faults and no plant, and must not import them.
+if TYPE_CHECKING:  # The program ``bus`` has neither faults nor a plant. So it must not import the modules for them.
     from firmware_sim.faults.active_faults import ActiveFaults
     from firmware_sim.simulation_pace import PaceCounter
 
@@ -31,7 +31,7 @@ def is_served(path: Path) -> bool:
 class FaultSocket:
     """A Unix datagram socket that receives requests in JSON and answers each with a JSON object.
 
-    Requests are ``{"inject": TEXT}``, ``{"list": true}``, ``{"kinds": true}`` and ``{"pace":
+    A request is ``{"inject": TEXT}``, ``{"list": true}``, ``{"kinds": true}`` or ``{"pace":
     true}``.
     """
 
@@ -43,7 +43,7 @@ class FaultSocket:
             faults: faults of the simulated hand.
 
         Raises:
-            SimulatorError: the socket cannot be made.
+            SimulatorError: the socket cannot be created.
         """
         self._path = path
         self._faults = faults
@@ -61,7 +61,7 @@ class FaultSocket:
         return [self._socket]
 
     def serve(self, pace: "PaceCounter | None" = None) -> None:
-        """Answer all requests that wait in the socket.
+        """Answer all requests that are waiting in the socket.
 
         Args:
             pace: pace of the simulator, None for a program that does not measure the pace.
@@ -76,7 +76,7 @@ class FaultSocket:
                 try:
                     self._socket.sendto(answer, client)
                 except OSError:
-                    continue  # The client of this request has gone, or its queue is full.
+                    continue  # The client that sent this request has ended, or its queue is full.
 
     def _answer_request(
         self, request_bytes: bytes, pace: "PaceCounter | None"
@@ -104,6 +104,6 @@ class FaultSocket:
         }
 
     def close(self) -> None:
-        """Close the fault socket and remove its file."""
+        """Close the fault socket, and remove the file of the socket."""
         self._socket.close()
         self._path.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Faults as data and as a line of text, such as ``drop node=3 p=0.05 at=3s for=2s``."""
+"""Faults as data and as a line of text, for example ``drop node=3 p=0.05 at=3s for=2s``."""
 
 import math
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class FaultKind(NamedTuple):
     Attributes:
         components: types of component, the possible targets of this kind.
         size: default size of a fault of this kind.
-        text: effect of a fault of this kind.
+        text: effect of a fault of this kind, in words.
     """
 
     components: tuple[str, ...]
@@ -121,12 +121,12 @@ class Fault:
         instance: name of the target component.
         start_ns: start of the fault [ns].
         duration_ns: duration of the fault [ns].
-        size: size of the fault, with the meaning and unit defined by the kind.
-        p: probability with which the fault hits a frame.
+        size: size of the fault. The kind of the fault determines the meaning and the unit.
+        p: probability with which the fault affects each frame.
         seed: seed of the random numbers of the fault.
         hz: frequency of the torque in a fault of kind ``ripple`` [Hz].
         text: text from which the fault was parsed.
-        other: second motor of a fault that acts on two motors, otherwise empty.
+        other: second motor if the fault acts on two motors, otherwise an empty text.
     """
 
     kind: str
@@ -149,10 +149,10 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
         text: ``KIND COMPONENT=INSTANCE [with=NAME] [size=X] [p=X] [hz=X] [at=TIME] [for=TIME]
             [seed=N]``.
         hand: hand in which the fault will act.
-        now_ns: time from which the time after ``at`` counts [ns].
+        now_ns: time from which the time after the word ``at`` is counted [ns].
 
     Raises:
-        SimulatorError: the text cannot be parsed, or this hand cannot have the fault.
+        SimulatorError: the text cannot be parsed, or the hand cannot have the fault.
     """
     kind, *pairs = text.split() or [""]
     if kind not in FAULT_KINDS:
@@ -223,7 +223,10 @@ def _target_component(text: str, kind: str, options: dict[str, str]) -> str:
 def _second_motor(
     text: str, kind: str, first_motor: str, options: dict[str, str], hand: Hand
 ) -> str:
-    """Return the second motor of a fault that acts on two motors, otherwise an empty string."""
+    """Return the second motor of a fault that acts on two motors.
+
+    For other faults, return an empty string.
+    """
     if kind not in TWO_MOTOR_KINDS:
         return ""
     if "with" not in options:
@@ -276,7 +279,7 @@ def _target_instance(text: str, names: list[str], component: str, name: str, han
 
 
 def _number_from_text(text: str, key: str, value_text: str, low: float, high: float) -> float:
-    """Parse a number that must lie in a range."""
+    """Parse a number of a fault text that must lie in a given range."""
     try:
         value = float(int(value_text, 0)) if value_text.startswith("0x") else float(value_text)
     except ValueError:

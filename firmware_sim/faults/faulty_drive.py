@@ -31,11 +31,11 @@ NO_WATCHDOG = ("cubemars", "robstride_mit")
 
 
 def check_fault_has_effect(protocol: str, fault: str) -> None:
-    """Check that a drive with a deliberate fault behaves differently from a good drive.
+    """Check that a deliberate fault changes the behaviour of a drive with the given protocol.
 
     Args:
         protocol: key of ``PROTOCOL_SPECS``.
-        fault: key of ``DRIVE_FAULTS``, empty for no fault.
+        fault: key of ``DRIVE_FAULTS``, or an empty text for no fault.
 
     Raises:
         SimulatorError: the drives of the protocol cannot have the fault.
@@ -54,14 +54,14 @@ class FaultyDrive:
     """A drive node with a deliberate fault. See ``nodes.Node``.
 
     Attributes:
-        node: the node without the fault.
+        node: simulated drive without the fault.
     """
 
     def __init__(self, node: DriveNode, fault: str, spec: ProtocolSpec) -> None:
-        """Wrap a drive node that has no fault.
+        """Wrap a simulated drive that has no fault.
 
         Args:
-            node: drive node without the fault.
+            node: simulated drive without the fault.
             fault: key of ``DRIVE_FAULTS``.
             spec: protocol of the node, with the functions for corrupting frames.
         """
@@ -106,18 +106,21 @@ class FaultyDrive:
 
     def _feed_watchdog(self, t_ns: int) -> None:
         if self._fault == "watchdog" and self.node.watchdog_fed_ns >= 0:
-            # Every call feeds the watchdog, so that the watchdog never fires.
+            # Every call restarts the watchdog of the drive, so that the watchdog never fires.
             self.node.watchdog_fed_ns = t_ns
 
 
 def with_fault(node: DriveNode, protocol: str, fault: str) -> SimulatedNode:
-    """Return a drive node with a deliberate fault, or the node itself if no fault is asked for.
+    """Return a simulated drive with a deliberate fault.
+
+    If no fault is given, return the drive itself.
 
     Args:
-        node: drive node without a fault.
+        node: simulated drive without a fault.
         protocol: key of ``PROTOCOL_SPECS``.
-        fault: key of ``DRIVE_FAULTS``, empty for no fault. ``sign`` and ``twin`` do not change the node:
-            the caller applies them with ``with_faulty_specs``.
+        fault: key of ``DRIVE_FAULTS``, or an empty text for no fault. The faults ``sign`` and
+            ``twin`` do not change the drive. For these faults, the caller uses
+            ``with_faulty_specs``.
     """
     return (
         node

@@ -1,6 +1,6 @@
-"""Faults of sensors, motors, tendons and digits.
+"""Faults of sensors, motors, tendons and digits in the simulated plant.
 
-The functions here start a change of the simulation, and return the function that ends the change.
+Each function changes the simulation, and returns a function that undoes the change.
 """
 
 import math
@@ -44,8 +44,8 @@ def start_plant_fault(world: Any, active: ActiveFault) -> UndoFunction:
     """Start the effect of a fault.
 
     Args:
-        world: world in which the fault acts.
-        active: the fault.
+        world: simulated world in which the fault acts.
+        active: fault whose effect starts.
 
     Returns:
         Function that ends the effect of the fault.
@@ -57,7 +57,7 @@ def start_plant_fault(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
-    """Change the reading of one sensor."""
+    """Change the readings of one sensor from now on."""
     fault = active.fault
     change = _reading_change(active, lambda: int(world.t_ns))
     if fault.component == ENCODER_TARGET:
@@ -77,10 +77,10 @@ def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _reading_change(active: ActiveFault, now_ns: Callable[[], int]) -> Callable[[float], float]:
-    """Build the function that changes a reading.
+    """Build the function by which a fault changes the readings of a sensor.
 
     Args:
-        active: the fault and the count of its effects.
+        active: fault, with the count of its effects.
         now_ns: function that returns the present time [ns].
 
     Returns:
@@ -118,12 +118,13 @@ def _reading_change(active: ActiveFault, now_ns: Callable[[], int]) -> Callable[
 def _delayed_reading(
     active: ActiveFault, past_readings: list[float], value: float, now_ns: int
 ) -> float:
-    """Return the reading of ``size`` samples ago.
+    """Return the reading that a sensor had ``size`` samples ago, where ``size`` is the size of the fault.
 
-    Until so many samples exist, return the present reading.
+    While fewer samples exist, return the present reading.
     """
     past_readings.append(value)
-    # The list holds the first reading twice, because ``_reading_change`` has also stored it.
+    # The list contains the first reading twice, because ``_reading_change`` has already stored this
+    # reading.
     if len(past_readings) <= int(active.fault.size) + 1:
         return value
     active.note_effect(now_ns)
@@ -164,7 +165,10 @@ def _start_slack(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_friction(world: Any, active: ActiveFault) -> UndoFunction:
-    """Add Coulomb friction to a motor: the size of the fault is the friction force at the tendon [N]."""
+    """Add Coulomb friction to a motor.
+
+    The size of the fault is the friction force, converted to the tendon [N].
+    """
     tendon = next(spec for spec in world.hand.every_tendon if spec.name == active.fault.instance)
     motor = world.plant.motors[tendon.motor]
     before = motor.coulomb
@@ -174,7 +178,7 @@ def _start_friction(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _tendon_of(world: Any, fault: Fault) -> Any:
-    """Return the tendon on which a fault acts."""
+    """Return the simulated tendon on which a fault acts."""
     names = [spec.name for spec in world.hand.every_tendon]
     return world.plant.tendons[names.index(fault.instance)][0]
 
@@ -190,7 +194,10 @@ def _start_block(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_trip(world: Any, active: ActiveFault) -> UndoFunction:
-    """Trip a drive with the error code of the fault's kind, or with the size of the fault as error code."""
+    """Make a drive report an error.
+
+    The error code belongs to the kind of the fault, or is the size of the fault.
+    """
     node = world.node_of(active.fault.instance)
     codes = ERROR_CODES[active.fault.kind]
     size = int(active.fault.size)
@@ -211,7 +218,7 @@ def _start_trip(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_reset(world: Any, active: ActiveFault) -> UndoFunction:
-    """Reset a drive, either by a power cycle or by the reset command of its protocol."""
+    """Reset a drive, either by a power cycle or by the reset command of the drive's protocol."""
     node = world.node_of(active.fault.instance)
     active.note_effect(world.t_ns)
     match node:
@@ -231,7 +238,7 @@ def _start_reset(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_forget(world: Any, active: ActiveFault) -> UndoFunction:
-    """Lose all unsaved settings of a drive while its power stage stays on.
+    """Make a drive lose all unsaved settings, while its power stage stays on.
 
     The fault simulates a voltage dip that resets only the processor of the drive.
     """
@@ -258,7 +265,7 @@ def _start_ripple(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_hot(world: Any, active: ActiveFault) -> UndoFunction:
-    """Hold the winding of a motor at a fixed temperature."""
+    """Keep the winding of a motor at a fixed temperature."""
     thermal = world.node_of(active.fault.instance).thermal
     active.note_effect(world.t_ns)
     thermal.forced = active.fault.size
@@ -267,10 +274,11 @@ def _start_hot(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 class _CrossedMotor:
-    """The motor of a drive with the sensors of one rotor and the power stage of another rotor.
+    """A motor whose drive has the sensors of one rotor and the power stage of another rotor.
 
     Attributes:
-        servo: setpoints of the driven rotor. All other attributes are those of the sensed rotor.
+        servo: setpoints of the rotor driven by the power stage. All other attributes belong to the
+            rotor measured by the sensors.
     """
 
     def __init__(self, sensed: Any, driven: Any) -> None:
@@ -284,7 +292,7 @@ class _CrossedMotor:
 
 
 def _start_exchange(world: Any, active: ActiveFault) -> UndoFunction:
-    """Exchange the sensors (``swap``) or the power stages (``cross``) of two drives."""
+    """Exchange the sensors of two drives (``swap``), or the power stages of two drives (``cross``)."""
     names = active.fault.instance, active.fault.other
     nodes = [world.node_of(name) for name in names]
     motors = [world.plant.motors[name] for name in names]
@@ -327,7 +335,10 @@ def _start_late(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_servo(world: Any, active: ActiveFault) -> UndoFunction:
-    """Replace the torque that a drive's power stage applies. The sensor node has no power stage."""
+    """Replace the torque that the power stage of a drive applies.
+
+    The sensor node of the hand has no power stage.
+    """
     if active.fault.instance == SENSOR_NODE_NAME:
         return lambda: None
     motor = world.plant.motors[active.fault.instance]

@@ -1,4 +1,4 @@
-"""Faults on the way between nodes and host: frames are lost, late, duplicated, changed or replayed."""
+"""Faults on the bus between nodes and host: frames are lost, late, duplicated, changed or replayed."""
 
 import random
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ class ActiveFault:
         fault: the data of the fault.
         rng: generator of the fault's random numbers.
         effects: number of effects of the fault until now.
-        first_ns: time of the fault's first effect [ns], -1 before the first effect.
+        first_ns: time of the fault's first effect [ns], or -1 if the fault has had no effect yet.
         delayed: frames that the fault has stored, with their release times [ns].
         calls: number of answers handled by the fault until now.
     """
@@ -38,7 +38,7 @@ class ActiveFault:
             self.first_ns = t_ns
 
     def hits(self) -> bool:
-        """Decide at random whether the fault hits this frame."""
+        """Decide at random whether the fault affects the present frame."""
         return self.fault.p >= 1.0 or self.rng.random() < self.fault.p
 
 
@@ -110,14 +110,14 @@ def _duplicate_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> li
 
 
 def _send_twin_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Send an additional frame with the same identifier but another payload, as a second node would."""
+    """Send a second frame with the same identifier but with another payload, as a second node would."""
     sent = []
     for frame in frames:
         sent.append(frame)
         if len(frame.data) >= 4 and active.hits():
             other = bytearray(frame.data)
-            # The inverted bit lies in the middle of a value, so the frame is plausible but differs
-            # from the true frame.
+            # The inverted bit lies in the middle of a value. So the second frame looks plausible
+            # but differs from the true frame.
             other[2] ^= 0x04
             sent.append(frame._replace(data=bytes(other)))
             active.note_effect(t_ns)
@@ -164,9 +164,9 @@ def _shorten_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list
 
 
 def _extend_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Mark identifiers of 11 bits as identifiers of 29 bits.
+    """Mark frames with 11-bit identifiers as frames with 29-bit identifiers.
 
-    Identifiers of 29 bits stay unchanged.
+    Frames with 29-bit identifiers stay unchanged.
     """
     sent = []
     for frame in frames:
@@ -178,7 +178,10 @@ def _extend_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[
 
 
 def _slow_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Drop all answers of a node except every n-th answer. The size of the fault is n."""
+    """Drop the answers of a node, except every n-th answer.
+
+    The number n is the size of the fault.
+    """
     active.calls += 1
     if active.calls % max(2, int(active.fault.size)):
         active.note_effect(t_ns)
@@ -193,13 +196,15 @@ def _remove_all_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> l
 
 
 def _replay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Replay the frames of ``size`` answers ago.
+    """Send the frames of an earlier answer in place of the present ones.
 
-    Until so many answers exist, send the present frames.
+    The size of the fault says how many answers earlier.
+
+    While the node has sent fewer answers, send the present frames.
     """
     active.calls += 1
-    # The release time is NEVER_NS plus the number of the answer, so ``due_frames`` never releases
-    # these frames.
+    # The release time of these frames is NEVER_NS plus the number of the answer. So ``due_frames``
+    # never releases them.
     active.delayed += [(NEVER_NS + active.calls, frame) for frame in frames]
     then = active.calls - int(active.fault.size)
     if then <= 0:

@@ -88,13 +88,13 @@ class CubemarsNode:
     Attributes:
         enabled: True if the motor follows commands.
         error: present error of the motor.
-        offset: angle in the frames of the motor at which the spool angle theta is 0 [rad].
+        offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         thermal: temperatures of the motor.
-        short: True if feedback has six bytes, as in older firmware.
-        ids: identifiers for the node to answer.
-        malformed: number of frames with the node's identifier that the node could not decode.
+        short: True if the feedback has six bytes, as in older firmware.
+        ids: identifiers of the frames that the node answers.
+        malformed: number of frames with an identifier of the node that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
-        watchdog_fed_ns: negative, because the drive has no watchdog.
+        watchdog_fed_ns: negative number, because the drive has no watchdog.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -126,7 +126,7 @@ class CubemarsNode:
         """Process a frame, and answer with a frame of the same identifier.
 
         Returns:
-            The answers. None if the frame is not for this motor.
+            The answers, or None if the frame is not meant for this motor.
         """
         if frame.can_id != self._id:
             return None
@@ -136,7 +136,7 @@ class CubemarsNode:
             return []
         if t_ns < self._silent_until_ns:
             return []
-        # Eight bytes of FF are a valid MIT command, with all fields at their maximum.
+        # Eight bytes FF are a valid MIT command, in which all fields have their maximum.
         if data[:7] == _SPECIAL_COMMAND_START and data[7] != 0xFF:
             return self._process_special_command(data[7], frame, t_ns)
         self._apply_command(data)
@@ -158,7 +158,7 @@ class CubemarsNode:
         return [self._feedback_frame(frame, t_ns)]
 
     def _switch_torque(self, enable: bool) -> None:
-        """Switch the torque on or off.
+        """Switch the torque of the motor on or off.
 
         The servo keeps its setpoint only if the motor was enabled and stays enabled.
         """
@@ -200,7 +200,7 @@ class CubemarsNode:
     def trip(self, feedback_error: FeedbackError) -> None:
         """Enter an error state, which removes the torque.
 
-        ``FeedbackError.NONE`` ends the error state.
+        With ``FeedbackError.NONE``, the error state ends.
         """
         self.error = feedback_error
         if feedback_error != FeedbackError.NONE:
@@ -226,7 +226,10 @@ class CubemarsNode:
 
 
 def shaft_of_motor(motor_type: str) -> ShaftSpec:
-    """Build the shaft of a motor model. Inertia and stall torque of the shaft are assumptions."""
+    """Build the shaft of a motor model.
+
+    The inertia and the stall torque of the shaft are assumed.
+    """
     position, velocity, peak = FULL_SCALE[motor_type]
     speed_constant, ratio = SPEED_CONSTANTS[motor_type]
     top_speed = speed_constant * SUPPLY_V / ratio * math.tau / 60.0
@@ -240,7 +243,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace the command *disable* by an MIT command without torque."""
+    """Replace the command *disable* by an MIT command with zero torque."""
     return (
         frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff")
         if frame.data == _SPECIAL_COMMAND_START + b"\xfd"

@@ -93,9 +93,9 @@ _SPECIAL_COMMAND_BITS = 0xFFFFFFFFFFFFFF
 
 
 class ReceiverStruct(ctypes.Structure):
-    """A node that receives an identifier.
+    """A node that receives frames with a certain identifier.
 
-    The fields are the kind of the node, its row in the array for this kind, and the index of the
+    The fields are the kind of the node, the row in the array for this kind, and the index of the
     next receiver or -1.
     """
 
@@ -103,7 +103,7 @@ class ReceiverStruct(ctypes.Structure):
 
 
 def empty_table(buses: int) -> Any:
-    """Make an empty table of receivers, shape (2 * 2048 * buses,)."""
+    """Create an empty table of receivers, of shape (2 * 2048 * buses,)."""
     return np.full(buses * 2 * _STANDARD_ID_COUNT, -1, np.int64)
 
 
@@ -111,11 +111,11 @@ def empty_table(buses: int) -> Any:
 def table_index(bus: int, can_id: int) -> int:
     """Return the index of an identifier in the table of receivers.
 
-    Return -1 for an identifier of more than 11 bits.
+    If an identifier has more than 11 bits, return -1.
     """
     if can_id & ~REMOTE_FLAG >= _STANDARD_ID_COUNT:
         return -1
-    # The index selects the blocks of the bus, and then the block of data frames or remote frames.
+    # Each bus has two blocks of the table: one for data frames and one for remote frames.
     return (2 * bus + (1 if can_id & REMOTE_FLAG else 0)) * _STANDARD_ID_COUNT + (
         can_id & (_STANDARD_ID_COUNT - 1)
     )
@@ -123,9 +123,9 @@ def table_index(bus: int, can_id: int) -> int:
 
 @kernel_helper
 def _payload_as_integer(payload: Any) -> int:
-    """Return eight bytes as an integer. The first byte is the highest.
+    """Return eight bytes as an integer.
 
-    The sign of the integer has no meaning.
+    The first byte is the most significant. The sign of the integer has no meaning.
     """
     word = 0
     for i in range(8):
@@ -135,7 +135,7 @@ def _payload_as_integer(payload: Any) -> int:
 
 @kernel_helper
 def _fill_header(answer: Any, can_id: int, length: int, flags: int, bus: int) -> None:
-    """Fill all fields of a frame except its time. The payload is set to zero."""
+    """Fill all fields of a frame, but not the time. The payload is set to zero."""
     answer.can_id = can_id
     answer.length = length
     answer.flags = flags
@@ -163,13 +163,14 @@ def _mit_needs_python(node: Any, rotor: Any, frame: Any, t_ns: int) -> bool:
     """Return True if Python must process a frame for an MIT drive."""
     if frame.length != 8 or t_ns >= node.wake_ns or rotor.faulty != 0 or node.mode != MODE_MIT:
         return True
-    # Only the first seven bytes are compared. The eighth byte is the code of the special command.
+    # Only the first seven bytes of the payload are compared. The eighth byte is the code of the
+    # special command.
     return _payload_as_integer(frame.data) >> 8 & _SPECIAL_COMMAND_BITS == _SPECIAL_COMMAND_BITS
 
 
 @kernel_helper
 def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> None:
-    """Apply a command to an MIT drive and write the drive's feedback."""
+    """Apply a command to an MIT drive, and write the feedback of the drive."""
     node.watchdog_fed_ns = t_ns
     if node.state == ENABLED_STATE:
         apply_command(node, rotor.servo_row, _payload_as_integer(frame.data))
@@ -181,7 +182,7 @@ def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> No
     _fill_header(answer, node.reply_id, 8, frame.flags, frame.bus)
     data = answer.data
     for i in range(8):
-        # The payload has the highest byte first.
+        # In the payload, the most significant byte of each field comes first.
         data[i] = word >> (56 - 8 * i) & 0xFF
 
 
@@ -238,7 +239,8 @@ def _cia402_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
         return bool(node.nmt != OPERATIONAL_STATE)
     if frame.can_id == node.master_id:
         return False
-    # With bits 0 to 3 set and fault reset clear, the control word keeps the operation enabled.
+    # A control word with bits 0 to 3 set and the bit *fault reset* clear keeps the operation
+    # enabled.
     stays_enabled = frame.data[0] & 0x8F == 0x0F and node.power_stage.reset_bit == 0
     return (
         node.nmt != OPERATIONAL_STATE
@@ -273,7 +275,7 @@ def _answer_cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, c
     else:
         values[CONTROL_WORD] = data[0] | data[1] << 8
         torque = int(data[2] | data[3] << 8)
-        # Two's complement of 16 bits.
+        # Conversion of 16 bits to a signed number (two's complement).
         values[TARGET_TORQUE] = torque - (1 << 16) if torque >= 1 << 15 else torque
         apply_torque(node, rotor.servo_row)
     schedule_cia402(node, t_ns, False)
@@ -284,7 +286,7 @@ def _answer_cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, c
 def _write_sensor_frames(
     words: Any, channels: int, can_id: int, frame: Any, answers: Any, count: int
 ) -> int:
-    """Write payloads of the sensor node into frames that answer SYNC.
+    """Write payloads of the sensor node into the frames that answer a SYNC frame.
 
     Args:
         words: payloads as integers. The payloads are written with the low byte first.
@@ -310,7 +312,7 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
     node: Any, frame: Any, t_ns: int, cells: Any, q: Any, cell_order: Any, joint_order: Any, bias: Any,
     noise: Any, noise_bounds: Any, answers: Any, count: int,
 ) -> int:  # fmt: skip
-    """Sample load cells and joint encoders, and write the frames that answer SYNC.
+    """Read load cells and joint encoders, and write the frames that answer a SYNC frame.
 
     Args:
         node: row of the sensor node.
@@ -368,14 +370,14 @@ def _stamp_in_sequence(
 
     Args:
         frames: frames of the host.
-        answers: answers, in which the times are set.
+        answers: answers whose times are set.
         count: number of answers.
         t_ns: start of the tick [ns].
         last_ns: largest delay of an answer after the start of the tick [ns].
         buses: number of buses.
 
     Returns:
-        True if the times of the answers rise.
+        True if the times of the answers are in rising order.
     """
     busy_ns = np.zeros(buses, np.int64)
     for i in range(len(frames)):
@@ -419,7 +421,7 @@ def _drive_needs_python(
 def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
     receiver_row: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int, answers: Any, count: int
 ) -> int:  # fmt: skip
-    """Process a frame in a drive and write the drive's answers.
+    """Process a frame in a drive, and write the answers of the drive.
 
     Returns:
         Number of answers in ``answers``.
@@ -495,16 +497,16 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         answers: array for the answers, filled by the kernel.
         progress: numbers that describe the progress, see ``NEXT_FRAME``.
         t_ns: present time [ns].
-        last_ns: maximum delay of an answer after the start of the tick [ns].
+        last_ns: largest delay of an answer after the start of the tick [ns].
         table: index of the first receiver of each identifier, or -1.
-        max_answers: maximum number of answers to one frame.
+        max_answers: largest possible number of answers to one frame.
         receivers: array of all receivers. The indices in ``table`` and in the receivers are indices
             into this array.
         mit: rows of MIT drives.
         odrive: rows of ODrives.
         cia402: rows of CiA 402 drives.
         drives: all drives as receivers.
-        sensor: row of the sensor node, shape (1,), shape (0,) without a sensor node.
+        sensor: (1,) row of the sensor node, or (0,) if the hand has no sensor node.
         cell_order: see ``_answer_sync``.
         joint_order: see ``_answer_sync``.
         bias: see ``_answer_sync``.
@@ -533,8 +535,8 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         while index >= 0:
             receiver_row = receivers[index]
             if receiver_row.kind == SENSOR_NODE_KIND:
-                # The kernel cannot draw random numbers, so all random numbers for one SYNC frame
-                # must be drawn before.
+                # The kernel cannot draw random numbers. So all random numbers for one SYNC frame
+                # must be drawn before the call.
                 drawn = noise_bounds[1] >= noise_bounds[0] + 2 * len(cell_order) + len(joint_order)
                 needs_python = needs_python or frame.length != 1 or not drawn
             else:
@@ -587,7 +589,9 @@ ROTOR_DTYPE = np.dtype(RotorStruct)
 
 @compiled(FRAME_DTYPE, FRAME_DTYPE, "counts", "count", "count", "count")
 def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answers: int) -> None:
-    """Answer frames, with most arrays given by address. See ``_answer``.
+    """Answer frames, where most arrays are given by their addresses.
+
+    The kernel ``_answer`` explains the answers.
 
     Args:
         frames: frames of the host.
@@ -595,8 +599,8 @@ def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answ
         at: address and length of each other array of ``_answer``, in the order of
             ``tick_exchange.TickExchange``.
         t_ns: present time [ns].
-        last_ns: maximum delay of an answer after the start of the tick [ns].
-        max_answers: maximum number of answers to one frame.
+        last_ns: largest delay of an answer after the start of the tick [ns].
+        max_answers: largest possible number of answers to one frame.
     """
     _answer(
         frames, answers, rows_at(at[0], at[1], COUNT_DTYPE), t_ns, last_ns, rows_at(at[2], at[3], COUNT_DTYPE),
@@ -614,9 +618,9 @@ def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answ
 
 @kernel_helper
 def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
-    """Return True if Python must wake an ODrive, because something other than the two cyclic messages is due.
+    """Return True if Python must wake an ODrive, because something else than the two cyclic messages is due.
 
-    Python does the update of temperatures, the watchdog, the end of a calibration, the modes of
+    Python handles the update of temperatures, the watchdog, the end of a calibration, the modes of
     ``odrive.motion_modes``, and the messages of firmware 0.5.
     """
     busy = node.busy_until_ns > 0 or node.motion_due_ns > 0
@@ -627,7 +631,7 @@ def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
 
 @kernel_helper
 def _cia402_needs_wake(node: Any, now_ns: int) -> bool:
-    """Return True if Python must wake a CiA 402 drive, because something other than the heartbeat is due."""
+    """Return True if Python must wake a CiA 402 drive, because something else than the heartbeat is due."""
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= CIA402_THERMAL_PERIOD_NS
     if node.motion_due_ns > 0:
         return True
@@ -743,8 +747,8 @@ def merge(frames: Any, other_frames: Any, merged: Any) -> None:
     count = len(frames)
     for i in range(len(merged)):
         frame = frames[i] if i < count else other_frames[i - count]
-        # The loop is an insertion sort, because both arrays are almost sorted and equal times must
-        # keep their order.
+        # The loop is an insertion sort. It is fast because both arrays are almost sorted, and it
+        # keeps the order of equal times.
         place = i
         while place > 0 and merged[place - 1].t_ns > frame.t_ns:
             merged[place] = merged[place - 1]

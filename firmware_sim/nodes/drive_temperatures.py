@@ -1,6 +1,7 @@
-"""Temperatures of a drive's winding and MOSFETs.
+"""Temperatures of the winding and the MOSFETs of a drive.
 
-Winding and MOSFETs are each modelled as a heat capacity that loses heat to the surroundings.
+The winding and the MOSFETs are each modelled as a body with a heat capacity that loses heat to the
+surroundings.
 """
 
 import ctypes
@@ -51,8 +52,8 @@ class DriveTemperatures:
         """
         if elapsed_s <= 0.0:
             return
-        # The mean copper loss is the squared current times the resistance. The current is torque /
-        # torque constant.
+        # The mean copper loss is the square of the current times the resistance. The current is the
+        # torque divided by the torque constant.
         watt = torque_squared / elapsed_s * self._ohm_per_kt2
         self.winding = _low_pass(
             self.winding, AMBIENT_C + WINDING_K_PER_W * watt, elapsed_s / WINDING_S
@@ -65,14 +66,14 @@ class DriveTemperatures:
 
 
 class ThermalStruct(ctypes.Structure, DriveTemperatures):
-    """Temperatures stored in the row of a drive."""
+    """Temperatures of a drive, stored in the array row of the drive."""
 
     _fields_ = [(name, ctypes.c_double) for name in ("winding", "mosfet")]
 
 
 def _low_pass(value: float, target: float, time_constants: float) -> float:
-    """Move a value towards a target as a first-order lag does.
+    """Move a value towards a target, as a first-order lag does.
 
-    The time is given in time constants.
+    The time is given as a number of time constants.
     """
     return target + (value - target) * math.exp(-time_constants)

@@ -1,13 +1,13 @@
-"""Setpoint generators and cascaded controllers for the position and velocity modes of the drives.
+"""Generators of setpoints, and cascaded controllers, for the position and velocity modes of the drives.
 
 In a real drive, these controllers run at 10 to 20 kHz. In the simulation, the position loop runs
-once per millisecond. The velocity loop is a part of the servo (``plant.motor``), and is integrated
-implicitly. Drives of all protocols share this cascade:
+once per millisecond. The velocity loop is a part of the servo (``plant.motor``) and is integrated
+implicitly. The drives of all protocols use the same cascade of controllers:
 
     velocity demand = position gain (position - angle) + velocity, within +-speed
     torque          = velocity gain (velocity demand - omega) + integral + feedforward, within +-limit
 
-Position, velocity and torque belong to the spool, and have the sign of the hand.
+Position, velocity and torque refer to the spool, and have the sign of the hand.
 """
 
 import math
@@ -37,7 +37,7 @@ class LoopGains(NamedTuple):
     """Gains of cascaded controllers, converted to the spool.
 
     Attributes:
-        position: gain of the position loop [1/s], 0 in velocity mode.
+        position: gain of the position loop [1/s], or 0 in velocity mode.
         velocity: gain of the velocity loop [N m s/rad].
         integral: integral gain of the velocity loop [N m/rad].
     """
@@ -48,9 +48,9 @@ class LoopGains(NamedTuple):
 
 
 def assumed_gains(inertia: float, position: float = POSITION_GAIN) -> LoopGains:
-    """Return assumed gains for a drive that documents none.
+    """Return gains for a drive whose documentation states none.
 
-    The assumed gains follow from an inertia [kg m2] and a position gain [1/s].
+    These assumed gains follow from an inertia [kg m2] and a position gain [1/s].
     """
     velocity = VELOCITY_BANDWIDTH * inertia
     return LoopGains(position, velocity, INTEGRAL_RATE * velocity)
@@ -70,25 +70,25 @@ class MotionSetpoint:
         self.jump(position, velocity)
 
     def jump(self, position: float, velocity: float = 0.0) -> None:
-        """Set the setpoint without a ramp."""
+        """Set the setpoint at once, without a ramp."""
         self.position = position
         self.velocity = velocity
         self.acceleration = 0.0
 
     def ramp(self, velocity: float, rise: float, fall: float, step_s: float) -> None:
-        """Move the setpoint's velocity towards a target [rad/s], and advance its position.
+        """Change the setpoint's velocity towards a target [rad/s], and advance the position of the setpoint.
 
         Args:
             velocity: target velocity [rad/s].
-            rise: largest acceleration while the speed grows [rad/s2].
-            fall: largest deceleration while the speed falls [rad/s2].
+            rise: largest acceleration while the speed increases [rad/s2].
+            fall: largest deceleration while the speed decreases [rad/s2].
             step_s: duration of the step [s].
         """
         slows = self.velocity * (velocity - self.velocity) < 0.0
         largest = (fall if slows else rise) * step_s
         change = min(largest, max(-largest, velocity - self.velocity))
         if slows and abs(change) > abs(self.velocity):
-            # When the motion reverses, it stops at zero for one step, because acceleration and
+            # When the motion reverses, the velocity is zero for one step, because acceleration and
             # deceleration may differ.
             change = -self.velocity
         self.velocity += change
@@ -100,7 +100,7 @@ class MotionSetpoint:
     ) -> bool:
         """Move the setpoint towards a position with a trapezoidal velocity profile.
 
-        Each step plans the rest of the motion again.
+        In each step, the rest of the motion is planned again.
 
         Args:
             target: target position [rad].
@@ -116,12 +116,12 @@ class MotionSetpoint:
         if math.isinf(fall):
             stoppable = abs(rest) / step_s
         else:
-            # The next lines compute the largest speed from which velocity steps of fall * step_s
-            # stop within the remaining distance.
+            # The next lines compute the largest speed from which the setpoint can stop within the
+            # remaining distance, if each step changes the velocity by fall * step_s.
             half = 0.5 * fall * step_s
             stoppable = math.sqrt(half * half + 2.0 * fall * abs(rest)) - half
-        # In the last step, the setpoint jumps to the target. This jump may need up to twice the
-        # deceleration.
+        # In the last step, the setpoint jumps to the target. For this jump, up to twice the
+        # deceleration may be necessary.
         slowest = fall * step_s
         if abs(rest) <= min(slowest, speed) * step_s and abs(self.velocity) <= 2.0 * slowest:
             self.jump(target)
@@ -146,7 +146,7 @@ class MotionSetpoint:
 
 
 class CascadeController:
-    """A position loop and a velocity loop with integrator, for the servo of a motor.
+    """A position loop and a velocity loop with an integrator, for the servo of a motor.
 
     Attributes:
         integral: torque of the integrator [N m].
@@ -166,7 +166,7 @@ class CascadeController:
         step_s: float,
         torque: float = 0.0,
     ) -> None:
-        """Compute velocity demand and torque, and set the servo of the motor for the next step.
+        """Compute the velocity demand and the torque, and set the servo of the motor for the next step.
 
         Args:
             setpoint: setpoint of the generator.

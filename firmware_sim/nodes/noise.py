@@ -33,7 +33,7 @@ def _normal_from_uniform(uniform: Any, out: Any) -> None:
 
 
 class NormalNoise:
-    """A stream of random numbers with a normal distribution.
+    """A sequence of random numbers with a normal distribution.
 
     Attributes:
         numbers: array with the drawn numbers.
@@ -48,8 +48,8 @@ class NormalNoise:
             seed: seed of the stream.
         """
         _, words, _ = random.Random(seed).getstate()
-        # Python and numpy both use MT19937, and make doubles from its numbers in the same way. Both
-        # streams therefore have the same bits.
+        # Python and numpy both use the generator MT19937, and convert its integers to doubles in
+        # the same way. Therefore both sequences have the same bits.
         self._uniform = np.random.RandomState()
         self._uniform.set_state(("MT19937", np.array(words[:-1], np.uint32), words[-1], 0, 0.0))
         self.numbers: Any = np.zeros(2 * BLOCK_SIZE)
@@ -72,7 +72,7 @@ class NormalNoise:
         block = np.empty(BLOCK_SIZE)
         if isinstance(
             _normal_from_uniform, FunctionType
-        ):  # If the kernel is not compiled, lists are faster than arrays.
+        ):  # If this kernel is not compiled, lists are faster than arrays.
             plain = [0.0] * BLOCK_SIZE
             _normal_from_uniform(uniform.tolist(), plain)
             return plain

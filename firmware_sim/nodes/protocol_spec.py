@@ -1,4 +1,4 @@
-"""The interface between a drive protocol and the simulator: the node of the protocol, and its motors as delivered."""
+"""The interface between a drive protocol and the simulator: the simulated node, and its motors as delivered."""
 
 import math
 from collections.abc import Callable
@@ -13,13 +13,15 @@ SENSOR_NODE_KIND, MIT_KIND, ODRIVE_KIND, CIA402_KIND = range(4)
 
 
 class SimulatedNode(Protocol):
-    """A simulated node on the bus. The methods get the present time as an argument.
+    """A simulated node on the bus.
+
+    The methods get the present time as an argument.
 
     Attributes:
         wake_ns: time of the next call of ``wake`` [ns].
-        malformed: number of frames with the node's identifiers that the node could not decode.
-        ids: identifiers for the node to answer. After each change, the set is another object.
-            None if the node must see every frame.
+        malformed: number of frames with an identifier of the node that the node could not decode.
+        ids: identifiers of the frames that the node answers. After each change of the identifiers,
+            the set is a different object. It is None if the node must see every frame.
     """
 
     @property
@@ -29,19 +31,19 @@ class SimulatedNode(Protocol):
 
     @property
     def ids(self) -> frozenset[int] | None:
-        """Return the identifiers for the node to answer, None if the node must see every frame."""
+        """Return the identifiers of the frames that the node answers, or None if it must see every frame."""
         ...
 
     @property
     def malformed(self) -> int:
-        """Return the number of frames with the node's identifiers that the node could not decode."""
+        """Return the number of frames with an identifier of the node that the node could not decode."""
         ...
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Process a frame from the bus, and answer it.
 
         Returns:
-            The answers. None if the frame is not for this node.
+            The answers, or None if the frame is not meant for this node.
         """
         ...
 
@@ -66,7 +68,9 @@ class DriveNode(SimulatedNode, Protocol):
 
 
 class ShaftSpec(NamedTuple):
-    """Data of a motor as delivered. All of them refer to its output shaft.
+    """Data of a motor with the settings that the maker has delivered.
+
+    All data are converted to the output shaft.
 
     Attributes:
         peak: torque at full scale of the frames [N m].
@@ -77,7 +81,7 @@ class ShaftSpec(NamedTuple):
         options: options of the motor, as in a hand file.
         limit: largest torque that the motor can make [N m].
         top_speed: speed of the motor without load [rad/s].
-        stall_torque: torque at standstill if only the supply voltage limited it [N m].
+        stall_torque: torque at standstill that the supply voltage alone would allow [N m].
     """
 
     peak: float
@@ -104,10 +108,10 @@ class ProtocolSpec(NamedTuple):
     """Specification of a drive protocol for the simulator.
 
     Attributes:
-        node: function that makes a node from the description of a motor, the rotor and the encoder
-            angle at theta = 0 [rad].
+        node: function that makes a node from the description of a motor, the rotor, and the encoder
+            angle when the spool angle theta is 0 [rad].
         numbers: valid node numbers of drives.
-        shaft: shaft of the default motor on a bench.
+        shaft: shaft of the default motor on a test bench.
         host_frame: function from a node number to the identifier and the payload of
             a frame that only hosts send and that has no effect.
         corrupt_command: function that makes the command *disable* ineffective, for a faulty drive.

@@ -1,7 +1,6 @@
-"""The sensor node.
+"""The simulated sensor node of a hand.
 
-When a SYNC frame arrives, the node samples the load cells and joint encoders, and sends their
-readings.
+When a SYNC frame arrives, the node reads the load cells and joint encoders, and sends the readings.
 
 Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
 
@@ -12,9 +11,9 @@ Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
     tension code     (tension + 6 N) / 0.0625 N, 0 and 4095 mean saturated
     joint code       2048 + angle / (2 pi rad / 4096), or 2048 + position / 50 um
 
-The identifiers of tension frames start at the base identifier. The identifiers of joint frames
-start at the base identifier + 0x10. A frame with fewer than five channels has only as many bytes as
-its channels need.
+Tension frames have the identifiers from the base identifier on. Joint frames have the identifiers
+from the base identifier + 0x10 on. A frame with fewer than five channels has only as many bytes as
+these channels need.
 Source: DBC of the hand, sensor_node.
 """
 
@@ -69,8 +68,11 @@ class SensorStruct(ctypes.Structure):
 
 @compiled("real", "real", "real", "count")
 def _encode_value(value: float, low: float, step: float, offset: int) -> int:
-    """Return the 12-bit code of a value. The codes 0 and 4095 mean that the value is saturated."""
-    # Both in Python and in compiled code, round() rounds halves to even numbers.
+    """Return the 12-bit code of a value.
+
+    The codes 0 and 4095 mean that the value is outside of the range of the codes.
+    """
+    # In Python and in compiled code, round() rounds halves to even numbers.
     return min(_MAX_CHANNEL_CODE, max(0, round((value - low) / step) + offset))
 
 
@@ -86,7 +88,7 @@ def _pack_codes(counter: int, codes: Any, words: Any) -> None:
 
     Args:
         counter: counter in the SYNC frame.
-        codes: code of each channel, shape (channels,).
+        codes: (channels,) code of each channel.
         words: payloads as integers, written by the kernel.
     """
     for g in range(len(words)):
@@ -100,12 +102,14 @@ def _pack_codes(counter: int, codes: Any, words: Any) -> None:
 def encode(
     values: Any, low: float, step: float, offset: int, counter: int, codes: Any, words: Any
 ) -> None:
-    """Encode values and pack their codes. See ``_encode_value`` and ``_pack_codes``.
+    """Encode the values of channels, and pack their codes.
+
+    The kernels ``_encode_value`` and ``_pack_codes`` explain the format.
 
     Args:
-        values: values of the channels, shape (channels,).
+        values: (channels,) value of each channel.
         low: value of code 0 before the offset.
-        step: resolution of a code.
+        step: difference of the values of two neighbouring codes.
         offset: offset of the code.
         counter: counter in the SYNC frame.
         codes: array for the codes, filled by the kernel, shape (channels,).
@@ -125,10 +129,10 @@ def read_cells(
     Args:
         true: true tension of each cell [N].
         bias: bias of each cell [N], which the kernel updates.
-        normal: random numbers with a normal distribution: first one for the bias walk of each cell,
+        normal: random numbers with a normal distribution: one for the drift of each cell's bias,
             then one for the noise of each cell.
-        drift: standard deviation of the bias walk since the last sample [N].
-        noise: standard deviation of the noise of a reading [N].
+        drift: standard deviation of the change of the bias since the last sample [N].
+        noise: standard deviation of the noise in a reading [N].
         readings: reading of each cell [N], written by the kernel.
     """
     channels = len(true)
@@ -140,7 +144,7 @@ def read_cells(
 
 @kernel_helper
 def drift_since(node: Any, t_ns: int) -> float:
-    """Return the standard deviation of the bias walk since the last sample [N].
+    """Return the standard deviation of the change of the load-cell bias since the last sample [N].
 
     Store the time of the sample.
 
@@ -160,7 +164,7 @@ def has_joints(node: Any, joints: int, counter: int) -> bool:
 def tension_code(tension: float) -> int:
     """Return the 12-bit code of a tension [N].
 
-    The codes 0 and 4095 mean that the tension is saturated.
+    The codes 0 and 4095 mean that the tension is outside of the range of the codes.
     """
     return _encode_value(tension, *TENSION_CODE)
 
@@ -185,7 +189,10 @@ class PayloadEncoder:
         self._sizes = [payload_size(channels - start) for start in starts]
 
     def of_codes(self, counter: int, codes: Sequence[int]) -> list[bytes]:
-        """Pack a counter (low four bits) and codes into payloads of up to five codes, as short as possible."""
+        """Pack a counter (low four bits) and codes into payloads of up to five codes.
+
+        Each payload is as short as possible.
+        """
         self._codes[:] = codes
         _pack_codes(counter, self._codes, self._words)
         return self._payload_bytes()
@@ -193,7 +200,10 @@ class PayloadEncoder:
     def of_values(
         self, counter: int, values: Any, low: float, step: float, offset: int
     ) -> list[bytes]:
-        """Encode values and pack the codes into payloads. See ``encode``."""
+        """Encode the values of channels, and pack the codes into payloads.
+
+        The kernel ``encode`` explains the arguments.
+        """
         encode(values, low, step, offset, counter, self._codes, self._words)
         return self._payload_bytes()
 
@@ -204,7 +214,7 @@ class PayloadEncoder:
 
 
 def pack(counter: int, codes: Sequence[int]) -> bytes:
-    """Pack a counter (low four bits) and up to five codes into one payload, as short as possible."""
+    """Pack a counter (low four bits) and up to five codes into a payload that is as short as possible."""
     (payload,) = PayloadEncoder(len(codes)).of_codes(counter, codes)
     return payload
 
@@ -214,8 +224,10 @@ class SensorNode:
 
     Attributes:
         bias: present bias of each load cell [N].
-        cell_faults: for each channel, the function that changes the reading of its load cell.
-        joint_faults: for each channel, the function that changes the reading of its joint encoder.
+        cell_faults: for each channel, the function by which a fault changes the reading of the load
+            cell.
+        joint_faults: for each channel, the function by which a fault changes the reading of the
+            joint encoder.
         suppressed: functions by the identifier of a frame. Such a function is called instead of
             sending the frame.
         ids: set with the identifier of SYNC.
@@ -230,8 +242,8 @@ class SensorNode:
 
         Args:
             spec: description of the sensor node.
-            tensions: function that returns the true tensions [N] in the order of the channels.
-            angles: function that returns the true joint angles [rad] in the order of the channels.
+            tensions: function that returns the true tensions in the order of the channels [N].
+            angles: function that returns the true joint angles in the order of the channels [rad].
             seed: seed of the noise of all readings.
         """
         self._spec = spec
@@ -239,7 +251,7 @@ class SensorNode:
         self._angles = angles
         self.tension_noise = spec.tension_noise
         self.bias_drift = spec.bias_drift
-        # A prismatic joint is encoded like the angle that has the same code.
+        # The position of a prismatic joint is encoded as the angle that has the same code.
         slides = [joint in spec.prismatic for joint in spec.joints]
         per_m = JOINT_STEP_RAD / JOINT_STEP_M
         noise = spec.travel_noise * per_m
@@ -316,7 +328,7 @@ class SensorNode:
         return _with_faults(self._values, self.cell_faults)
 
     def wake(self, t_ns: int) -> None:
-        """Do nothing, because this node acts only on SYNC."""
+        """Do nothing, because this node acts only on SYNC frames."""
 
 
 class SensorNodeRow(SensorStruct, SensorNode):
@@ -325,12 +337,15 @@ class SensorNodeRow(SensorStruct, SensorNode):
     def prepare(
         self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int
     ) -> None:
-        """Initialize the row of the node. See ``SensorNode``."""
+        """Set the row of the node to the state after power-up.
+
+        The class ``SensorNode`` explains the arguments.
+        """
         SensorNode.__init__(self, spec, tensions, angles, seed)
 
 
 def _with_faults(readings: Any, faults: dict[int, Callable[[float], float]]) -> Any:
-    """Apply the faults of single channels to readings."""
+    """Let the faults of single channels change the readings."""
     for i, fault in sorted(faults.items()):
         readings[i] = fault(float(readings[i]))
     return readings

@@ -1,4 +1,5 @@
-"""The mechanics of the simulated hand.
+"""The mechanics of a simulated hand.
 
-MuJoCo computes the links and the contacts. This package computes the tendons and the rotors.
+The library MuJoCo computes the links and the contacts. The modules of this package compute the
+tendons and the rotors.
 """

@@ -1,4 +1,4 @@
-"""Camera that draws the plant as pictures, also on a machine without a screen."""
+"""Camera that draws pictures of the plant, even on a machine without a screen."""
 
 import os
 import platform
@@ -42,16 +42,16 @@ class Camera:
     """
 
     def __init__(self, hand: Hand, scene: Scene, width_px: int, height_px: int) -> None:
-        """Build the model that is drawn, with the meshes of the links, and open a graphics context.
+        """Build the MuJoCo model for drawing, with the meshes of the links, and open a graphics context.
 
         Args:
-            hand: the hand.
+            hand: description of the hand.
             scene: object and support.
             width_px: width of the pictures [pixels].
             height_px: height of the pictures [pixels].
 
         Raises:
-            SimulatorError: no graphics context can be opened.
+            SimulatorError: a graphics context cannot be opened.
         """
         self.width_px = width_px
         self.height_px = height_px
@@ -93,14 +93,14 @@ class Camera:
             mujoco.mjtCatBit.mjCAT_ALL.value,
             self._scene,
         )
-        # Another camera of this process may have made its own context the current one.
+        # Another camera of this process may have made its own graphics context the current one.
         self._gl.make_current()
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         place = mujoco.MjrRect(0, 0, self.width_px, self.height_px)
         mujoco.mjr_render(place, self._scene, self._context)
         picture = np.empty((self.height_px, self.width_px, 3), np.uint8)
         mujoco.mjr_readPixels(picture, None, place, self._context)
-        # OpenGL begins with the lowest row.
+        # OpenGL returns the lowest row of the picture first.
         return np.ascontiguousarray(picture[::-1])
 
     def close(self) -> None:
@@ -115,11 +115,12 @@ class Camera:
 def _open_graphics(width_px: int, height_px: int) -> Any:
     """Open a graphics context.
 
-    The environment variable ``MUJOCO_GL`` chooses its kind, as for MuJoCo. Without this variable
-    and without a screen, EGL draws on the graphics card or on the processor.
+    As in MuJoCo, the environment variable ``MUJOCO_GL`` chooses the graphics library. If this
+    variable is not set and there is no screen, the library EGL draws on the graphics card or on the
+    processor.
 
     Raises:
-        SimulatorError: no context can be opened.
+        SimulatorError: a graphics context cannot be opened.
     """
     has_screen = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     headless = platform.system() == "Linux" and not has_screen
@@ -138,7 +139,7 @@ def _open_graphics(width_px: int, height_px: int) -> Any:
 
 def _graphics_errors() -> tuple[type[Exception], ...]:
     """Return the exceptions with which graphics libraries report that they cannot be used."""
-    # A library without an EGL function raises AttributeError.
+    # If the library lacks an EGL function, an AttributeError is raised.
     known = (AttributeError, ImportError, OSError, RuntimeError, ValueError, mujoco.FatalError)
     try:
         from OpenGL.error import Error  # type: ignore[import-untyped,unused-ignore]
@@ -159,12 +160,12 @@ def _paint(model: Any, digits: list[str]) -> None:
 
 
 def _view_of_hand(model: Any, data: Any, aspect: float) -> Any:
-    """Return a view that shows all bodies except the table.
+    """Return a camera view that shows all bodies except the table.
 
     Args:
-        model: model that is drawn.
-        data: state of the open hand.
-        aspect: width of the picture divided by its height.
+        model: MuJoCo model that is drawn.
+        data: state of the model in which the hand is open.
+        aspect: width of the picture divided by the height of the picture.
     """
     bodies = [
         mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, model.geom_bodyid[geom])

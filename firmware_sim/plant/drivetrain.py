@@ -1,7 +1,7 @@
 """Kernels that advance tendons, rotors and servos by a step, in scalar arithmetic.
 
-In compiled kernels, tendons and rotors are rows of an array. In Python, they are objects in a list.
-Rows and objects have the same attributes.
+In compiled kernels, tendons and rotors are the rows of an array. In interpreted Python, they are
+objects in a list. The rows and the objects have the same attributes.
 
 Tendon damping and Coulomb-like capstan friction rise too steeply with speed for an explicit step of
 the light links. Therefore the engine integrates the slope of both implicitly, as a damping of the
@@ -43,7 +43,7 @@ DRIVETRAIN_ARGUMENTS = (TendonStruct, "counts", "vector", RotorStruct)
 
 @kernel_helper
 def _arm_at(arms: Any, i: int, q: float) -> float:
-    """Return the moment arm [m] of pulley i at a joint angle [rad]."""
+    """Return the moment arm [m] of pulley i at the joint angle q [rad]."""
     at = PULLEY_NUMBER_COUNT * i
     if arms[at + 1] == 0.0:
         return float(arms[at])
@@ -58,7 +58,7 @@ def _arm_at(arms: Any, i: int, q: float) -> float:
 
 @kernel_helper
 def _taken_up(arms: Any, i: int, q: float) -> float:
-    """Return the tendon length [m] that pulley i takes up between joint angle 0 and a joint angle [rad]."""
+    """Return the tendon length [m] that pulley i takes up while the joint turns from 0 to the angle q [rad]."""
     at = PULLEY_NUMBER_COUNT * i
     if arms[at + 1] == 0.0:
         return float(arms[at] * q)
@@ -68,7 +68,7 @@ def _taken_up(arms: Any, i: int, q: float) -> float:
     for k in range(4, STRAIGHT_AT):
         length += arms[at + k] * power / (k - 3.0)
         power *= angle
-    # Beyond the limits of the angle, the arm is constant.
+    # Beyond the limits of the joint angle, the moment arm is constant.
     return float(length + _arm_at(arms, i, q) * (q - angle))
 
 
@@ -76,10 +76,10 @@ def _taken_up(arms: Any, i: int, q: float) -> float:
 def _elastic(tendon: Any, stretch: float) -> float:
     """Compute the elastic tension [N] of a tendon at a stretch [m].
 
-    Above the knee, the tendon becomes softer.
+    Above the stretch at the knee of the curve, the tendon is softer.
 
-    Source: MODEL, section 3, ``phi``. The degree of softening is a parameter, because the paper
-    prints no curve.
+    Source: MODEL, section 3, ``phi``. How much softer the tendon becomes is a parameter, because
+        the paper prints no curve.
     """
     if stretch <= 0.0:
         return 0.0
@@ -93,18 +93,19 @@ def _elastic(tendon: Any, stretch: float) -> float:
 
 @kernel_helper
 def _secant(tendon: Any, tension_loss: float, tension_angle: float) -> float:
-    """Compute the friction of a tendon, divided by the speed of the tendon [N s/m].
+    """Compute the friction force on a tendon divided by the speed of the tendon [N s/m].
 
-    The kernel uses this quotient (secant) instead of the tangent. With the tangent, friction would
-    reverse the motion of a light link.
+    The kernel uses this quotient (the secant of the friction curve) instead of the derivative (the
+    tangent). With the tangent, friction would reverse the motion of a light link.
 
     Args:
-        tendon: the tendon with its present speed.
+        tendon: the tendon, with its present speed.
         tension_loss: loss of tension that friction causes [N].
         tension_angle: tension of the tendon times its wrap angle [N rad].
     """
     speed = abs(tendon.speed)
-    # Near rest, the quotient would be 0/0. The limit of the quotient is returned instead.
+    # When the tendon is almost at rest, the quotient would be 0/0. In this case, the limit of the
+    # quotient is returned.
     if speed < 1e-3 * CAPSTAN_SPEED:
         return float(tension_angle * tendon.friction / CAPSTAN_SPEED)
     return float(tension_loss / speed)
@@ -112,7 +113,7 @@ def _secant(tendon: Any, tension_loss: float, tension_angle: float) -> float:
 
 @kernel_helper
 def _cell_tension(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: Any) -> float:
-    """Compute the tension of a tendon at its load cell [N]."""
+    """Compute the tension of a tendon at the load cell of the tendon [N]."""
     stretch = tendon.radius * rotor.theta - tendon.extra_length
     rate = tendon.radius * rotor.omega
     for i in range(tendon.first, tendon.end):
@@ -127,10 +128,10 @@ def _cell_tension(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: A
 def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> None:
     """Add the joint torques of a taut tendon to ``torque`` [N m].
 
-    Also set the slope of the friction of the tendon.
+    The kernel also sets the slope of the friction over the speed of the tendon.
 
-    Friction reduces the tension at a pulley. The wrap angle includes this pulley and all pulleys
-    before it.
+    Friction at a pulley reduces the tension behind the pulley. The wrap angle is the sum over this
+    pulley and all pulleys before it.
     Source: MODEL, section 3.
     """
     tension = tendon.tension
@@ -142,8 +143,8 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
         # At a prismatic joint, the tendon does not bend.
         if arms[PULLEY_NUMBER_COUNT * i + STRAIGHT_AT] == 0.0:
             angle += q[joints[i]]
-        # The next lines are the capstan equation. At positive speed, the tendon moves towards the
-        # spool, and friction lowers the tension behind a pulley.
+        # The next lines compute the capstan equation. If the speed is positive, the tendon moves
+        # towards the spool, and friction reduces the tension behind a pulley.
         local = tension * math.exp(-rate * angle)
         torque[joints[i]] += _arm_at(arms, i, q[joints[i]]) * local
         if local < lowest:
@@ -160,15 +161,15 @@ def _apply_tendon(
 ) -> None:
     """Add the joint torques of a tendon to ``torque`` [N m].
 
-    The kernel also sets tension, speed and slope of the tendon, and adds the tendon's torque to the
-    load of its rotor.
+    The kernel also sets the tension, the speed and the slope of the tendon, and adds the torque of
+    the tendon to the load of the rotor.
     """
     stretch = tendon.radius * rotor.theta - tendon.extra_length
     speed = 0.0
     for i in range(tendon.first, tendon.end):
         stretch -= _taken_up(arms, i, q[joints[i]])
-        # The stretch is the excursion of the spool minus the excursions of the joints. A positive
-        # spool angle winds the tendon, a positive joint angle closes the digit.
+        # The stretch of a tendon is the excursion of the spool minus the excursions of the joints.
+        # A positive spool angle winds the tendon up, and a positive joint angle closes the digit.
         speed += _arm_at(arms, i, q[joints[i]]) * dq[joints[i]]
     tension = 0.0
     if stretch > 0.0:
@@ -184,9 +185,9 @@ def _apply_tendon(
 
 @kernel_helper
 def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: Any) -> None:
-    """Add to ``torque`` [N m] the torque that the engine will subtract as damping of the tendon.
+    """Add to ``torque`` [N m] the torque that MuJoCo will subtract because of the tendon damping.
 
-    The engine computes this damping with the mean moment arms.
+    MuJoCo computes this damping with the mean moment arms.
     """
     speed = 0.0
     for i in range(tendon.first, tendon.end):
@@ -198,7 +199,7 @@ def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: An
 
 @kernel_helper
 def encoder_angle(theta: float) -> float:
-    """Return a spool angle rounded down to the encoder resolution [rad]."""
+    """Return a spool angle, rounded down to the resolution of the encoder [rad]."""
     return math.floor(theta / ENCODER_STEP) * ENCODER_STEP
 
 
@@ -218,12 +219,12 @@ def limit_torque_by_speed(
     slope: float,
     brakes: bool,
 ) -> float:
-    """Limit a torque command [N m] to the range from slope (-speed - omega) to slope (speed - omega).
+    """Limit a torque command to the range from slope (-speed - omega) to slope (speed - omega) [N m].
 
-    Here omega is the velocity at the end of the step, as for the command of the servo.
+    Here omega is the rotor's velocity at the end of the step, as in the command of the servo.
 
     Args:
-        rotor: the rotor.
+        rotor: rotor whose torque is limited.
         command: torque command [N m].
         inertia: inertia of the rotor divided by the step, plus the slope of the friction [N m
             s/rad].
@@ -236,7 +237,7 @@ def limit_torque_by_speed(
     sign = 1.0 if rotor.gain > 0.0 else -1.0
     mass = inertia + rotor.viscous
     push = inertia * rotor.omega + rotor.gain * (1.0 - rotor.lag) * rotor.torque - drag
-    # The next values solve limit = slope (+-speed - omega) with omega = (push + gain lag limit) /
+    # The next lines solve limit = slope (+-speed - omega), where omega = (push + gain lag limit) /
     # mass.
     scale = mass + slope * abs(rotor.gain) * rotor.lag
     highest = (slope * speed * mass - sign * slope * push) / scale
@@ -249,18 +250,18 @@ def limit_torque_by_speed(
 
 @kernel_helper
 def compute_command(rotor: Any) -> None:
-    """Compute the limited torque command [N m] of the servo, from the velocity at the end of the step.
+    """Compute the limited torque command of the servo from the velocity at the end of the step [N m].
 
-    The control loop of a real drive runs at 10 to 20 kHz. Because of the implicit form, all gains
-    that are stable in the drive are stable here. If a drive moves its position setpoint by itself,
-    the setpoint first moves to its value at the end of the step.
+    The control loop of a real drive runs at 10 to 20 kHz. Because the velocity at the end of the
+    step is used, all gains that are stable in the drive are stable here. If the drive itself moves
+    its position setpoint, the setpoint first moves to its value at the end of the step.
     """
     servo = rotor.servo_row
     lag = rotor.lag
     gain = rotor.gain
     bend = math.tanh(rotor.omega / COULOMB_SPEED)
-    # The slope is the derivative of the smoothed Coulomb friction, and is a part of the implicit
-    # step.
+    # The slope is the derivative of the smoothed Coulomb friction. The implicit step contains this
+    # slope.
     slope = rotor.coulomb * (1.0 - bend * bend) / COULOMB_SPEED
     inertia = rotor.inertia / rotor.step + slope
     drag = rotor.load + rotor.coulomb * bend
@@ -269,8 +270,8 @@ def compute_command(rotor: Any) -> None:
     if servo.target_speed != 0.0:
         servo.position += rotor.step * servo.target_speed
     if servo.kp != 0.0 or servo.kd != 0.0:
-        # The command at the end of the step has a fixed part, and a part that depends on the new
-        # velocity.
+        # The command at the end of the step consists of a fixed part and a part that depends on the
+        # new velocity.
         fixed = command + servo.kp * (servo.position - rotor.angle) + servo.kd * servo.velocity
         impedance = servo.kd + rotor.step * servo.kp
         push = inertia * rotor.omega + gain * ((1.0 - lag) * rotor.torque + lag * fixed) - drag
@@ -284,8 +285,8 @@ def compute_command(rotor: Any) -> None:
             rotor, command, inertia, drag, servo.speed_limit, servo.speed_gain, True
         )
     if rotor.top_speed > 0.0:
-        # The back-EMF reduces the voltage that drives the current, linearly down to zero at the
-        # no-load speed.
+        # The back-EMF reduces the voltage that drives the current. The remaining voltage falls
+        # linearly, and is zero at the no-load speed.
         slope = rotor.stall_torque / rotor.top_speed
         command = limit_torque_by_speed(
             rotor, command, inertia, drag, rotor.top_speed, slope, False
@@ -297,11 +298,12 @@ def compute_command(rotor: Any) -> None:
 
 @kernel_helper
 def integrate_motor(rotor: Any) -> None:
-    """Integrate torque, rotor and velocity estimate of a motor over one step, semi-implicitly."""
+    """Integrate the torque, the rotor and the velocity estimate of a motor over one step (semi-implicit Euler)."""
     torque = rotor.torque + rotor.lag * (rotor.command - rotor.torque)
     push = rotor.impedance * rotor.omega + rotor.gain * torque - rotor.drag
     omega = push / (rotor.impedance + rotor.viscous)
-    # The rotor angle comes last, because it uses the new velocity (semi-implicit Euler).
+    # The rotor angle comes last, because it is computed from the new velocity (semi-implicit
+    # Euler).
     rotor.torque = torque
     rotor.omega = omega
     rotor.theta += rotor.step * omega
@@ -313,7 +315,7 @@ def integrate_motor(rotor: Any) -> None:
 def tensions(
     tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, tension: Any
 ) -> None:
-    """Write the present tension of each tendon at its load cell to ``tension`` [N].
+    """Write the present tension of each tendon at the load cell of the tendon to ``tension`` [N].
 
     Args:
         tendons: tendons of the hand.
@@ -340,9 +342,9 @@ def step_drivetrain(
     damping: Any,
     all_rotors: bool,
 ) -> None:
-    """Compute the part of a step that is not done by the engine: tendons and rotors.
+    """Compute the part of a step that MuJoCo does not compute: tendons and rotors.
 
-    See ``_steps``.
+    The kernel ``_steps`` describes the whole step.
 
     Args:
         tendons: tendons of the hand.
@@ -353,8 +355,8 @@ def step_drivetrain(
         dq: joint velocities [rad/s].
         torque: joint torques, written by the kernel [N m].
         damping: damping of each tendon, written by the kernel [N s/m].
-        all_rotors: True to step all rotors. If False, the rotors with ``steps_alone`` are
-            left out.
+        all_rotors: True to step all rotors. False to leave out the rotors whose attribute
+            ``steps_alone`` is set.
     """
     for i in range(len(torque)):
         torque[i] = 0.0
@@ -362,8 +364,8 @@ def step_drivetrain(
         rotors[i].load = 0.0
     for i in range(len(tendons)):
         tendon = tendons[i]
-        # Two antagonistic tendons on one spool pull against each other. The loads of the two
-        # tendons therefore have opposite signs.
+        # The two antagonistic tendons of a spool pair pull in opposite directions on one spool. The
+        # loads of these two tendons therefore have opposite signs.
         _apply_tendon(tendon, joints, arms, rotors[tendon.motor], q, dq, torque)
         _compensate_damping(tendon, joints, arms, dq, torque)
         damping[i] = tendon.slope
@@ -380,7 +382,7 @@ def _steps(
     count: int, tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any,
     step: int, model: int, data: int,
 ) -> int:  # fmt: skip
-    """Integrate tendons, rotors and links over a number of steps.
+    """Integrate tendons, rotors and links over a number of time steps.
 
     Args:
         count: number of steps.
@@ -388,17 +390,17 @@ def _steps(
         joints: joint index of each pulley.
         arms: numbers of each pulley, see ``tendon.PULLEY_NUMBER_COUNT``.
         rotors: rotors of the motors.
-        q: joint angles in the memory of the engine [rad].
-        dq: joint velocities in the memory of the engine [rad/s].
-        torque: joint torques in the memory of the engine [N m].
-        damping: damping of the tendons in the memory of the engine [N s/m].
-        step: address of the engine's step function.
+        q: joint angles in the memory of MuJoCo [rad].
+        dq: joint velocities in the memory of MuJoCo [rad/s].
+        torque: joint torques in the memory of MuJoCo [N m].
+        damping: damping of the tendons in the memory of MuJoCo [N s/m].
+        step: address of MuJoCo's step function.
         model: address of the first argument of the step function.
         data: address of the second argument of the step function.
 
     Returns:
-        Number of completed steps. This number is less than ``count`` if the plant has diverged, and
-        0 if a motor has a fault.
+        Number of completed steps. This number is less than ``count`` if the simulation has
+        diverged, and 0 if a motor has a fault.
     """
     for i in range(len(rotors)):
         if rotors[i].faulty:
@@ -407,10 +409,11 @@ def _steps(
         speeds = 0.0
         for speed in dq:
             speeds += speed
-        if not abs(speeds) < DIVERGED_RAD_S:  # this condition is also true if the sum is NaN
+        # This condition is also true if the sum of the speeds is NaN.
+        if not abs(speeds) < DIVERGED_RAD_S:
             return done
         step_drivetrain(tendons, joints, arms, rotors, q, dq, torque, damping, True)
-        # mj_step of the engine reads and writes q, dq, torque and damping in place.
+        # MuJoCo's function mj_step reads and writes the arrays q, dq, torque and damping in place.
         call_c_function(step, model, data)
     return count
 
@@ -424,9 +427,11 @@ ROTOR_DTYPE = np.dtype(RotorStruct)
 
 @compiled("count", "counts")
 def steps(count: int, at: Any) -> int:
-    """Integrate tendons, rotors and links over a number of steps, with arrays given by address.
+    """Integrate tendons, rotors and links over a number of time steps.
 
-    See ``_steps``.
+    The arrays are given by their addresses.
+
+    The kernel ``_steps`` describes the step.
 
     Args:
         count: number of steps.

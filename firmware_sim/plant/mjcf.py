@@ -1,4 +1,4 @@
-"""The MuJoCo model of a hand and a scene, as MJCF text.
+"""The MuJoCo model of a hand and a scene, as text in the format MJCF.
 
 The world frame of the model is the palm frame.
 """
@@ -72,15 +72,15 @@ _OPTIONS = f"""
 def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     """Build the model of a hand and a scene as MJCF text.
 
-    Joints have the order of the hand. The hand's joints are the first entries of qpos and qvel, and
-    the free joint of the object follows. The contacts are softer than in section 6 of MODEL. With
-    the solref of 0.002 given there, the penetration in a grasp is less than the error of the
-    collision detector. Contacts with such a small penetration would vanish for single steps. Source
-    of the other settings: MODEL, section 6.
+    The joints have the same order as in the hand. In qpos and qvel, the joints of the hand come
+    first, and the free joint of the object follows. The contacts are softer than in section 6 of
+    MODEL. Section 6 gives a solref of 0.002. With this value, the penetration in a grasp is less
+    than the error of the collision detector. A contact with such a small penetration would vanish
+    for single steps. Source of the other settings: MODEL, section 6.
 
     Args:
-        hand: the hand.
-        scene: object and support, as a scene file describes them.
+        hand: description of the hand.
+        scene: object and support, as the scene file describes them.
         meshes: True for a model that is drawn. Links with a mesh then show the mesh, and their
             capsules are in the hidden group. Meshes have neither mass nor contacts. The plant uses
             a model without meshes.
@@ -108,13 +108,16 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 
 
 def opposed_digits(hand: Hand) -> list[bool]:
-    """Return True for each digit that closes against the first closing digit, as the thumb does."""
+    """Return, for each digit, True if the digit closes against the first closing digit, as the thumb does."""
     first = _closing_direction(hand, hand.closing_digits[0])
     return [float(first @ _closing_direction(hand, digit)) < 0.0 for digit in hand.digits]
 
 
 def _closing_direction(hand: Hand, digit: Digit) -> Any:
-    """Compute the direction in which a digit closes: the y axis of its last link at rest, in the palm frame."""
+    """Compute the direction in which a digit closes, in the palm frame.
+
+    It is the y axis of the last link at rest.
+    """
     direction = rest_poses(digit)[-1][1][:, 1]
     while digit.carrier:
         digit = next(one for one in hand.digits if one.name == digit.carrier)
@@ -160,10 +163,11 @@ def palm_box(hand: Hand, carrier: str) -> tuple[Any, Any]:
 
     Args:
         hand: the hand.
-        carrier: name of the digit whose last link carries the digits, empty for the palm.
+        carrier: name of the digit whose last link carries other digits, or an empty text for the
+            palm.
 
     Returns:
-        Centre and half extents of the box, shape (3,) each [m].
+        Centre and half lengths of the box, each of shape (3,) [m].
     """
     mounts = np.array([digit.position for digit in hand.carried_by(carrier)])
     low = mounts.min(axis=0)
@@ -178,8 +182,8 @@ def _mesh_assets(meshes_by_link: dict[str, LinkMesh]) -> str:
     """Build the MJCF assets of the meshes. Without meshes, the text is empty."""
     if not meshes_by_link:
         return ""
-    # Inertia "shell" is also defined for open surfaces. The inertia has no effect, because meshes
-    # have no mass.
+    # The setting inertia="shell" also works for open surfaces. The inertia itself has no effect,
+    # because meshes have no mass.
     meshes = "".join(
         f'<mesh name="{link}" file={quoteattr(mesh.file)} scale="{_numbers_text(mesh.scale)}" inertia="shell"/>'
         for link, mesh in meshes_by_link.items()
@@ -188,7 +192,7 @@ def _mesh_assets(meshes_by_link: dict[str, LinkMesh]) -> str:
 
 
 def _mesh_geom(mesh: LinkMesh | None) -> str:
-    """Build the MJCF shape of a mesh, which has neither mass nor contacts.
+    """Build the MJCF shape that draws a mesh, without mass and without contacts.
 
     Without a mesh, the text is empty.
     """
@@ -203,7 +207,7 @@ def _mesh_geom(mesh: LinkMesh | None) -> str:
 def _palm_element(
     hand: Hand, carrier: str, opposed: dict[str, bool], meshes_by_link: dict[str, LinkMesh]
 ) -> str:
-    """Build the palm, or the box on the last link of a carrying digit, with all digits on it."""
+    """Build the palm, or the box on the last link of a carrying digit, with all attached digits."""
     centre, half = palm_box(hand, carrier)
     name = f"{carrier}_palm" if carrier else "palm"
     link = f"{carrier}_link{_last_link(hand, carrier)}" if carrier else "palm"
@@ -224,7 +228,7 @@ def _last_link(hand: Hand, name: str) -> int:
 
 
 def _hidden_if(has_mesh: bool) -> str:
-    """Return the attribute that hides a shape, if a mesh replaces the shape in pictures.
+    """Return the attribute that hides a shape in pictures because a mesh replaces the shape.
 
     Without a mesh, the text is empty.
     """
@@ -232,9 +236,10 @@ def _hidden_if(has_mesh: bool) -> str:
 
 
 def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
-    """Return True for each link of a digit that overlaps with the palm or the carrying link when the digit is at rest.
+    """Return, for each link of a digit at rest, True if the link overlaps the palm or the link that carries the digit.
 
-    Such links are hinged close to the palm. The model excludes their collisions with the palm.
+    The hinge of such a link is close to the palm. In the model, these links do not collide with the
+    palm.
     """
     centre, half = palm_box(hand, digit.carrier)
     carrier = [one for one in hand.digits if one.name == digit.carrier]
@@ -245,7 +250,7 @@ def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
         outside = np.maximum(np.abs(points - centre) - half, 0.0)
         overlap = bool((np.linalg.norm(outside, axis=1) <= digit.radius).any())
         for one in carrier:
-            # The carrying link is a capsule along the x axis of its frame.
+            # The link that carries the digit is a capsule along the x axis of its own frame.
             nearest = np.clip(points[:, :1], 0.0, one.length[-1]) * np.array([1.0, 0.0, 0.0])
             overlap |= bool(
                 (np.linalg.norm(points - nearest, axis=1) <= digit.radius + one.radius).any()
@@ -274,7 +279,8 @@ def _digit_element(
             f'<body name="{digit.name}_link{i + 1}" pos="{offset}" euler="{_numbers_text(turn)}">'
         )
         bits = _carrier_bits() if carries else _digit_bits(opposed[digit.name], near_palm[i])
-        # A link that carries other digits ends at the face of the box with their mounts.
+        # A link that carries other digits ends at the face of the box on which these digits are
+        # mounted.
         length = (
             max(digit.length[i] - digit.radius, 0.0) if carries and i == last else digit.length[i]
         )
@@ -290,17 +296,17 @@ def _digit_element(
 
 
 def _digit_bits(opposed: bool, near_palm: bool) -> tuple[int, int]:
-    """Return collision category and affinity of a link.
+    """Return the collision category and the collision affinity of a link.
 
-    All links of a digit touch the object and the opposed digits. Only links hinged away
-    from the palm touch the palm.
+    All links of a digit touch the object and the opposed digits. Only links whose hinges are not
+    close to the palm can touch the palm.
     """
     category, opposite = (OPPOSED_BIT, FINGER_BIT) if opposed else (FINGER_BIT, OPPOSED_BIT)
     return category, OBJECT_BIT | opposite | (0 if near_palm else PALM_BIT)
 
 
 def _carrier_bits() -> tuple[int, int]:
-    """Return collision category and affinity of the links of a digit that carries other digits.
+    """Return the collision category and the collision affinity of the links of a digit that carries other digits.
 
     These links have the same category and affinity as the palm.
     """
@@ -309,7 +315,7 @@ def _carrier_bits() -> tuple[int, int]:
 
 def _joint_element(digit: Digit, i: int) -> str:
     """Build the joint of link ``i`` of a digit."""
-    # Angles of hinges are in degrees, positions of prismatic joints in m.
+    # Angles of hinges are in degrees. Positions of prismatic joints are in m.
     rest = -digit.preload[i] if digit.prismatic[i] else -math.degrees(digit.preload[i])
     kind = ' type="slide"' if digit.prismatic[i] else ""
     return (
@@ -347,15 +353,19 @@ def _tendon_element(tendon: TendonSpec) -> str:
 
 
 def _loopbacks(hand: Hand, digit: Digit) -> dict[str, str]:
-    """Build the loopback tendons that hold the joints of a digit with spool pairs to its coupling B.
+    """Build the loopback tendons of a digit with spool pairs.
 
-    Such a digit has no springs. With the spool pairs alone, coupled joints could turn against each
-    other. In a real hand, a loopback tendon or a bar couples these joints. A combination c of the
-    joint angles is constant if B^T c = 0. Each c becomes a tendon, and ``_equality`` keeps its
-    length.
+    They make the joints obey the coupling matrix B of the digit.
+
+    A digit with spool pairs has no springs. If only the spool pairs held the digit, coupled joints
+    could turn against each other. In a real hand, a loopback tendon or a bar couples such joints.
+    For every vector c with B^T c = 0, the combination of the joint angles with the coefficients c
+    is constant. In the model, each such c is a tendon, and ``_equality`` keeps the length of this
+    tendon constant.
 
     Returns:
-        The tendons by name. In the model they come after those of ``Hand.every_tendon``.
+        The loopback tendons by name. In the model, they come after the tendons of
+        ``Hand.every_tendon``.
     """
     if not digit.coupling or not hand.has_pairs(digit):
         return {}
@@ -373,7 +383,7 @@ def _loopbacks(hand: Hand, digit: Digit) -> dict[str, str]:
 
 
 def _equality(loopbacks: Iterable[str]) -> str:
-    """Build the constraints that keep the lengths of loopback tendons.
+    """Build the constraints that keep the lengths of the loopback tendons constant.
 
     Without such tendons, the text is empty.
     """
@@ -382,7 +392,7 @@ def _equality(loopbacks: Iterable[str]) -> str:
 
 
 def _contact_sensor(hand: Hand, digit: Digit) -> str:
-    """Build the sensor that measures the net contact force on a digit."""
+    """Build the MuJoCo sensor that measures the total contact force on a digit."""
     return (
         f'<contact name="contact/{digit.name}" {_touch_sensors(hand, digit)} '
         'num="1" reduce="netforce" data="force"/>'
@@ -390,9 +400,9 @@ def _contact_sensor(hand: Hand, digit: Digit) -> str:
 
 
 def _normal_force_sensor(hand: Hand, digit: Digit) -> str:
-    """Build the sensor that measures the contact forces between a digit and the object.
+    """Build the MuJoCo sensor that measures the contact forces between a digit and the object.
 
-    Axis 1 of each measured force is the normal of the contact.
+    Axis 1 of each measured force is along the normal of the contact.
     """
     return (
         f'<contact name="normal/{digit.name}" {_touch_sensors(hand, digit)} geom2="object" num="{MAX_CONTACTS}"'
@@ -401,7 +411,7 @@ def _normal_force_sensor(hand: Hand, digit: Digit) -> str:
 
 
 def _touch_sensors(hand: Hand, digit: Digit) -> str:
-    """Return the bodies of a digit for a contact sensor: all links, or only the last link of a carrying digit."""
+    """Return the bodies whose contacts a sensor measures: all links, or only the last link of a carrying digit."""
     if hand.carried_by(digit.name):
         return f'body1="{digit.name}_link{len(digit.length)}"'
     return f'subtree1="{digit.name}_link1"'
@@ -419,7 +429,7 @@ def _object_element(grasp_object: GraspObject) -> str:
 
 
 def _table_element(grasp_object: GraspObject, support: SinkingTable | None) -> str:
-    """Build the body of the table. For a scene without support, the text is empty."""
+    """Build the table under the object. If the scene has no support, the text is empty."""
     if support is None:
         return ""
     x, y, z = table_position(grasp_object)
@@ -431,7 +441,7 @@ def _table_element(grasp_object: GraspObject, support: SinkingTable | None) -> s
 
 
 def scene_shapes(scene: Scene) -> dict[str, dict[str, object]]:
-    """Return shape and extents [m] of object and table, and the position of the table [m], for drawing them."""
+    """Return the shapes and lengths [m] of object and table, and the position of the table [m], for drawing."""
     if scene.grasp_object is None:
         return {}
     grasp_object: dict[str, object] = {
@@ -449,6 +459,6 @@ def scene_shapes(scene: Scene) -> dict[str, dict[str, object]]:
 
 
 def table_position(grasp_object: GraspObject) -> tuple[float, float, float]:
-    """Return the centre of the table when the object rests on the table [m]."""
+    """Return the centre of the table at the start, when the object lies on the table [m]."""
     x, y, z = grasp_object.position
     return (x, y, z - grasp_object.size[2] / 2.0 - TABLE_HALF_EXTENTS[2])

@@ -1,8 +1,8 @@
-"""A motor: the rotor at the spool and the servo of the drive, integrated with the step of the plant.
+"""A motor: the rotor at the spool and the servo of the drive, integrated with the time step of the plant.
 
-The control loop of a real drive (10 to 20 kHz) is faster than the step of the plant. The simulation
-integrates the loop implicitly. Because of this, gains that are stable in the drive are stable in
-the simulation, without sub-steps.
+The control loop of a real drive runs at 10 to 20 kHz, which is faster than the time steps of the
+plant. Therefore the simulation integrates the control loop implicitly. Gains that are stable in the
+drive are then stable in the simulation, without sub-steps.
 """
 
 import math
@@ -26,7 +26,7 @@ VELOCITY_LAG_S = 1e-3
 
 
 def step_factors(step_s: float) -> tuple[float, float, float]:
-    """Compute step [s], current lag and velocity lag of a motor for a length of the step [s].
+    """Compute the step [s], the lag of the current and the lag of the velocity of a motor for a given time step [s].
 
     A lag is the fraction by which a first-order filter approaches its input in one step.
     """
@@ -75,7 +75,7 @@ class Motor:
     _power_stage_fault: Callable[[float], float] | None
 
     def __init__(self, spec: MotorSpec, step_s: float) -> None:
-        """Set up the rotor at rest.
+        """Set the rotor to a state at rest.
 
         Args:
             spec: description of the motor.
@@ -85,7 +85,7 @@ class Motor:
         self._set_parameters(spec, step_s)
 
     def _set_parameters(self, spec: MotorSpec, step_s: float) -> None:
-        """Set the parameters of the motor, and its state at rest."""
+        """Set the parameters of the motor and a state at rest."""
         self.theta = self.omega = self.torque = self.velocity = self.heat = 0.0
         self.inertia = spec.inertia
         self.viscous = spec.viscous
@@ -121,7 +121,7 @@ class Motor:
         self.faulty = fault is not None or self._encoder_fault is not None
 
     def set_step(self, step_s: float) -> None:
-        """Set the time step of the next steps [s]."""
+        """Set the length of the following time steps [s]."""
         self.step, self.lag, self.velocity_lag = step_factors(step_s)
 
     def encoder(self) -> float:
@@ -131,7 +131,7 @@ class Motor:
         return encoder_fault(angle) if encoder_fault else angle
 
     def advance(self, load: float) -> None:
-        """Integrate the motor over one step against a tendon torque [N m], semi-implicitly."""
+        """Integrate the motor over one time step against the torque of the tendons [N m] (semi-implicit Euler)."""
         self.load = load
         self.step_alone()
 
@@ -151,7 +151,7 @@ class MotorRow(RotorStruct, Motor):
 
 
 def motor_rows(specs: Sequence[MotorSpec], step_s: float) -> tuple[list[Motor], Any]:
-    """Make motors whose numbers are kept in the rows of one array.
+    """Create motors whose numbers are in the rows of one array.
 
     Args:
         specs: descriptions of the motors.

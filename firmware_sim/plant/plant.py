@@ -1,4 +1,4 @@
-"""The plant of the simulation, in steps of 0.5 ms: links, object, contacts, tendons and rotors.
+"""The plant of the simulation: links, object, contacts, tendons and rotors, in time steps of 0.5 ms.
 
 The engine computes links, object and contacts. ``drivetrain`` computes tendons and rotors. If a
 node samples the plant within a step, the step is divided at the exact time of the sample.
@@ -35,40 +35,41 @@ TABLE_UPDATE_STEPS = 4
 
 
 class Plant:
-    """The simulated mechanics of a hand and its object.
+    """The simulated mechanics of a hand and an object.
 
     Attributes:
         hand: description of the hand.
         scene: description of object, support and later events.
         engine: rigid bodies and contacts.
-        motors: rotors by motor name.
+        motors: rotors by the names of the motors.
         tendons: each tendon with the winding rotor, in the order of ``Hand.every_tendon``.
-        table: table under the object. None in a scene without a support.
-        load: force on the object that grows with time. None in most scenes.
-        stages: events after the grasp. None in most scenes.
-        stage: index of the present stage, -1 before the first stage.
-        sampled: arguments for kernels that sample the plant: arrays of the drivetrain, joint angles
-            [rad], joint velocities [rad/s], and an array in which tensions are written [N].
+        table: table under the object, or None in a scene without a support.
+        load: force on the object that grows with time, or None in most scenes.
+        stages: stages after the grasp, or None in most scenes.
+        stage: index of the present stage, or -1 before the first stage.
+        sampled: arguments for the kernels by which nodes read the plant: arrays of the drivetrain,
+            joint angles [rad], joint velocities [rad/s], and an array into which tensions are
+            written [N].
         steps: number of completed steps.
-        part_ns: completed part of the step in progress [ns].
+        part_ns: completed part of the time step in progress [ns].
     """
 
     def __init__(
         self, hand: Hand, scene: Scene, seed: int = 0, homed: bool = False, compiled: bool = True
     ) -> None:
-        """Build the plant as it is at power-up.
+        """Build the plant in its state at power-up.
 
         Args:
             hand: description of the hand.
             scene: description of object, support and later events.
-            seed: seed of the tendons' slack.
+            seed: seed for the random slack of the tendons.
             homed: True to start with taut tendons.
             compiled: True to use compiled kernels. If False, the start is one second faster,
                 but each step is slower.
 
         Raises:
-            SimulatorError: the engine does not accept the hand, a tendon names an unknown motor or joint, or the
-                object is inside the hand.
+            SimulatorError: MuJoCo does not accept the hand, a tendon names an unknown motor or
+                joint, or the object is inside the hand.
         """
         self.hand = hand
         self.scene = scene
@@ -85,8 +86,8 @@ class Plant:
             self._rotors, rotors = motor_rows(hand.motors, STEP_S)
         else:
             self._rotors = rotors = [Motor(motor, STEP_S) for motor in hand.motors]
-        # The dict has the index of the first tendon of each spool pair as its key, and the index of
-        # the second tendon as its value.
+        # The key of this dict is the index of the first tendon of each spool pair, and the value is
+        # the index of the second tendon.
         firsts = [i for i, spec in enumerate(hand.tendons) if spec.pretension]
         self._antagonist = {i: len(hand.tendons) + place for place, i in enumerate(firsts)}
         self.motors = {
@@ -101,7 +102,8 @@ class Plant:
         )
         native = engine.native
         arrays = (*self._drivetrain, *self._bodies) if self._bodies else ()
-        # The kernel gets one array of addresses, because each argument costs 0.2 us in every tick.
+        # The kernel gets a single array of addresses, because each argument would cost 0.2 us in
+        # every tick.
         self._addresses = (
             np.array([*array_addresses(arrays), *native], np.int64) if arrays and native else None
         )
@@ -121,7 +123,7 @@ class Plant:
             self._unwind_spools(seed)
 
     def _check_overlaps(self) -> None:
-        """Refuse an object that overlaps the open hand.
+        """Raise an error if the object overlaps the open hand.
 
         Otherwise contact forces would throw the hand and the object apart.
         """
@@ -139,7 +141,10 @@ class Plant:
             )
 
     def _build_routing(self, compiled: bool) -> TendonRouting:
-        """Build the tendons and their pulleys. Refuse unknown motors and joints."""
+        """Build the tendons of the hand and their pulleys.
+
+        If a tendon names an unknown motor or joint, raise an error.
+        """
         hand = self.hand
         motors = [motor.name for motor in hand.motors]
         for spec in hand.tendons:
@@ -158,9 +163,9 @@ class Plant:
         )
 
     def _build_table(self, support: SinkingTable, compiled: bool) -> SupportTable:
-        """Build the table.
+        """Build the table under the object.
 
-        With compiled kernels, the table reads the contact forces in the memory of the engine.
+        With compiled kernels, the table reads the contact forces directly from MuJoCo's memory.
         """
         hand = self.hand
         closing = [i for i, digit in enumerate(hand.digits) if digit in hand.closing_digits]
@@ -171,22 +176,23 @@ class Plant:
         return SupportTable(support, opposed, indices, machine_code(support_kernels))
 
     def _unwind_spools(self, seed: int) -> None:
-        """Unwind each spool by a random slack."""
+        """Unwind each spool by a random length of slack tendon."""
         rng = random.Random(f"slack {seed}")
         for i, (spec, (tendon, motor)) in enumerate(
             zip(self.hand.tendons, self.tendons, strict=False)
         ):
-            wound = -rng.uniform(*INITIAL_SLACK_RANGE_M)  # A negative length is unwound.
+            # A negative length means that the tendon is unwound.
+            wound = -rng.uniform(*INITIAL_SLACK_RANGE_M)
             motor.theta = wound / tendon.radius
             if spec.pretension:
-                # The tendons of a spool pair stay taut, because they were mounted with the spool at
-                # this angle.
+                # The tendons of a spool pair stay taut, because they were mounted while the spool
+                # was at this angle.
                 tendon.extra_length += wound
                 self.tendons[self._antagonist[i]][0].extra_length -= wound
 
     @property
     def can_sink(self) -> bool:
-        """Return True if the scene has a table that sinks once the object is held."""
+        """Return True if the scene has a table that sinks after the object has been grasped."""
         support = self.scene.support
         return support is not None and support.drop_when == "grasped"
 
@@ -196,16 +202,16 @@ class Plant:
         return self.steps * STEP_NS + self.part_ns
 
     def step(self) -> None:
-        """Advance the plant by one step. See ``advance``."""
+        """Advance the plant by one time step. The method ``advance`` describes the step."""
         self.advance(1)
 
     def advance(self, count: int) -> None:
-        """Run a number of steps of the plant.
+        """Advance the plant by a number of time steps.
 
         A divided step is completed first. A divided step counts as one step.
 
         Args:
-            count: number of steps.
+            count: number of time steps.
 
         Raises:
             SimulatorError: the plant has diverged, because its parameters are too extreme for the
@@ -215,7 +221,7 @@ class Plant:
             block = 1 if self.part_ns else min(count, self._free_steps())
             self._run_steps(block)
             count -= block
-            # The table and the load act only between two steps, never within a step.
+            # The table and the load change only between two steps, never within a step.
             if (
                 self.table
                 and self.steps % TABLE_UPDATE_STEPS == 0
@@ -227,10 +233,10 @@ class Plant:
                 self.engine.push_object([force * component for component in self.load.direction])
 
     def advance_part(self, duration_ns: int) -> None:
-        """Run a part of the next step of the plant.
+        """Advance the plant by a part of the next time step.
 
         Args:
-            duration_ns: length of the part [ns]. The sum of all parts is less than a step.
+            duration_ns: length of the part [ns]. The sum of all parts must be less than a step.
 
         Raises:
             SimulatorError: the plant has diverged, because its parameters are too extreme for the
@@ -248,7 +254,7 @@ class Plant:
             self._set_step(STEP_S)
 
     def _set_step(self, step_s: float) -> None:
-        """Set the time step of engine and rotors for the next steps [s]."""
+        """Set the time step of MuJoCo and the rotors for the following steps [s]."""
         self.engine.set_timestep(step_s)
         rotors = self._drivetrain[-1]
         if self._bodies is None:
@@ -259,23 +265,24 @@ class Plant:
             rotors[name] = value
 
     def _free_steps(self) -> int:
-        """Count the steps that can run before table, load or stages act again."""
+        """Count the steps that can run before the table, the load or the stages of the scene act again."""
         if self.load:
             return 1
         table_active = self.table and self._table_can_act(self.table)
         return TABLE_UPDATE_STEPS - self.steps % TABLE_UPDATE_STEPS if table_active else 1 << 30
 
     def _table_can_act(self, table: SupportTable) -> bool:
-        """Return True if the table, or a stage after the table has sunk, can still change the plant."""
+        """Return True if the plant can still be changed by the table, or by a stage after the table has sunk."""
         return bool(self.stages) or not table.settled
 
     def _run_steps(self, count: int) -> None:
-        """Run steps of the plant.
+        """Run a number of time steps of the plant.
 
-        If no motor is faulty, a single call of the kernel runs all steps.
+        If no motor has a fault, a single call of the kernel runs all steps.
         """
         if self.part_ns:
-            # A divided step is completed first, so that later steps start at multiples of STEP_NS.
+            # The rest of a divided step is completed first, so that later steps start at multiples
+            # of STEP_NS.
             self._run_step_of_duration(STEP_NS - self.part_ns)
             self.part_ns = 0
             self.steps += 1
@@ -298,15 +305,15 @@ class Plant:
         return [motor for motor in self._rotors if motor.faulty]
 
     def _run_single_step(self, faulty_motors: list[Motor]) -> None:
-        """Run one step of the plant.
+        """Run one time step of the plant.
 
-        Python steps the given faulty motors. The kernel steps all others.
+        Python advances the given faulty motors. The kernel advances all other motors.
         """
         engine = self.engine
         q, dq, torque, damping = self._bodies or self._joint_lists()
         if (
             not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGED_RAD_S
-        ):  # this condition is also true if the sum is NaN
+        ):  # this condition is also true if the sum of the speeds is NaN
             raise self._divergence_error()
         if faulty_motors:
             for motor in self._rotors:
@@ -320,7 +327,7 @@ class Plant:
         engine.step()
 
     def _joint_lists(self) -> tuple[list[float], list[float], list[float], list[float]]:
-        """List joint angles and velocities, and make lists for torques and tendon damping, for Python kernels."""
+        """Return lists of joint angles and velocities, and lists for torques and damping, for interpreted kernels."""
         q = self.engine.q.tolist()
         dq = self.engine.dq.tolist()
         return q, dq, [0.0] * len(q), [0.0] * len(self.tendons)
@@ -333,7 +340,7 @@ class Plant:
         )
 
     def _update_table(self, table: SupportTable) -> None:
-        """Lower the table once the hand holds the object, and then apply the stages of the scene."""
+        """Lower the table after the hand has grasped the object, and then apply the stages of the scene."""
         before = table.depth
         forces = (
             self.engine.sensed
@@ -356,12 +363,12 @@ class Plant:
     def measured_grip(self) -> list[float]:
         """Return the load on the object, and the sum of the normal forces of each digit on the object [N].
 
-        The list is empty in a scene without a load.
+        If the scene has no load, the list is empty.
         """
         return [self.load.force_at(self.steps * STEP_S), *self.normal_forces()] if self.load else []
 
     def cells(self) -> Any:
-        """Compute the present tension of each tendon at its load cell.
+        """Compute the present tension of each tendon at the load cell of the tendon.
 
         Returns:
             Tensions, shape (tendons,) [N]. The array belongs to the plant. The next call overwrites
@@ -372,9 +379,9 @@ class Plant:
         return self._tensions
 
     def tensions(self) -> list[float]:
-        """Return the present tension of each tendon at its load cell [N].
+        """Return the present tension of each tendon at the load cell of the tendon [N].
 
-        A spool pair has a single value: its net tension.
+        A spool pair has a single value, the difference between the tensions of its two tendons.
         """
         single = self.cells().tolist()
         net = [float(tension) for tension in single[: len(self.hand.tendons)]]

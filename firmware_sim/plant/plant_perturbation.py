@@ -1,4 +1,4 @@
-"""Perturbation of the plant: factors that multiply parameters of the hand file."""
+"""Perturbation of the plant: factors by which parameters from the hand file are multiplied."""
 
 import math
 from dataclasses import replace
@@ -28,10 +28,10 @@ PERTURBATION_KEYS = {
 
 
 def perturbed_hand(hand: Hand, factors: dict[str, float]) -> Hand:
-    """Multiply the plant parameters of a hand by factors.
+    """Multiply the parameters of a simulated plant by factors.
 
     Args:
-        hand: description of the hand from its file.
+        hand: description of the hand, as the hand file gives it.
         factors: factors by key of ``PERTURBATION_KEYS``. The value of ``bias`` is not a factor but an offset
             [N].
 

@@ -1,6 +1,6 @@
 """C structures with the numbers of tendons and rotors, for compiled kernels.
 
-Kernels that run in Python accept any object with the same attributes.
+Kernels that run as interpreted Python accept any object with the same attributes.
 """
 
 import ctypes
@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 @dataclass
 class Servo:
-    """Setpoints and gains of the servo of a drive, with the sign of the hand: a positive torque winds the tendon up.
+    """Setpoints and gains of the servo in a drive, with the signs of the hand: a positive torque winds the tendon up.
 
-    The torque of the servo is kp (position - theta) + kd (velocity - omega) + torque, within
+    The servo commands the torque kp (position - theta) + kd (velocity - omega) + torque, limited to
     +-limit.
 
     Attributes:
         kp: stiffness towards the position setpoint [N m/rad].
-        kd: damping towards the velocity setpoint [N m s/rad].
+        kd: damping of the difference to the velocity setpoint [N m s/rad].
         position: position setpoint [rad].
         velocity: velocity setpoint [rad/s].
         torque: feedforward torque [N m].
@@ -24,7 +24,7 @@ class Servo:
         speed_limit: speed above which the drive brakes [rad/s].
         speed_gain: braking torque per speed above ``speed_limit`` [N m s/rad], 0 if there is
             no speed limit.
-        target_speed: speed with which the drive moves the position setpoint by itself [rad/s].
+        target_speed: speed at which the drive itself moves the position setpoint [rad/s].
     """
 
     kp: float = 0.0
@@ -44,7 +44,7 @@ class Servo:
 
 
 class ServoStruct(ctypes.Structure, Servo):
-    """A servo inside a ``RotorStruct``."""
+    """Servo as a part of a ``RotorStruct``."""
 
     _fields_ = [
         (name, ctypes.c_double)
@@ -63,7 +63,7 @@ class ServoStruct(ctypes.Structure, Servo):
 
 
 class RotorStruct(ctypes.Structure):
-    """Memory of a rotor, see ``motor.Motor`` for the fields."""
+    """Memory of a rotor. The class ``motor.Motor`` explains the fields."""
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("theta", "omega", "torque", "velocity", "heat")),
@@ -79,7 +79,7 @@ class RotorStruct(ctypes.Structure):
 
 
 class TendonStruct(ctypes.Structure):
-    """Memory of a tendon, see ``tendon.Tendon`` for the fields."""
+    """Memory of a tendon. The class ``tendon.Tendon`` explains the fields."""
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("tension", "speed", "slope", "extra_length")),

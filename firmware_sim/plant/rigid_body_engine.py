@@ -1,4 +1,7 @@
-"""The rigid-body engine of the plant. Besides the camera, it is the only module of the plant that uses MuJoCo."""
+"""The rigid-body engine of the plant.
+
+In the package ``plant``, only this module and the camera use MuJoCo.
+"""
 
 import ctypes
 from collections.abc import Callable
@@ -12,14 +15,14 @@ from firmware_sim.plant.mjcf import MAX_CONTACTS
 
 
 class RigidBodyEngine:
-    """The rigid bodies of hand and scene with their joints, springs, stops and contacts.
+    """The rigid bodies of the hand and the scene, with joints, springs, stops and contacts.
 
-    All attributes that are arrays are views of MuJoCo's memory.
+    All attributes that are arrays refer to MuJoCo's own memory.
 
     Attributes:
-        step: function that advances the engine by one step.
+        step: function that advances MuJoCo by one time step.
         native: addresses of MuJoCo's step function and of its two arguments, for compiled code.
-            None if not available.
+            None if compiled code cannot call the function.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
         applied: torques that tendons apply to the joints [N m].
@@ -28,12 +31,12 @@ class RigidBodyEngine:
     """
 
     def __init__(self, xml: str, joint_count: int) -> None:
-        """Build the engine from a model.
+        """Build the engine from a MuJoCo model.
 
         Args:
-            xml: model of hand and scene as MJCF text.
-            joint_count: number of the hand's joints. These joints are the model's first degrees of
-                freedom.
+            xml: MuJoCo model of the hand and the scene, as MJCF text.
+            joint_count: number of the hand's joints. These joints are the first degrees of freedom
+                of the model.
         """
         self._model: Any = mujoco.MjModel.from_xml_string(xml)
         self._data: Any = mujoco.MjData(self._model)
@@ -43,7 +46,7 @@ class RigidBodyEngine:
         n = joint_count
         self.step: Callable[[], None] = lambda: mujoco.mj_step(model, data)
         self.native = _native_step(model, data)
-        # These arrays are views of MuJoCo's memory. A view is valid as long as the data object
+        # These arrays refer to MuJoCo's own memory. They are valid as long as the data object
         # exists.
         self.q: Any = data.qpos[:n]
         self.dq: Any = data.qvel[:n]
@@ -60,7 +63,7 @@ class RigidBodyEngine:
         return len(self._object) == 7
 
     def object_pose(self) -> list[float]:
-        """Return the pose of the object: x, y, z [m] and qw, qx, qy, qz.
+        """Return the pose of the object: position x, y, z [m] and quaternion qw, qx, qy, qz.
 
         Without an object, the pose is the origin.
         """
@@ -72,19 +75,20 @@ class RigidBodyEngine:
         data.mocap_pos[:] = self._data.mocap_pos
 
     def object_speed(self) -> float:
-        """Return the speed of the centre of the object [m/s]. Without an object, it is 0."""
+        """Return the speed of the centre of the object [m/s]. If there is no object, return 0."""
         return float(np.linalg.norm(self._object_velocity[:3])) if self.has_object else 0.0
 
     def forces_on(self, sensor_kind: str, digits: list[str]) -> Callable[[], list[float]]:
         """Build a function that returns the contact forces on the digits [N].
 
         Args:
-            sensor_kind: ``grip`` for forces of the object only, or ``contact`` for forces of any body.
+            sensor_kind: ``grip`` for the forces of the object only, or ``contact`` for the forces
+                of all bodies.
             digits: names of the digits.
 
         Returns:
-            Function without arguments. The result of the function lists the force on each digit in
-            the palm frame: x, y, z of one digit after the other.
+            Function without arguments. The function returns the force on each digit in the palm
+            frame: x, y, z of the first digit, then of the next one.
         """
         index = np.array(
             [
@@ -94,8 +98,8 @@ class RigidBodyEngine:
             ]
         )
         data = self._data.sensordata
-        # The sensor gives the force that the first body (the digit) exerts on the second. The sign
-        # is therefore changed.
+        # The sensor measures the force that the first body (the digit) exerts on the second body.
+        # The sign is therefore changed, which gives the force on the digit.
         return lambda: (-data[index]).tolist()  # type: ignore[no-any-return,unused-ignore]
 
     def force_indices(self, sensor_kind: str, digits: list[str]) -> list[int]:
@@ -106,7 +110,7 @@ class RigidBodyEngine:
         return [self._sensor_index(f"{sensor_kind}/{digit}") for digit in digits]
 
     def normal_forces(self, digits: list[str]) -> Callable[[], list[float]]:
-        """Build a function that returns the sum of the normal forces between each digit and the object [N]."""
+        """Build a function that returns, for each digit, the sum of the normal forces between digit and object [N]."""
         first = [self._sensor_index(f"normal/{digit}") for digit in digits]
         index = np.array(
             [[address + 3 * contact for contact in range(MAX_CONTACTS)] for address in first]
@@ -119,14 +123,14 @@ class RigidBodyEngine:
         return int(self._model.sensor_adr[self._model.sensor(name).id])
 
     def set_timestep(self, step_s: float) -> None:
-        """Set the time step of the next steps [s]."""
+        """Set the length of the following time steps [s]."""
         self._model.opt.timestep = step_s
 
     def brake(self, joints: list[int], damping: float) -> Callable[[], None]:
-        """Brake joints with a high damping [N m s/rad].
+        """Brake joints by a high damping [N m s/rad].
 
         Returns:
-            Function that restores the damping of the joints.
+            Function that restores the former damping of the joints.
         """
         before = self._model.dof_damping[joints].copy()
         self._model.dof_damping[joints] = damping
@@ -137,16 +141,16 @@ class RigidBodyEngine:
         return release
 
     def overlaps(self) -> dict[str, float]:
-        """Return how deep the object overlaps with each body that it touches [m], by the name of the body.
+        """Return how deep the object overlaps each body that it touches [m], by the name of the body.
 
-        The table is not included.
+        The overlap with the table is not included.
         """
         model = self._model
         depths: dict[str, float] = {}
         for contact in self._data.contact:
             names = [model.body(model.geom_bodyid[geom]).name for geom in contact.geom]
             if "object" in names and "table" not in names:
-                # In the model, the palm is a part of the world body.
+                # In the MuJoCo model, the palm is a part of the world body.
                 name = names[1 - names.index("object")].replace("world", "palm")
                 depths[name] = max(depths.get(name, 0.0), -float(contact.dist))
         return depths
@@ -167,7 +171,7 @@ class RigidBodyEngine:
         mujoco.mj_forward(self._model, self._data)
 
     def push_object(self, force: list[float]) -> None:
-        """Apply a constant force at the centre of the object: x, y, z in the palm frame [N]."""
+        """Apply a constant force to the centre of the object: x, y, z in the palm frame [N]."""
         self._data.xfrc_applied[self._model.body("object").id, :3] = force
 
     def set_friction(self, coefficient: float) -> None:
@@ -175,7 +179,7 @@ class RigidBodyEngine:
         self._model.geom_friction[:, 0] = coefficient
 
     def energy(self) -> float:
-        """Return the sum of kinetic and potential energy of links, springs and object [J]."""
+        """Return the sum of the kinetic and the potential energy of links, springs and object [J]."""
         mujoco.mj_energyPos(self._model, self._data)
         mujoco.mj_energyVel(self._model, self._data)
         return float(self._data.energy.sum())
@@ -186,7 +190,7 @@ class RigidBodyEngine:
 
 
 def _native_step(model: Any, data: Any) -> tuple[int, int, int] | None:
-    """Return the addresses of MuJoCo's function ``mj_step``, of the model and of the data.
+    """Return the addresses of MuJoCo's function ``mj_step``, of the model, and of the data.
 
     If compiled code calls the function by its address, an error inside MuJoCo ends the process.
     MuJoCo reports few errors, and none if the plant diverges.

@@ -34,9 +34,10 @@ class Tendon:
 
     Attributes:
         tension: tension at the load cell, between spool and first pulley, in the last step [N].
-        speed: speed of the tendon towards the spool in the last step [m/s]. The value is positive
+        speed: speed of the tendon towards the spool in the last step [m/s]. The speed is positive
             when the digit closes.
-        slope: damping plus friction divided by speed, for the implicit integrator [N s/m].
+        slope: slope of tendon damping and friction over the speed of the tendon, for the implicit
+            integrator [N s/m].
         extra_length: length of the tendon beyond the length in its description [m].
         radius: radius of the spool [m], negative if a positive spool angle pays the tendon
             out.
@@ -44,9 +45,9 @@ class Tendon:
         after_knee: stiffness of the tendon at tensions far above the knee [N/m].
         knee: highest tension at which the stiffness is constant [N].
         knee_stretch: stretch of the tendon at the knee [m].
-        knee_width: width of the transition at the knee, as a stretch [m].
+        knee_width: width of the transition at the knee, as a difference of stretch [m].
         damping: viscous damping of the tendon [N s/m].
-        friction: friction coefficient of the tendon, for the capstan equation.
+        friction: coefficient of friction of the tendon in the capstan equation.
         wrap: wrap angle of the tendon before the first joint [rad].
         motor: row of the rotor that winds the tendon.
         first: index of the tendon's first pulley.
@@ -65,7 +66,8 @@ class Tendon:
             spool_radius: radius of the spool that winds the tendon [m].
         """
         self.tension = self.speed = self.slope = 0.0
-        # The pretension of a spool pair is below the knee, so the stiffness is constant there.
+        # The pretension of a spool pair is below the tension at the knee, where the stiffness is
+        # constant.
         self.extra_length = -spec.pretension / spec.stiffness if spec.pretension else 0.0
         self.motor = motor
         self.radius = spec.winding * spool_radius
@@ -82,7 +84,7 @@ class Tendon:
         """Break the tendon, which then carries no tension.
 
         Returns:
-            Function that mends the tendon.
+            Function that repairs the tendon.
         """
         before = self.stiffness, self.damping, self.knee_stretch
         self.stiffness = 0.0
@@ -100,10 +102,10 @@ class TendonRow(TendonStruct, Tendon):
 
 
 class TendonRouting:
-    """The tendons of a hand and the pulleys on the path of each tendon.
+    """The tendons of a hand, and the pulleys along each tendon.
 
     Attributes:
-        tendons: the tendons.
+        tendons: tendons of the hand.
         rows: array with a row for each tendon, for compiled kernels. Without compiled kernels, the
             attribute is the list ``tendons``.
         joints: joint index of each pulley, tendon by tendon, as an array or a list.
@@ -118,14 +120,14 @@ class TendonRouting:
         radii: list[float],
         compiled: bool,
     ) -> None:
-        """Build the tendons and their pulleys.
+        """Build the tendons of a hand and their pulleys.
 
         Args:
             specs: descriptions of the tendons.
             joints: names of the joints.
             motors: names of the motors.
             radii: radius of each spool [m].
-            compiled: True to make arrays for compiled kernels.
+            compiled: True to create arrays for compiled kernels.
         """
         memory = (TendonRow * len(specs))() if compiled else [Tendon() for _ in specs]
         self.tendons: list[Tendon] = list(memory)
@@ -134,8 +136,8 @@ class TendonRouting:
             motor = motors.index(spec.motor)
             tendon.describe(spec, motor, radii[motor])
             tendon.first = len(path)
-            # At a joint with a moment arm of 0, the tendon passes through the axis, without a
-            # pulley.
+            # At a joint with a moment arm of 0, the tendon passes through the joint's axis. So
+            # there is no pulley at this joint.
             passed = [name for name, arm in spec.arms.items() if arm]
             path += [(joints.index(name), _pulley_numbers(spec, name)) for name in passed]
             tendon.end = len(path)

@@ -13,7 +13,7 @@ _POLL_S = 0.2
 
 
 def run(words: list[str]) -> None:
-    """Serve a local bus until SIGTERM or SIGINT.
+    """Serve a local bus until the process receives SIGTERM or SIGINT.
 
     Raises:
         SimulatorError: the program cannot use the arguments.

@@ -1,4 +1,4 @@
-"""The program ``python -m firmware_sim drive``: drives on a bench, with free shafts, for any client on the bus."""
+"""The program ``python -m firmware_sim drive``: drives on a test bench, with free shafts, for any client on the bus."""
 
 import argparse
 import sys
@@ -67,23 +67,26 @@ objects of a CiA 402 drive, for CANopen tools: {EDS_PATH}
 
 
 class SimulatedDriveBench:
-    """Simulated drives on one bus. See ``bus_server.ServedNodes``.
+    """Simulated drives on one bus, without a hand.
+
+    The class ``bus_server.ServedNodes`` describes the methods.
 
     Attributes:
-        motors: rotors in the order of the drive descriptions.
-        nodes: nodes in the order of the drive descriptions.
-        slip_ns: time lost by slips of the clock [ns].
-        part_ns: completed part of the step in progress [ns].
+        motors: rotors of the drives, in the order of the drive descriptions.
+        nodes: simulated nodes of the drives, in the order of the drive descriptions.
+        slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
+        part_ns: completed part of the time step in progress [ns].
         faults: faults injected while the bench runs.
     """
 
     def __init__(self, specs: list[MotorSpec], origin_ns: int = 0, fault: str = "") -> None:
-        """Build the drives of the bench.
+        """Build the drives of the test bench.
 
         Args:
             specs: descriptions of the drives.
             origin_ns: time of the clock at the start [ns].
-            fault: deliberate fault of all drives, as a key of ``faulty_drive.DRIVE_FAULTS``, empty for no fault.
+            fault: deliberate fault of all drives, as a key of ``faulty_drive.DRIVE_FAULTS``, or an
+                empty text for no fault.
         """
         self.t_ns = origin_ns
         self.slip_ns = 0
@@ -105,7 +108,7 @@ class SimulatedDriveBench:
         return sum(node.malformed for node in self.nodes)
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Pass a frame to every node and return all answers."""
+        """Pass a frame to every drive, and return all answers."""
         if self.faults.wire_faults_of:
             answers = [self.faults.exchange(node, frame, self.t_ns) for node in self.nodes]
         else:
@@ -118,7 +121,7 @@ class SimulatedDriveBench:
         ]
 
     def advance(self, t_ns: int) -> None:
-        """Advance the drives towards ``t_ns`` in whole steps."""
+        """Advance the drives towards the time ``t_ns``, by whole time steps."""
         while self.t_ns - self.part_ns + STEP_NS <= t_ns:
             self._turn(STEP_NS - self.part_ns)
             self.part_ns = 0
@@ -136,9 +139,10 @@ class SimulatedDriveBench:
         self._unsolicited += frames
 
     def reach(self, t_ns: int) -> None:
-        """Advance the drives to exactly ``t_ns``.
+        """Advance the drives exactly to the time ``t_ns``.
 
-        This may divide a step. The next call then completes the step.
+        For this, a time step may have to be divided. The next call then first completes the divided
+        step.
         """
         self.advance(t_ns)
         rest_ns = t_ns - self.t_ns
@@ -254,10 +258,10 @@ def _drive_specs(args: argparse.Namespace) -> list[MotorSpec]:
 
 
 def run(words: list[str]) -> None:
-    """Serve simulated drives until SIGTERM or SIGINT.
+    """Serve simulated drives until the process receives SIGTERM or SIGINT.
 
     Raises:
-        SimulatorError: the simulator does not support the arguments.
+        SimulatorError: the simulator cannot use the arguments.
     """
     args = _argument_parser().parse_args(words)
     specs = _drive_specs(args)

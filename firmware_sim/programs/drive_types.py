@@ -35,16 +35,17 @@ def drive_spec(
 
     Args:
         protocol: key of ``nodes.PROTOCOL_SPECS``. If the protocol is ``mit`` and the motor type is
-            one of CubeMars, the drive has the protocol cubemars.
+            one of CubeMars, the drive uses the protocol cubemars.
         node_id: node number of the drive.
         motor_type: motor type of the protocol, such as a key of ``MIT_TYPES``, empty for the
             default of the protocol.
-        fd: True for an MIT motor that is set to CAN FD.
-        inertia: inertia of the shaft [kg m2]. None for the default of the motor type.
-        firmware: firmware version of an ODrive, 0.6 or 0.5. Other drives ignore it.
+        fd: True for an MIT motor that has been set to CAN FD.
+        inertia: inertia of the shaft [kg m2], or None for the default inertia of the motor type.
+        firmware: firmware version of an ODrive, 0.6 or 0.5. Drives with other protocols ignore this
+            value.
 
     Raises:
-        SimulatorError: the node number or the motor type does not exist.
+        SimulatorError: the node number or the motor type is not valid for the protocol.
     """
     _check_type(protocol, motor_type)
     protocol = MIT_TYPES.get(motor_type, protocol)
@@ -79,7 +80,7 @@ def _check_type(protocol: str, motor_type: str) -> None:
 
 
 def _shaft_of_type(protocol: str, motor_type: str, fd: bool, firmware: str) -> ShaftSpec:
-    """Build the shaft of the requested motor type."""
+    """Build the description of the shaft of a motor type."""
     if protocol == "odrive":
         return odrive_bench.shaft_of_firmware(firmware)
     if protocol in ROBSTRIDE_PROTOCOLS and motor_type:

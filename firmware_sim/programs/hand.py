@@ -84,7 +84,7 @@ def _argument_parser() -> argparse.ArgumentParser:
 
 
 def _perturbation_factors(words: list[str]) -> dict[str, float]:
-    """Parse the KEY=FACTOR words of ``--perturb``."""
+    """Parse the words KEY=FACTOR after the option ``--perturb``."""
     factors: dict[str, float] = {}
     for word in words:
         key, _, value = word.partition("=")
@@ -102,10 +102,10 @@ def _perturbation_factors(words: list[str]) -> dict[str, float]:
 
 
 def run(words: list[str]) -> None:
-    """Serve a simulated hand until SIGTERM or SIGINT.
+    """Serve a simulated hand until the process receives SIGTERM or SIGINT.
 
     Raises:
-        SimulatorError: the simulator does not support the arguments.
+        SimulatorError: the simulator cannot use the arguments.
     """
     args = _argument_parser().parse_args(words)
     check_time_scale(args.time_scale)
@@ -162,7 +162,7 @@ def _serve_hand(
     server: BusServer, world: SimulatedWorld, path: Path, header: dict[str, Any], ready_line: str,
     max_truth_bytes: int,
 ) -> None:  # fmt: skip
-    """Serve a simulated hand and record its truth file."""
+    """Serve a simulated hand, and write the true values of the hand to a file."""
     try:
         truth = TruthWriter(path, world.plant, header, max_truth_bytes)
     except OSError as error:
@@ -174,7 +174,7 @@ def _serve_hand(
 
     until_signal(stop)
     gc.collect()
-    gc.freeze()  # from now on, the garbage collector skips the modules that are loaded
+    gc.freeze()  # from now on, garbage collection ignores the modules that have been loaded so far
     print(ready_line, flush=True)
     try:
         server.run()

@@ -20,9 +20,9 @@ class GraspObject:
 
     Attributes:
         shape: shape of the object: cylinder (axis z), sphere or box.
-        size: full extents of the object along x, y, z [m].
+        size: full lengths of the object along the axes x, y and z [m].
         mass: mass of the object [kg].
-        friction: sliding friction coefficient of the object on digits, palm and table.
+        friction: coefficient of sliding friction between the object and digits, palm and table.
         position: centre of the object in the palm frame [m].
     """
 
@@ -38,14 +38,16 @@ class SinkingTable:
     """The table under the object.
 
     Attributes:
-        drop_when: ``grasped`` if the table sinks once the hand holds the object, or ``never``.
-        drop_force: minimum contact force with which a digit counts as holding the object [N].
-        drop_hold: time for which the digits must hold the object before the table sinks [s].
+        drop_when: ``grasped`` if the table sinks after the hand has grasped the object, or
+            ``never``.
+        drop_force: smallest contact force with which a digit counts as holding the object [N].
+        drop_hold: time for which the digits must hold the object without a break before the table
+            sinks [s].
         drop_digits: number of digits that must hold the object. If the hand has fewer digits, all
             of its digits must hold the object.
-        drop_opposed: True if one of these digits must close against the others, as the thumb does.
+        drop_opposed: True if one of these digits must press from the other side, as the thumb does.
         sink_speed: speed of the sinking table [m/s].
-        sink_depth: depth below the initial position at which the table stops [m].
+        sink_depth: distance below the initial position at which the table stops [m].
     """
 
     drop_when: str = "never"
@@ -59,12 +61,12 @@ class SinkingTable:
 
 @dataclass(frozen=True, slots=True)
 class GrowingLoad:
-    """A force at the centre of the object that grows until the grasp fails.
+    """A force on the centre of the object that grows until the hand loses the object.
 
     Attributes:
         direction: unit vector of the force in the palm frame.
-        start: time after power-up at which the force starts [s].
-        rate: growth rate of the force [N/s].
+        start: time from power-up to the start of the force [s].
+        rate: increase of the force per second [N/s].
     """
 
     direction: tuple[float, float, float]
@@ -72,15 +74,15 @@ class GrowingLoad:
     rate: float
 
     def force_at(self, time: float) -> float:
-        """Return the force [N] at a time after power-up [s]."""
+        """Return the force on the object [N] at a given time after power-up [s]."""
         return max(0.0, self.rate * (time - self.start))
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """The surroundings of a hand: an object with its support and load, and the stages after the grasp.
+    """The surroundings of a hand: an object, its support, a load on the object, and the stages after the grasp.
 
-    The scene of a free hand contains no object, support, load or stage.
+    The scene of a hand without an object has none of these.
     """
 
     name: str
@@ -106,7 +108,7 @@ def load_scene(text: str | None) -> Scene:
             ``cylinder:40``. None for a hand without an object.
 
     Raises:
-        SimulatorError: the scene does not exist, or its file is not complete.
+        SimulatorError: the scene does not exist, or its file is incomplete.
     """
     if text is None:
         return Scene("none")
@@ -125,7 +127,7 @@ def load_scene(text: str | None) -> Scene:
 def _resized_scene(scene: Scene, millimetres: str, text: str) -> Scene:
     """Return the scene with another diameter of the object.
 
-    The gap between object and palm stays the same.
+    The gap between the object and the palm stays the same.
     """
     try:
         diameter = float(millimetres) * 1e-3
@@ -135,7 +137,7 @@ def _resized_scene(scene: Scene, millimetres: str, text: str) -> Scene:
         raise SimulatorError(f"scene {text}: expected a diameter in millimetres, as in cylinder:35")
     old = scene.grasp_object
     height = diameter if old.shape == "sphere" else old.size[2]
-    # The face of the palm is the plane x = 0.
+    # The palm ends at the plane x = 0.
     gap = old.position[0] - old.size[0] / 2.0
     position = (diameter / 2.0 + gap, old.position[1], old.position[2])
     return replace(
@@ -146,7 +148,7 @@ def _resized_scene(scene: Scene, millimetres: str, text: str) -> Scene:
 
 
 def _read_scene(path: Any, where: str) -> Scene:
-    """Read a scene file and check that its parts fit together."""
+    """Read a scene file, and check that its parts are consistent with each other."""
     try:
         if not path.is_file():
             raise ValueError("no such file")
@@ -181,7 +183,7 @@ def _read_scene(path: Any, where: str) -> Scene:
 
 
 def _parse_object(section: dict[str, Any] | None) -> GraspObject | None:
-    """Build the object from its table in the scene file."""
+    """Build the object from its section in the scene file."""
     if section is None:
         return None
     shape = section["shape"]
@@ -210,7 +212,7 @@ def _parse_object(section: dict[str, Any] | None) -> GraspObject | None:
 
 
 def _parse_support(section: dict[str, Any] | None) -> SinkingTable | None:
-    """Build the support from its table in the scene file."""
+    """Build the support from its section in the scene file."""
     if section is None:
         return None
     if section["drop_when"] not in ("grasped", "never"):
@@ -222,7 +224,10 @@ def _parse_support(section: dict[str, Any] | None) -> SinkingTable | None:
 
 
 def _parse_load(section: dict[str, Any] | None) -> GrowingLoad | None:
-    """Build the load from its table in the scene file. The direction is normalised."""
+    """Build the load from its section in the scene file.
+
+    The direction of the load is scaled to a unit vector.
+    """
     if section is None:
         return None
     x, y, z = (float(value) for value in section["direction"])

@@ -1,4 +1,7 @@
-"""Stages of a scene after the grasp, in which the hand is turned, the object is pushed or the friction changes."""
+"""Stages of a scene after the grasp.
+
+In a stage, the hand is turned, the object is pushed, or the friction changes.
+"""
 
 import math
 from dataclasses import dataclass
@@ -73,10 +76,10 @@ def _parse_vector(raw_vector: Any, where: str) -> Vector:
 
 @dataclass(frozen=True, slots=True)
 class SceneState:
-    """State of a scene with stages at one time.
+    """State of a scene with stages at a given time.
 
     Attributes:
-        stage: index of the present stage, -1 in a scene without stages.
+        stage: index of the present stage, or -1 in a scene without stages.
         gravity: acceleration of gravity in the palm frame [m/s2].
         push: force at the centre of the object in the palm frame [N].
         friction: sliding friction coefficient. If None, the coefficient of the scene file
@@ -108,9 +111,9 @@ class StageSequence:
         self.duration = sum(stage.turn + stage.duration for stage in stages)
 
     def state_at(self, time: float) -> SceneState:
-        """Return the state at a time since the table started to sink [s].
+        """Return the state of the scene at a time that is counted from the start of the table's sinking [s].
 
-        After the last stage, its final state stays.
+        After the last stage, the state no longer changes.
         """
         start = 0.0
         gravity = self._gravity
@@ -143,18 +146,18 @@ def _scaled_vector(v: Vector, factor: float) -> Vector:
 def _turned_vector(start: Vector, end: Vector, fraction: float) -> Vector:
     """Interpolate between two vectors along a great circle.
 
-    Between opposite vectors, the path is a straight line.
+    If the vectors are opposite, the path is a straight line.
 
     Args:
         start: vector at fraction 0.
-        end: vector at fraction 1. The result has the length of the first vector.
-        fraction: fraction of the way from ``start`` to ``end``, 0 to 1.
+        end: vector at fraction 1. The result is as long as the first vector.
+        fraction: fraction of the way from ``start`` to ``end``, from 0 to 1.
     """
     mixed = tuple(a + (b - a) * fraction for a, b in zip(start, end, strict=True))
     length = math.hypot(*mixed)
     target_length = math.hypot(*end)
-    # Halfway between opposite vectors, no direction is defined, because many great circles pass
-    # through both.
+    # Halfway between opposite vectors, the direction is not defined, because many great circles
+    # pass through both vectors.
     if length < 1e-9 or target_length == 0.0:
         return mixed[0], mixed[1], mixed[2]
     return _scaled_vector((mixed[0], mixed[1], mixed[2]), target_length / length)

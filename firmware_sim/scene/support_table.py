@@ -1,4 +1,4 @@
-"""The table under the object. The table sinks once the hand holds the object."""
+"""The table under the object of a scene. The table sinks after the hand has grasped the object."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -34,8 +34,8 @@ def grasped(
         if x * x + y * y + z * z > min_force_squared:
             pressing += 1
             opposing += opposed[i]
-    # If both sides are required, at least one pressing digit must be opposed, and at least one must
-    # not be opposed.
+    # If both sides are required, at least one opposed digit and at least one other digit must
+    # press.
     return pressing >= digits and (not both_sides or 0 < opposing < pressing)
 
 
@@ -43,7 +43,7 @@ class SupportTable:
     """The sinking table under the object.
 
     Attributes:
-        depth: depth of the table below its initial position [m].
+        depth: distance of the table below its initial position [m].
         dropped_at: plant time when the table started to sink [s]. None before this time.
     """
 
@@ -54,10 +54,10 @@ class SupportTable:
         indices: Sequence[int] = (),
         kernels: Any = None,
     ) -> None:
-        """Set up the table at its initial position.
+        """Place the table at its initial position.
 
         Args:
-            support: description of the table in the scene.
+            support: description of the table, from the scene.
             opposed: True for each digit that closes against the first digit.
             indices: index at which the force of each digit begins. By default, the forces are three
                 values for each digit, one digit after the other.
@@ -71,7 +71,7 @@ class SupportTable:
         self._digits = (
             (np.array(starts, np.int64), np.array(sides, np.int64)) if kernels else (starts, sides)
         )
-        # A hand with fewer digits than required must hold the object with all its digits.
+        # If the hand has fewer digits than required, all of its digits must hold the object.
         digits = min(support.drop_digits, len(opposed))
         self._criteria = support.drop_force**2, digits, support.drop_opposed
         self._grasped_since: float | None = None
@@ -86,11 +86,11 @@ class SupportTable:
         return self.depth >= self._support.sink_depth
 
     def update(self, time: float, forces: Any) -> float:
-        """Update and return the depth of the table.
+        """Update the depth of the table, and return the depth.
 
         Args:
-            time: present plant time [s].
-            forces: x, y, z of the contact force on each digit [N], in one list or array.
+            time: present time of the plant [s].
+            forces: components x, y, z of the contact force on each digit [N], in one list or array.
 
         Returns:
             The depth of the table below its initial position [m].
@@ -104,7 +104,7 @@ class SupportTable:
         return self.depth
 
     def _check_grasp(self, time: float, forces: Any) -> None:
-        """Start to sink once the digits have held the object for the time ``drop_hold`` without a break."""
+        """Start to sink the table after the digits have held the object for the time ``drop_hold`` without a break."""
         if self._support.drop_when != "grasped" or not self._grasped(
             forces, *self._digits, *self._criteria
         ):

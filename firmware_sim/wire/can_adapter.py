@@ -1,9 +1,10 @@
-"""Latency of a CAN adapter, which connects a host to the CAN controller on the wire.
+"""Latency of a CAN adapter, the device between a host and the CAN controller on the wire.
 
-A USB host transfers data only at the start of a USB frame. A USB frame starts every 1 ms for a
-full-speed device, and every 125 us for a high-speed device. In both directions, a CAN frame waits
-for the start of the next USB frame. A serial bus inside an adapter transfers one CAN frame after
-the other. Source of the USB times: USB 2.0 specification, 5.3.3 (frames and microframes).
+The USB controller of a host transfers data only at the start of a USB frame. For a full-speed
+device, a USB frame starts every 1 ms. For a high-speed device, one starts every 125 us. In both
+directions, a CAN frame has to wait for the start of the next USB frame. A serial bus inside an
+adapter transfers one CAN frame after the other. Source of the USB times: USB 2.0 specification,
+5.3.3 (frames and microframes).
 """
 
 import random
@@ -20,11 +21,12 @@ class AdapterClass(NamedTuple):
     """A class of CAN adapters with similar latency.
 
     Attributes:
-        send_period_ns: period of frames that leave the host [ns], 0 if they do not wait.
-        receive_ns: period of received frames that reach the host [ns], 0 if they do not
-            wait.
+        send_period_ns: period of the times at which frames can leave the host [ns], or 0 if they do
+            not wait.
+        receive_ns: period of the times at which received frames can reach the host [ns], or 0 if
+            they do not wait.
         frame_ns: duration of a frame on a serial bus inside the adapter, in either direction [ns].
-        text: description of the class with examples.
+        text: description of the class, with examples of adapters.
     """
 
     send_period_ns: int
@@ -55,17 +57,17 @@ NO_LATENCY_CLASS = "none"
 
 
 class AdapterLatency:
-    """Latency of one CAN adapter.
+    """Latency of one CAN adapter in both directions.
 
     The times passed to a method must not decrease from call to call.
     """
 
     def __init__(self, adapter_class: str, seed: int = 0) -> None:
-        """Make the latency of an adapter whose USB frames have a random phase.
+        """Create the latency of an adapter whose USB frames start at random times of the period.
 
         Args:
             adapter_class: key of ``ADAPTER_CLASSES``.
-            seed: seed of the random phase.
+            seed: seed of the random start time.
         """
         self._adapter = ADAPTER_CLASSES[adapter_class]
         self._phase = random.Random(f"adapter {adapter_class} {seed}").random()

@@ -86,10 +86,10 @@ class CanController:
     """
 
     def __init__(self, depth: int, on_receive: Callable[[Frame, int], None] | None) -> None:
-        """Create a controller with an empty queue.
+        """Create a CAN controller whose queue is empty.
 
         Args:
-            depth: capacity of the queue [frames].
+            depth: largest number of frames in the queue.
             on_receive: function called with each received frame and its time [ns], or None.
         """
         self.queue: deque[tuple[int, int, Frame]] = deque()
@@ -107,11 +107,13 @@ class CanController:
 
     @property
     def on_bus(self) -> bool:
-        """Return True if the controller is on the bus, which means that it is not in the state bus-off."""
+        """Return True if the controller takes part in the bus, which means that it is not in the state bus-off."""
         return self.state != CanErrorState.BUS_OFF
 
     def offer(self, frame: Frame, t_ns: int) -> bool:
-        """Queue a frame for sending. If the frame is refused, the owner gets an error frame.
+        """Queue a frame for sending.
+
+        If the frame is refused, the owner of the controller gets an error frame.
 
         Args:
             frame: frame to send.
@@ -137,7 +139,7 @@ class CanController:
         return since_ns if since_ns > retry_ns else retry_ns
 
     def count_sent(self, t_ns: int) -> None:
-        """Remove the first frame from the queue, because it was sent."""
+        """Remove the first frame from the queue, because it has been sent."""
         self.queue.popleft()
         self.sent += 1
         self._last_error = 0
@@ -146,20 +148,21 @@ class CanController:
             self._update_error_state(t_ns)
 
     def deliver(self, frame: Frame, t_ns: int) -> None:
-        """Count a frame of another controller as received, and pass it to the owner."""
+        """Count a frame of another controller as received, and pass the frame to the owner."""
         if self.rx_errors:
-            # According to ISO 11898-1, a received frame lowers the error counter. The counter of a
-            # passive receiver falls below the passive level, and any other counter falls by one.
+            # According to ISO 11898-1, a received frame reduces the receive error counter. In an
+            # error-passive receiver, the counter falls below the error-passive level. In any other
+            # receiver, it falls by one.
             self.rx_errors = min(self.rx_errors, PASSIVE_ERROR_COUNT) - 1
             self._update_error_state(t_ns)
         if self.on_receive:
             self.on_receive(frame, t_ns)
 
     def count_unacknowledged(self, t_ns: int) -> None:
-        """Count a transmit error, because no controller has acknowledged the frame.
+        """Count a transmit error, because no controller has acknowledged the sent frame.
 
-        The counter of an error-passive sender does not change. So a controller that is alone on a
-        bus never goes off the bus.
+        In an error-passive sender, the counter does not change. So a controller that is alone on a
+        bus never reaches the state bus-off.
         """
         if self.state < CanErrorState.PASSIVE:
             self.tx_errors += TX_ERROR_INCREMENT
@@ -176,7 +179,7 @@ class CanController:
         self._update_error_state(t_ns)
 
     def restart(self, t_ns: int) -> None:
-        """Restart the controller after bus-off, with all counters at zero."""
+        """Restart the controller after the state bus-off, with all error counters at zero."""
         self.tx_errors = self.rx_errors = 0
         self.state = CanErrorState.ACTIVE
         self._last_error = 0
@@ -185,7 +188,8 @@ class CanController:
     def _count_error(self, kind: int, t_ns: int) -> None:
         """Update the error state after a transmit error.
 
-        Repeated errors of one kind are reported only once, until a frame is sent successfully.
+        Repeated errors of the same kind are reported only once, until a frame has been sent
+        successfully.
         """
         changed = self._update_error_state(t_ns, kind)
         if kind != self._last_error and not changed:
@@ -193,7 +197,9 @@ class CanController:
         self._last_error = kind
 
     def _update_error_state(self, t_ns: int, kind: int = 0) -> bool:
-        """Update the error state from the counters. Report a change to the owner.
+        """Update the error state from the error counters.
+
+        If the state changes, report the change to the owner.
 
         Args:
             t_ns: present time [ns].
@@ -209,8 +215,8 @@ class CanController:
             self.queue.clear()
             self._send_error_frame(CAN_ERR_BUSOFF | kind, t_ns)
         else:
-            # The states are ordered so that the sum of these two comparisons is the number of the
-            # state.
+            # The states are numbered so that the sum of these two comparisons is the number of the
+            # present state.
             self.state = CanErrorState(
                 (highest >= WARNING_ERROR_COUNT) + (highest >= PASSIVE_ERROR_COUNT)
             )
@@ -230,12 +236,12 @@ class CanController:
         return receive * (self.rx_errors >= limit) | send * (self.tx_errors >= limit)
 
     def _send_error_frame(self, kind: int, t_ns: int, extra: dict[int, int] | None = None) -> None:
-        """Send an error frame to the owner.
+        """Send an error frame to the owner of the controller.
 
         Args:
             kind: error classes.
             t_ns: present time [ns].
-            extra: further bytes of the payload, by position.
+            extra: further bytes of the payload, by their position.
         """
         if not self.on_receive:
             return

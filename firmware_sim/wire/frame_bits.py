@@ -2,10 +2,10 @@
 
 Source: ISO 11898-1:2015, frame formats and bit stuffing.
 
-In a classical frame, stuff bits are inserted into all fields from start of frame to CRC (start of
-frame, identifier, RTR, IDE, reserved bit, DLC, data, CRC), but not into the tail. In an FD frame,
-stuff bits are inserted up to the data in the same way. The stuff count and the CRC of an FD frame
-have fixed stuff bits: one before every four bits.
+In a classical frame, stuff bits are inserted from the start of frame to the CRC (start of frame,
+identifier, RTR, IDE, reserved bit, DLC, data, CRC), but not after the CRC. In an FD frame, stuff
+bits are inserted in the same way from the start of frame to the end of the data. In an FD frame,
+the stuff count and the CRC have fixed stuff bits instead: one before every four bits.
 """
 
 from dataclasses import dataclass
@@ -47,16 +47,18 @@ class BitRates:
         return round(count * 1e9 / self.nominal)
 
     def frame_ns(self, frame: Frame) -> int:
-        """Return the time for which a frame occupies the wire, including the interframe space [ns]."""
+        """Return the time for which a frame occupies the wire [ns], including the interframe space."""
         content = bytes(frame.data) if self.actual else bytes(len(frame.data))
-        # If the actual stuff bits do not count, the content is replaced by zeros, so that the cache
-        # key depends only on the length.
+        # If the actual stuff bits are not counted, zeros replace the content, so that the cache key
+        # depends only on the length.
         slow, fast = _frame_bits(frame.can_id, content, frame.flags & (FDF | BRS), self.actual)
         return round(slow * 1e9 / self.nominal + fast * 1e9 / (self.data or self.nominal))
 
 
 def arbitration_number(can_id: int) -> int:
-    """Return the arbitration field of a frame as a number. The frame with the lowest number wins.
+    """Return the arbitration field of a frame as a number.
+
+    The frame with the lowest number wins the arbitration.
 
     Arbitration cannot decide between frames with equal numbers.
     """
@@ -64,11 +66,11 @@ def arbitration_number(can_id: int) -> int:
     if can_id & EXTENDED_FLAG:
         base = can_id >> 18 & 0x7FF
         rest = can_id & 0x3FFFF
-        # The field of a 29-bit identifier has 11 bits of the base, SRR and IDE (both recessive, 1),
-        # 18 bits of the extension, and RTR.
+        # The arbitration field of a 29-bit identifier has 11 base bits, SRR and IDE (both
+        # recessive, 1), 18 extension bits, and RTR.
         return base << 21 | 0b11 << 19 | rest << 1 | remote
-    # In the field of an 11-bit identifier, RTR takes the place of SRR, and IDE is dominant. A data
-    # frame wins over a remote frame.
+    # In the arbitration field of an 11-bit identifier, RTR takes the place of SRR, and IDE is
+    # dominant. So a data frame wins over a remote frame.
     return (can_id & 0x7FF) << 21 | remote << 20
 
 
@@ -83,7 +85,10 @@ def _frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int
 
 
 def _classical_frame_bits(can_id: int, data: bytes, actual: bool) -> tuple[int, int]:
-    """Count the bits of a classical frame. All bits have the nominal bit rate."""
+    """Count the bits of a classical frame.
+
+    All bits of a classical frame have the nominal bit rate.
+    """
     body = (
         _identifier_bits(can_id)
         + ("00" if can_id & EXTENDED_FLAG else "0")
@@ -105,8 +110,8 @@ def _fd_frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[
     body += "".join(format(byte, "08b") for byte in data.ljust(size, b"\0"))
     in_head = _stuff_bit_count(head) if actual else (len(head) - 1) // 4
     in_all = _stuff_bit_count(head + body) if actual else (len(head) + len(body) - 1) // 4
-    # The CRC has 17 bits for up to 16 bytes of payload, and 21 bits for more. Stuff count and CRC
-    # have one fixed stuff bit before every four bits.
+    # The CRC has 17 bits for a payload of up to 16 bytes, and 21 bits for a longer payload. The
+    # stuff count and the CRC have one fixed stuff bit before every four bits.
     check = 4 + (17 if size <= 16 else 21)
     slow = len(head) + in_head + TAIL_BITS
     fast = len(body) + in_all - in_head + check + -(-check // 4)
@@ -114,7 +119,10 @@ def _fd_frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[
 
 
 def _identifier_bits(can_id: int) -> str:
-    """Return the bits from start of frame to IDE, or to the RTR bit of a 29-bit identifier."""
+    """Return the bits of a frame from the start of frame to IDE.
+
+    For a 29-bit identifier, return the bits up to RTR.
+    """
     remote = "1" if can_id & REMOTE_FLAG else "0"
     if can_id & EXTENDED_FLAG:
         return (
@@ -146,10 +154,10 @@ def _stuff_bit_count(bits: str) -> int:
 
 
 def _crc15(bits: str) -> str:
-    """Compute the classical CRC of a bit string, written as 15 binary digits."""
+    """Compute the CRC of a classical frame from a sequence of bits, as 15 binary digits."""
     register = 0
     for bit in bits:
-        # This line is one step of the shift register of the CRC, with feedback of the top bit and
+        # This line is one step of the CRC's shift register, with the feedback of the top bit and
         # the input bit.
         out = register >> 14 ^ (bit == "1")
         register = register << 1 & 0x7FFF ^ (CRC15_POLYNOMIAL if out else 0)

@@ -1,10 +1,8 @@
-"""The simulated wire.
+"""A simulated wire.
 
-The wire carries one frame at a time. The lowest identifier comes first, and no frame is
-interrupted.
-
-The caller advances the wire with ``advance``. All times come from the caller, and may be real or
-virtual.
+A wire carries one frame at a time. If several frames wait, the frame with the lowest identifier is
+sent first. A frame on the wire is never interrupted. The caller advances the wire with ``advance``.
+All times come from the caller, and may be real or virtual.
 """
 
 import random
@@ -36,10 +34,10 @@ class WireOptions:
     """Options of a simulated wire.
 
     Attributes:
-        queue: capacity of a controller's queue [frames].
-        error_rate: fraction of the frames that are randomly destroyed on the wire.
-        restart_ms: delay after bus-off until a controller is restarted [ms]. If negative, the
-            controller is not restarted.
+        queue: largest number of frames in the queue of a controller.
+        error_rate: fraction of the frames that are destroyed on the wire at random.
+        restart_ms: time from the state bus-off until the controller is restarted [ms]. If the value
+            is negative, the controller is not restarted.
         seed: seed of the random errors.
     """
 
@@ -55,7 +53,7 @@ class SimulatedWire:
     Attributes:
         rate: bit rates of the wire.
         options: options of the wire.
-        busy_ns: time during which the wire was occupied, including errors [ns].
+        busy_ns: time during which frames and errors have occupied the wire [ns].
         frames: number of frames sent successfully.
         errors: number of frames that were destroyed or not acknowledged.
         disturbed: number of the next frames that the wire will destroy. Tests set the number.
@@ -82,7 +80,7 @@ class SimulatedWire:
     def add(
         self, on_receive: Callable[[Frame, int], None] | None = None, queue: int | None = None
     ) -> CanController:
-        """Create a controller and connect it to the wire.
+        """Create a CAN controller, and connect the controller to the wire.
 
         Args:
             on_receive: function called with each received frame and its time [ns], None to ignore
@@ -110,7 +108,7 @@ class SimulatedWire:
         return min((at for at, _ in self._restarts), default=NEVER_NS)
 
     def step(self, t_ns: int) -> bool:
-        """Process the next event on the wire, if it is due by ``t_ns``.
+        """Process the next event on the wire, if the event is due at ``t_ns`` or before.
 
         Returns:
             True if an event was processed.
@@ -133,16 +131,16 @@ class SimulatedWire:
         return True
 
     def advance(self, t_ns: int) -> None:
-        """Process all events on the wire that are due by ``t_ns``."""
+        """Process all events on the wire that are due at ``t_ns`` or before."""
         while self.step(t_ns):
             pass
 
     def load(self, busy_before_ns: int, elapsed_ns: int) -> float:
-        """Return the fraction of a time span during which frames occupied the wire.
+        """Return the fraction of a time interval during which frames occupied the wire.
 
         Args:
-            busy_before_ns: ``busy_ns`` at the start of the span.
-            elapsed_ns: length of the span [ns].
+            busy_before_ns: value of ``busy_ns`` at the start of the interval.
+            elapsed_ns: length of the interval [ns].
         """
         return (self.busy_ns - busy_before_ns) / elapsed_ns
 
@@ -157,15 +155,15 @@ class SimulatedWire:
         lowest = min([c.queue[0][1] for c in candidates])
         self._senders = [c for c in candidates if c.queue[0][1] == lowest]
         frames = [c.queue[0][2] for c in self._senders]
-        # Two frames with the same identifier both win arbitration. If their contents differ, both
-        # frames are destroyed.
+        # Two frames with the same identifier both win arbitration. If the contents of these frames
+        # differ, both frames are destroyed.
         identical = len(frames) == 1 or all(frame[:3] == frames[0][:3] for frame in frames)
         self._acknowledged = self._has_receiver()
         self._intact = identical and self._acknowledged and not self._is_next_frame_disturbed()
         span = max(map(self.rate.frame_ns, frames))
         if not self._intact:
-            # An error flag replaces the end of the frame. The flag is longer if several controllers
-            # send it.
+            # After an error, an error flag replaces the rest of the frame. The error flag is longer
+            # if several controllers send it.
             span += self.rate.bits_ns(
                 (ERROR_FLAGS_BITS if self._acknowledged else ERROR_FLAG_BITS) - UNSENT_END_BITS
             )
@@ -180,7 +178,7 @@ class SimulatedWire:
         return False
 
     def _is_next_frame_disturbed(self) -> bool:
-        """Decide whether the next frame is destroyed, by request or at random."""
+        """Decide whether the wire destroys the next frame, either on request or at random."""
         if self.disturbed:
             self.disturbed -= 1
             return True
@@ -216,9 +214,9 @@ class SimulatedWire:
                 controller.deliver(frame, t_ns)
 
     def _destroy_frame(self, senders: list[CanController], t_ns: int) -> None:
-        """Count the error of a destroyed frame in all controllers.
+        """Count an error in all controllers, because a frame was destroyed.
 
-        Senders keep the frame for a retry.
+        The senders keep the frame in their queues for a retry.
         """
         self.errors += 1
         for controller in self._controllers:

@@ -26,7 +26,7 @@ _MAX_BITRATE = 20_000_000
 
 @dataclass(frozen=True, slots=True)
 class WireSpec:
-    """Specification of simulated wires from the command line.
+    """Description of simulated wires, as read from the command line.
 
     Attributes:
         options: options of the wires.
@@ -48,13 +48,13 @@ class WireSpec:
         """Return the latency of a host's CAN adapter.
 
         Args:
-            adapter_number: number of the adapter. The number of the host selects the random phase
-                of the adapter.
+            adapter_number: number of the adapter. This number determines at which random time of
+                the period the adapter's USB frames start.
         """
         return AdapterLatency(self.adapter, self.options.seed + adapter_number)
 
     def rate(self, bitrate: int, data_bitrate: int) -> BitRates:
-        """Return the bit rates of a bus, from the command line or the hand file.
+        """Return the bit rates of a bus. Rates on the command line replace the rates in the hand file.
 
         Args:
             bitrate: nominal bit rate in the hand file [bit/s].
@@ -64,7 +64,7 @@ class WireSpec:
 
 
 def parse_wire_options(words: Sequence[str]) -> WireSpec:
-    """Parse the KEY=VALUE words of ``--wire``.
+    """Parse the words KEY=VALUE after the option ``--wire``.
 
     Raises:
         SimulatorError: a key is unknown, or a value is out of range.
@@ -76,7 +76,7 @@ def parse_wire_options(words: Sequence[str]) -> WireSpec:
 
 
 def _updated_spec(spec: WireSpec, word: str) -> WireSpec:
-    """Return a specification with the change made by a word."""
+    """Return a copy of a specification with one value changed by a word."""
     key, _, text = word.partition("=")
     if key not in WIRE_OPTION_KEYS:
         raise SimulatorError(
@@ -111,7 +111,7 @@ def _updated_spec(spec: WireSpec, word: str) -> WireSpec:
 
 
 def _number_in_range(word: str, text: str, low: float, high: float) -> float:
-    """Parse a number that must lie in a range."""
+    """Parse a number that must lie in a given range."""
     try:
         value = float(text)
     except ValueError:

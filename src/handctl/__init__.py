@@ -40,7 +40,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import the client only when a program first uses it, so that ``import handctl`` takes no time."""
+    """Import the client only when a program first uses the client, so that ``import handctl`` is fast."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from handctl import client

@@ -89,12 +89,13 @@ def kernel(*arguments: str) -> Callable[[F], F]:
     """Mark a function as a kernel to be compiled.
 
     Args:
-        arguments: type of each argument. real and count are numbers. vector, matrix, cube, flags
-            and counts are arrays that the kernel reads. keys (int64), table (rows of float64),
+        arguments: type of each argument. The types real and count are numbers. The types vector,
+            matrix, cube, flags and counts are arrays that the kernel reads. The types keys (int64),
+            table (rows of float64),
             table_int and table_words (rows of uint64) are contiguous arrays that the kernel reads
-            and may borrow. block (float64),
-            layout (int64) and words (rows of uint64) are contiguous arrays that the kernel may
-            write into.
+            and
+            may borrow. The types block (float64), layout (int64) and words (rows of uint64) are
+            contiguous arrays into which the kernel may write.
     """
 
     def mark_kernel(function: F) -> F:
@@ -131,7 +132,7 @@ def _mark_function(function: F) -> F:
     with _cached_in(_CACHE_FOLDER):
         try:
             dispatcher: Any = njit(cache=_CACHE_FOLDER is not None, error_model="numpy")(function)
-        except RuntimeError:  # numba cannot write into the folder
+        except RuntimeError:  # numba raises this error if it cannot write into the folder
             dispatcher = njit(error_model="numpy")(function)
     return cast(F, dispatcher)
 
@@ -151,7 +152,10 @@ def _cached_in(folder: Path | None) -> Iterator[None]:
 
 
 def _cache_folder() -> Path | None:
-    """Create and return the folder for the compiled code of this version, or None if it is not writable."""
+    """Create and return the folder for the compiled code of this version.
+
+    If it is not writable, return None.
+    """
     root = Path(
         os.environ.get("NUMBA_CACHE_DIR")
         or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
@@ -169,11 +173,11 @@ def _cache_folder() -> Path | None:
 
 
 def _source_hash() -> str:
-    """Return a hash over the content of all source files of kernels and over the path of the package.
+    """Return a hash of the package's path and of the content of all source files that contain kernels.
 
-    Numba stores code by the path of the source file. Without the path in the hash, two
-    installations of the same version would share a folder. One of them would then find code that
-    only the other one can use.
+    Numba finds stored code by the path of the source file. If the hash did not contain the path,
+    two installations of the same version would share a folder. One of these installations would
+    then find code that only the other one can use.
     """
     here = Path(__file__).parent
     digest = hashlib.blake2b(os.fsencode(here), digest_size=8)
@@ -185,7 +189,7 @@ def _source_hash() -> str:
 
 
 def _remove_old(root: Path) -> None:
-    """Delete the compiled code of all versions except the last `MAX_CACHE_FOLDERS` versions that were used."""
+    """Delete the compiled code of old versions, except the last `MAX_CACHE_FOLDERS` versions that were used."""
     with contextlib.suppress(OSError):
         folders = sorted(
             root.glob("kernels-*"), key=lambda path: path.stat().st_mtime, reverse=True
@@ -199,20 +203,20 @@ _CACHE_FOLDER = None if numba_config.DISABLE_JIT else _cache_folder()
 
 @kernel("real")
 def square(value: float) -> float:
-    """Return the square of a number, computed as a product.
+    """Return the square of a number, computed as the number times itself.
 
-    The interpreter's ``**`` would round differently.
+    In interpreted code, the operator ``**`` would round differently.
     """
     return value * value
 
 
 def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> Any:
-    """Generate the code of ``borrowed_array``, a function that returns an array without an owner.
+    """Generate the code of ``borrowed_array``, which returns an array that owns no memory.
 
-    References to a borrowed array are not counted.
+    Numba does not count the references to a borrowed array.
 
     Raises:
-        TypingError: the array to borrow from is not contiguous in C order.
+        TypingError: the original array is not contiguous in C order.
     """
     if flat.layout != "C":
         raise TypingError(f"a kernel can borrow a contiguous array only, not {flat}")
@@ -221,7 +225,7 @@ def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> An
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         from numba.np import (
             arrayobj as _arrayobj,
-        )  # imported here, because only a compilation needs it
+        )  # imported here, because only a compilation needs this module
 
         arrayobj: Any = _arrayobj
         source = arrayobj.make_array(signature.args[0])(context, builder, arguments[0])
@@ -274,8 +278,8 @@ class _UncompiledKernel(NamedTuple):
 
     Attributes:
         name: module and name of the kernel.
-        code: dispatcher of the kernel.
-        types: types of the arguments.
+        code: numba dispatcher of the kernel.
+        types: numba types of the kernel's arguments.
     """
 
     name: str
@@ -284,9 +288,9 @@ class _UncompiledKernel(NamedTuple):
 
 
 def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
-    """Compile all imported kernels, or load the stored code.
+    """Compile all imported kernels, or load their code from the disk.
 
-    Afterwards, no kernel is compiled during a tick.
+    After this call, no tick has to wait for a compilation.
 
     Args:
         progress: function called with the number of kernels that are ready and the number of all
@@ -301,7 +305,7 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
         report(done, len(waiting))
         if _CACHE_FOLDER:
             load_kernel(one.code, one.types)
-        one.code.compile(one.types)  # this call does nothing if the stored code was loaded
+        one.code.compile(one.types)  # this call does nothing if the code was loaded from the disk
         one.code.disable_compile()
 
 
@@ -312,7 +316,7 @@ def _ignore_progress(done: int, total: int) -> None:
 def _compiled_count(folder: Path, kernels: Sequence[_UncompiledKernel]) -> int:
     """Count the kernels whose compiled code is in a folder.
 
-    The file names, which numba chooses, contain the names of the kernels.
+    Numba chooses the names of the files, and each file name contains the name of a kernel.
     """
     files = [name for _, _, names in os.walk(folder) for name in names]
     compiled_names = {name.partition("-")[0] for name in files if name.endswith(".nbi")}
@@ -322,7 +326,7 @@ def _compiled_count(folder: Path, kernels: Sequence[_UncompiledKernel]) -> int:
 def _compile_together(
     folder: Path, waiting: Sequence[_UncompiledKernel], report: Callable[[int, int], None]
 ) -> None:
-    """Compile kernels into a folder, with one process per core.
+    """Compile kernels into a folder, with one process for each processor core.
 
     During the compilation, a lock makes other users of the folder wait.
 
@@ -330,8 +334,9 @@ def _compile_together(
 
     Args:
         folder: folder of the compiled code.
-        waiting: kernels without code in the folder.
-        report: function that reports progress, as ``progress`` in ``compile_kernels``.
+        waiting: kernels whose code is not in the folder yet.
+        report: function that reports progress, like the argument ``progress`` of
+            ``compile_kernels``.
     """
     order = sorted(
         range(len(waiting)),
@@ -346,13 +351,13 @@ def _compile_together(
             return
         with _cached_in(
             folder
-        ):  # only a compilation needs the code of the functions that kernels call
+        ):  # only a compilation needs the compiled code of the functions that kernels call
             for part in _INNER_DISPATCHERS:
                 part.enable_caching()
         todo, giving = os.pipe()
         os.write(
             giving, bytes(order)
-        )  # the worker that reads a byte from the pipe compiles the kernel with this number
+        )  # a number in the pipe stands for one kernel, and the worker that reads the number compiles this kernel
         os.close(giving)
         workers = [
             _start_compiler_process(todo, waiting)
@@ -366,7 +371,7 @@ def _compile_together(
 
 
 def _try_lock(lock: IO[str]) -> bool:
-    """Try to lock the folder of the compiled code. Return True on success."""
+    """Try to lock the folder with the compiled code, and return True on success."""
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -1,6 +1,6 @@
 """Order of the colours of digits.
 
-A digit has the same colour in every figure and on every hand.
+A digit of a given name has the same colour in every figure and on every hand.
 """
 
 from collections.abc import Sequence
@@ -12,9 +12,10 @@ DIGITS_WITH_COLOUR = ("index", "middle", "ring", "thumb")
 def colour_numbers(digit_names: Sequence[str]) -> tuple[int, ...]:
     """Return the number of the colour of each digit in a palette.
 
-    The digits in DIGITS_WITH_COLOUR have the first numbers. The other digits of the hand have the
-    next numbers, in order. If a hand has no digit of DIGITS_WITH_COLOUR, the other digits have the
-    first numbers. A number may exceed the size of a palette.
+    The names in DIGITS_WITH_COLOUR have the first numbers. The other digits of the hand have the
+    next numbers, in the order of the hand. If no digit of the hand is in DIGITS_WITH_COLOUR, the
+    digits of the hand have the first numbers. A number may be larger than the number of colours in
+    the palette.
     """
     others = [name for name in digit_names if name not in DIGITS_WITH_COLOUR]
     first = 0 if len(others) == len(digit_names) else len(DIGITS_WITH_COLOUR)

@@ -1,6 +1,9 @@
-"""Documents: the validated and unchangeable content of TOML files, for example task, gains and calibration files.
+"""Documents: validated content of TOML files, for example of task, gains and calibration files.
 
-A mistake in a file is reported in one line with file, key path, value and expected value.
+The content cannot be changed.
+
+A mistake in a file is reported in one line with the file, the path of the key, the value and the
+expected value.
 """
 
 import json
@@ -17,9 +20,9 @@ from handctl.printing import similar_name
 
 
 class Document(BaseModel):
-    """Base class of the models of all files.
+    """Base class of the data models of all TOML files.
 
-    All models refuse unknown keys, infinities, and bool or text instead of a number.
+    All models refuse unknown keys, infinite numbers, and a bool or a text in place of a number.
     """
 
     model_config = ConfigDict(
@@ -41,7 +44,7 @@ def load_document(path: Path, model: type[DocumentT]) -> DocumentT:
     """Read a TOML file, and validate the content.
 
     Raises:
-        ConfigError: the file cannot be read, is not TOML, or has a wrong key or value.
+        ConfigError: the file cannot be read, is not TOML, or has a wrong key or a wrong value.
     """
     return validate_content(read_toml(path), model, str(path))
 
@@ -49,8 +52,8 @@ def load_document(path: Path, model: type[DocumentT]) -> DocumentT:
 def validate_content(content: Mapping[str, Any], model: type[DocumentT], source: str) -> DocumentT:
     """Validate content that was parsed from TOML.
 
-    For the validation, the content is converted to JSON. Strict validation of JSON accepts a list
-    as a tuple and 1 as a float, but refuses true.
+    Before the validation, the content is converted to JSON. The strict validation of JSON accepts a
+    list as a tuple, and 1 as a float, but refuses true as a number.
 
     Raises:
         ConfigError: a key or a value in the content is wrong.
@@ -64,11 +67,12 @@ def validate_content(content: Mapping[str, Any], model: type[DocumentT], source:
 def _error_line(
     error: ValidationError, model: type[BaseModel], content: Mapping[str, Any], source: str
 ) -> ConfigError:
-    """Return the most specific of the errors that pydantic has found.
+    """Return the most specific of the errors that pydantic has found in a document.
 
-    An unknown key takes precedence over a missing key, because a misspelt key causes both errors.
-    If there is no unknown key, the error at the deepest place is returned. In a union, the deepest
-    error is that of the intended alternative.
+    If there are an unknown and a missing key, the unknown key is reported, because a misspelt key
+    causes both errors. If there is no unknown key, the error at the deepest place in the document
+    is reported. In a union of several models, the deepest error belongs to the model that the user
+    meant.
     """
     details = error.errors(include_url=False)
     deepest = max(details, key=lambda d: len(_without_tags(content, d["loc"], d["type"])))
@@ -94,10 +98,10 @@ def _error_line(
 
 
 def _without_tags(content: Any, location: Sequence[str | int], kind: str) -> tuple[str | int, ...]:
-    """Return the location of an error without the names that pydantic adds for the alternatives of a union.
+    """Remove from the location of an error the names that pydantic adds for the models of a union.
 
-    All parts of the location exist in the content. Only the last part may be missing, if the error
-    is a missing key.
+    All parts of the resulting location exist in the content. If the error is a missing key, the
+    last part is this key.
     """
     path: list[str | int] = []
     for position, part in enumerate(location):
@@ -127,7 +131,8 @@ def _keys_at(annotation: Any, location: Sequence[str | int]) -> set[str]:
 
     Args:
         annotation: type of the content, as annotated in the model of the document.
-        location: location of the table as pydantic gives it, with the names of the alternatives of unions.
+        location: location of the table as pydantic reports it, with the names of the models of
+            unions.
     """
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         fields = {field.alias or name: field for name, field in annotation.model_fields.items()}
@@ -147,9 +152,9 @@ def _keys_at(annotation: Any, location: Sequence[str | int]) -> set[str]:
 
 
 def _is_alternative(model: type[BaseModel], name: str | int) -> bool:
-    """Return True if pydantic uses this name for a model of a union.
+    """Return True if pydantic uses this name for a certain model of a union.
 
-    The name is the tag or the class of the model.
+    The name is either the tag or the class of the model.
     """
     tags = [get_args(field.annotation) for field in model.model_fields.values()]
     return name == model.__name__ or (name,) in tags

@@ -1,6 +1,6 @@
 """Errors that handctl reports to the user.
 
-Each message is one line with the mistake, the place of the mistake and the expected value.
+Each error message is one line with the mistake, the place of the mistake and the expected value.
 """
 
 from handctl.printing import one_line_message
@@ -13,15 +13,15 @@ Only the operator can remove the torque that the motor then has.
 
 
 class HandctlError(Exception):
-    """Error with a message of one line: ``what; where; expected right``.
+    """Error whose message is one line of the form ``what; where; expected right``.
 
     The message is printable and of bounded length.
 
     Args:
         what: the mistake, together with the wrong value.
-        where: place of the mistake: key path, node, or file and offset. The text is empty if the
-            mistake has no particular place.
-        right: the expected value. The text is empty if there is no suggestion.
+        where: place of the mistake: the path of a key, the name of a node, or a file and an offset.
+            The text is empty if the mistake belongs to no particular place.
+        right: the expected value. The text is empty if no value can be suggested.
     """
 
     def __init__(self, what: str, where: str = "", right: str = "") -> None:
@@ -41,7 +41,7 @@ class BusError(HandctlError):
 
 
 class NoSimulatorError(BusError):
-    """Error for a local bus that no simulator serves.
+    """Error for a local bus on which no simulator runs.
 
     Args:
         bus: specification of the bus.
@@ -58,23 +58,25 @@ class NoSimulatorError(BusError):
 
 
 class DriveError(HandctlError):
-    """Error for a motor drive or sensor node that is missing, refuses a command, or differs from the hand file."""
+    """Error for a motor drive or sensor node that does not answer, refuses a command, or differs from the hand file."""
 
 
 class PowerError(DriveError):
     """Error for a drive that did not confirm that it is disabled.
 
-    The operator must remove the power of the drive.
+    The operator must switch off the power of the drive.
     """
 
 
 class UnconfirmedError(PowerError, BusError):
-    """Error for a request that the controller has not confirmed. The state of the hand is unknown.
+    """Error for a request that the controller has not confirmed.
+
+    The state of the hand is unknown.
 
     Args:
         bus: bus of the controller.
         word: name of the request, e.g. ``stop``.
-        why: event that occurred instead of the confirmation.
+        why: event that occurred in place of the confirmation.
     """
 
     def __init__(self, bus: str, word: str, why: str) -> None:
@@ -89,4 +91,4 @@ class LogError(HandctlError):
 
 
 class IncomparableError(LogError):
-    """Error for two logs, or a log and a hand, that cannot be compared."""
+    """Error for two logs, or for a log and a hand, that cannot be compared with each other."""

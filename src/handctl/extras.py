@@ -1,7 +1,7 @@
-"""Optional packages, and the extras of handctl that install them.
+"""Optional packages, and the extras of handctl (in the sense of pip) that install them.
 
-``pip install handctl`` installs only the packages that a controller on a real bus needs. All other
-packages belong to an extra in pyproject.toml.
+``pip install handctl`` installs only the packages that a controller on a real bus needs. Every
+other package belongs to an extra in pyproject.toml.
 """
 
 import sys
@@ -36,7 +36,7 @@ class MissingExtraError(ConfigError):
 
 
 def require_extra(user: str, *packages: str) -> None:
-    """Check that optional packages are installed, without importing them.
+    """Check that optional packages are installed, but do not import them.
 
     Args:
         user: command or function that needs the packages.
@@ -51,14 +51,14 @@ def require_extra(user: str, *packages: str) -> None:
 
 
 def is_installed(package: str) -> bool:
-    """Return True if a package could be imported. The package is not imported."""
+    """Return True if a package is installed. The package is searched, but not imported."""
     if package in sys.modules:
         return sys.modules[package] is not None
     return find_spec(package) is not None
 
 
 def extras_installed() -> dict[str, bool]:
-    """Return for each extra of handctl, by name, whether all packages of the extra are installed."""
+    """Return, by the name of each extra of handctl, True if all packages of the extra are installed."""
     return {
         extra: all(
             is_installed(package) for package, other in EXTRA_BY_MODULE.items() if other == extra
@@ -68,15 +68,15 @@ def extras_installed() -> dict[str, bool]:
 
 
 def missing_extra(user: str, error: ImportError) -> MissingExtraError | None:
-    """Translate the error of a failed import to an error that names the extra to install.
+    """Convert the error of a failed import to an error that names the extra to install.
 
     Args:
         user: command or function that needs the package.
         error: error of the failed import.
 
     Returns:
-        the error that names the extra to install. None if the missing package is not an
-        optional package of handctl.
+        the error that names the extra, or None if the missing package is not an optional package of
+        handctl.
     """
     package = (error.name or "").partition(".")[0]
     return MissingExtraError(user, package) if package in EXTRA_BY_MODULE else None

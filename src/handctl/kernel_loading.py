@@ -3,12 +3,12 @@
 When numba loads a stored function, three steps take most of the time. First, numba registers all
 types and functions that can be compiled. Second, numba imports the modules of the numba functions
 that the stored function contains. Third, numba parses the intermediate code (bitcode) of the stored
-function. The bitcode is needed only to inline the stored function into other functions. A program
-that finds the code of all kernels in the folder compiles nothing, and needs none of these steps. If
-a function is compiled later, numba registers the types at that time. If a kernel calls another
-kernel, the bitcode of the called kernel is parsed then.
+function. The bitcode is needed only if the stored function is inlined into another function. If the
+folder contains the code of all kernels, a program compiles nothing and needs none of these steps.
+If a function is compiled after all, numba registers the types at that time. If another kernel calls
+a stored kernel, the bitcode of the stored kernel is parsed at that time.
 
-These three steps are internal steps of numba. This module leaves them out only for the versions of
+All three steps are internal to numba. This module leaves these steps out only with the versions of
 numba in ``TESTED_VERSIONS``.
 """
 
@@ -33,10 +33,10 @@ runtime: Any = _runtime
 
 
 def load_kernel(dispatcher: Any, types: tuple[Any, ...]) -> None:
-    """Load the stored code of a kernel into the dispatcher. Without stored code, do nothing.
+    """Load the stored code of a kernel into the dispatcher. If no code is stored, do nothing.
 
     Args:
-        dispatcher: numba dispatcher of the kernel, which has a cache.
+        dispatcher: numba dispatcher of the kernel, which has a cache on the disk.
         types: numba types of the arguments.
     """
     version: Any = numba.version_info
@@ -55,7 +55,7 @@ def _without_compiler(context: Any) -> Iterator[None]:
     """Let numba load stored code without registering types and parsing bitcode, inside this context."""
     runtime.rtsys.initialize(
         context
-    )  # this function counts references to arrays. numba adds it when it registers its types
+    )  # this function counts references to arrays, and numba normally adds it when it registers types
     library: Any = codegen.CPUCodeLibrary
     before = library.__dict__["_unserialize"]
     library._unserialize = classmethod(_load_object_code)
@@ -67,7 +67,7 @@ def _without_compiler(context: Any) -> Iterator[None]:
     try:
         yield
     finally:
-        # afterwards, the methods of the class are visible again
+        # after this context, the original methods of the class are visible again
         del context.refresh, context.get_executable
         environment._rebuild_env = rebuild_environment
         library._unserialize = before
@@ -78,14 +78,14 @@ def _do_nothing() -> None:
 
 
 def _without_module(module: str, constants: list[Any], name: str) -> Any:
-    """Return the constants of a function.
+    """Return the constants that the code of a function uses.
 
-    The function of numba that this one replaces also imports the module, which only interpreted
-    code needs.
+    The original function of numba also imports the module of the code, which only interpreted code
+    needs.
 
     Args:
         module: name of the module.
-        constants: Python objects to which the code refers by number.
+        constants: Python objects that the code refers to by number.
         name: name by which the code finds the constants.
     """
     found = environment.lookup_environment(name)
@@ -98,9 +98,9 @@ def _without_module(module: str, constants: list[Any], name: str) -> Any:
 
 
 def _load_object_code(cls: Any, generator: Any, state: tuple[str, str, tuple[bytes, bytes]]) -> Any:
-    """Return a code library that is made from object code.
+    """Return a code library made from the object code of a stored function.
 
-    The bitcode is parsed only when another library links this library.
+    The bitcode of this library is parsed only when another library links it.
     """
     name, _, (object_code, bitcode) = state
     library = generator.create_library(name)
@@ -114,7 +114,7 @@ def _load_object_code(cls: Any, generator: Any, state: tuple[str, str, tuple[byt
 def _parsed_module(library: Any, bitcode: bytes) -> Any:
     """Return the module of a code library for linking.
 
-    The first call of this function parses the module.
+    The first call of this function parses the bitcode of the module.
     """
     if library._shared_module is None:
         library._shared_module = binding.parse_bitcode(bitcode)
@@ -122,9 +122,9 @@ def _parsed_module(library: Any, bitcode: bytes) -> Any:
 
 
 def _get_executable(rebuild: Any, library: Any, function: Any, environment: Any) -> Any:
-    """Return the Python function of a code library.
+    """Return the Python function that a code library contains.
 
-    The function of numba that this one replaces looks up the name in the parsed bitcode.
+    The original function of numba looks up the name of the Python function in the parsed bitcode.
     """
     library.codegen._engine._defined_symbols.add(function.llvm_cpython_wrapper_name)
     return rebuild(library, function, environment)

@@ -1,6 +1,6 @@
 """Output files that are written atomically.
 
-A reader finds either the old file or the complete new file.
+A reader finds either the complete old file or the complete new file.
 """
 
 import errno
@@ -26,7 +26,7 @@ FIGURE_SUFFIXES = {".png", ".svg", ".pdf"}
 def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
     """Yield a temporary path.
 
-    When the new content is on the disk, move the temporary file to ``path``.
+    When the new content is on the disk, the temporary file is moved to ``path``.
 
     Even after a power cut, the path leads to the complete old file or the complete new file. If the
     output fails, no temporary file remains. Links are followed. Output to an existing terminal or
@@ -38,8 +38,8 @@ def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
 
     Raises:
         ConfigError: the path cannot be written.
-        OSError: writing has failed. In the error message, ``path`` takes the place of the temporary
-            path.
+        OSError: the content could not be written. The error message contains ``path`` instead of
+            the temporary path.
     """
     target = _resolve_target(path, new)
     if target.exists() and not target.is_file():
@@ -100,7 +100,7 @@ def check_output(path: Path, what: str, *read: Path | None) -> None:
     Args:
         path: path of the output.
         what: name of the output in the error message, e.g. the name of the option.
-        read: input files of the same command.
+        read: paths of the input files of the same command.
 
     Raises:
         ConfigError: the path cannot be written, or is the path of an input file.
@@ -120,7 +120,7 @@ def _is_same_file(target: Path, other: Path) -> bool:
 
 
 def _resolve_target(path: Path, new: bool) -> Path:
-    """Check the path of an output, and return the path to which its links lead."""
+    """Check the path of an output, and return the path of the file to which it leads."""
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise ConfigError("no such folder", str(path), "a name in a folder that exists")
@@ -135,7 +135,7 @@ def _resolve_target(path: Path, new: bool) -> Path:
 
 @contextmanager
 def _check_pipe_reader(target: Path, path: Path) -> Iterator[None]:
-    """Raise an error for a named pipe without a reader, because opening such a pipe would wait forever.
+    """Raise an error if a named pipe has no reader. Otherwise opening the pipe would wait forever.
 
     The pipe stays open during the block. If the function closed the pipe, the reader would end.
     """
@@ -176,7 +176,7 @@ def _with_user_path(path: Path, written: Path) -> Iterator[None]:
 def _move_into_place(beside: Path, target: Path, new: bool) -> None:
     """Move a finished file to the path of the output.
 
-    A file that must be new never replaces a file of another process.
+    If the output must be a new file, a file that another process has created is never replaced.
     """
     if new and beside.is_file():
         try:
@@ -191,7 +191,7 @@ def _move_into_place(beside: Path, target: Path, new: bool) -> None:
 
 def _fsync_file(path: Path) -> None:
     """Write the content of a file, or the entries of a folder, to the disk (fsync)."""
-    with suppress(PermissionError):  # the folder may be writable but not readable
+    with suppress(PermissionError):  # the folder may be writable although it is not readable
         descriptor = os.open(path, os.O_RDONLY)
         try:
             os.fsync(descriptor)

@@ -1,8 +1,8 @@
-"""Output of text that is safe for a terminal.
+"""Output of text in a form that is safe for a terminal.
 
-Text from files, logs and arguments must not control a terminal or fill the screen. So characters
-that are not printable are escaped as in Python source. Such characters are control characters,
-terminal escapes, marks of text direction, and lone surrogates.
+Text from files, logs and arguments must not control the terminal or fill the screen. So characters
+that are not printable are written as escape sequences, as in Python source. Examples are control
+characters, terminal escapes, marks that change the direction of text, and lone surrogates.
 """
 
 import difflib
@@ -20,7 +20,7 @@ OMISSION_MARK = " [...] "
 
 
 def escape_text(text: str, kept: str = "") -> str:
-    """Escape the characters of a text that are not printable.
+    """Replace the characters of a text that are not printable by escape sequences.
 
     Args:
         text: text to escape.
@@ -37,17 +37,19 @@ def _escaped_character(character: str) -> str:
 
 
 def printable_text(text: str, max_characters: int = 200) -> str:
-    """Escape a text, and cut the result after ``max_characters`` characters."""
+    """Replace unprintable characters of a text, and cut the result after ``max_characters`` characters."""
     return escape_text(text[:max_characters]) + ("..." if len(text) > max_characters else "")
 
 
 def similar_name(word: str, names: Iterable[str], cutoff: float = 0.6) -> str:
-    """Return the name that is most similar to a word. The text is empty if no name is similar.
+    """Return the valid name that is most similar to a given word.
+
+    If no name is similar enough, the result is an empty text.
 
     Args:
-        word: word of any length that was typed or read from a file.
+        word: word of any length, which a user typed or a file contains.
         names: the valid names.
-        cutoff: lowest similarity that is accepted, from 0 (none) to 1 (equal).
+        cutoff: lowest similarity at which a name is accepted, from 0 (no similarity) to 1 (equal).
     """
     near = difflib.get_close_matches(word[:MAX_WORD_CHARACTERS], list(names), n=1, cutoff=cutoff)
     return near[0] if near else ""
@@ -56,11 +58,13 @@ def similar_name(word: str, names: Iterable[str], cutoff: float = 0.6) -> str:
 def one_line_message(text: str, max_characters: int = MAX_MESSAGE_CHARACTERS) -> str:
     """Return a text as one line of limited length.
 
-    Line ends become spaces. If the text is too long, its middle is left out.
+    Line ends become spaces. If the text is too long, the middle of the text is left out.
 
-    A message begins with the mistake and ends with the expected value, so both ends are kept.
+    A message begins with the mistake and ends with the expected value. So both ends of the text are
+    kept.
     """
-    if len(text) > 4 * max_characters:  # escaping never makes a text shorter
+    # Escape sequences are never shorter than the characters that they replace.
+    if len(text) > 4 * max_characters:
         text = text[: 2 * max_characters] + text[-2 * max_characters :]
     line = escape_text(text.replace("\n", " "))
     if len(line) <= max_characters:
@@ -70,15 +74,15 @@ def one_line_message(text: str, max_characters: int = MAX_MESSAGE_CHARACTERS) ->
 
 
 def escape_surrogates(text: str) -> str:
-    """Escape lone surrogates, which cannot be encoded.
+    """Replace lone surrogates, which cannot be encoded, by escape sequences.
 
-    Lone surrogates stand for the bytes of a file name that is not UTF-8.
+    A lone surrogate stands for a byte in a file name that is not valid UTF-8.
     """
     return text.encode("utf-8", "backslashreplace").decode()
 
 
 class EscapedStream:
-    """Text stream that escapes all characters that are not printable, except line ends and tabs."""
+    """Text stream that writes unprintable characters as escape sequences, except line ends and tabs."""
 
     def __init__(self, stream: Any) -> None:
         self.rich_proxied_file = stream
@@ -89,12 +93,12 @@ class EscapedStream:
         """
 
     def write(self, text: str) -> int:
-        """Write escaped text."""
+        """Write a text with escape sequences for unprintable characters."""
         self.rich_proxied_file.write(escape_text(text, "\n\t"))
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
-        """Write escaped lines."""
+        """Write lines with escape sequences for unprintable characters."""
         for line in lines:
             self.write(line)
 

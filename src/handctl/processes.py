@@ -7,19 +7,21 @@ from collections.abc import Callable
 
 
 def usable_cores() -> int:
-    """Return the number of cores on which this process may run."""
+    """Return the number of processor cores on which this process may run."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def run_in_forked_copy(work: Callable[[], str]) -> tuple[int, int]:
-    """Run a function in a forked copy of this process. The copy ends without running the exit handlers of this process.
+    """Run a function in a forked copy of this process.
+
+    The copy ends without running the exit handlers of this process.
 
     Args:
-        work: function to run. The copy writes the result into a pipe.
+        work: function that returns a text, which the copy writes into a pipe.
 
     Returns:
-        process id of the copy, and the end of the pipe from which this process reads the result. If
-        the function fails, the copy prints the traceback and ends with status 1.
+        the process id of the copy, and the end of the pipe from which this process reads the
+        result. If the function fails, the copy prints the traceback and ends with status 1.
     """
     reading, writing = os.pipe()
     process = os.fork()

@@ -1,4 +1,4 @@
-"""Signal handlers that are installed for a limited time."""
+"""Signal handlers that are installed only for the duration of a block."""
 
 import signal
 from collections.abc import Callable, Iterator
@@ -10,10 +10,10 @@ from types import FrameType
 def installed_handler(
     handler: Callable[[int, FrameType | None], None], *numbers: signal.Signals
 ) -> Iterator[None]:
-    """Install a signal handler for the duration of a block, and then restore the previous handlers.
+    """Install a signal handler for the duration of a block, and restore the previous handlers afterwards.
 
     Args:
-        handler: function that handles all signals of the block.
+        handler: function that handles every signal in ``numbers`` during the block.
         numbers: signals to handle.
     """
     before = {number: signal.signal(number, handler) for number in numbers}
@@ -25,9 +25,10 @@ def installed_handler(
 
 
 class TerminationFlag:
-    """Flag that SIGTERM sets.
+    """Flag that is set when the process receives SIGTERM.
 
-    A program that checks this flag between its steps can complete the present step before it ends.
+    A program that checks this flag between its steps can complete the present step before the
+    program ends.
     """
 
     def __init__(self) -> None:

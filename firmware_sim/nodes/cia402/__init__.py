@@ -1,1 +1,1 @@
-"""Simulated drives that speak CiA 402 over CANopen."""
+"""Simulated drives that use the CANopen profile CiA 402."""

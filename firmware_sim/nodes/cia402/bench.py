@@ -1,6 +1,6 @@
 """CiA 402 drives on a bench, with the settings as delivered.
 
-The data of the free shaft are an assumption.
+The data of the free shaft are assumed.
 """
 
 from firmware_sim.bus.frame import Frame
@@ -20,13 +20,13 @@ Voltage constant [V s/rad] and torque constant [N m/A] are equal.
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
-    """Return an SDO request that reads object 0x1000, the device type."""
+    """Return an SDO request that reads the device type, object 0x1000."""
     return 0x600 + node_id, b"\x40\x00\x10" + bytes(5)
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace a command for switching the torque off by a frame for no node."""
-    # The replaced frames are RPDOs whose control word lacks bit 1 (enable voltage).
+    """Replace a command for switching the torque off by a frame that no node receives."""
+    # The replaced frames are RPDOs in whose control word bit 1 (enable voltage) is 0.
     disables = 0x200 < frame.can_id < 0x280 and len(frame.data) >= 2 and not frame.data[0] & 0x02
     # The NMT commands are 2 stop, 0x80 pre-operational, 0x81 reset node and 0x82 reset
     # communication.
@@ -38,11 +38,11 @@ def _corrupt_command(frame: Frame) -> Frame:
 
 def _corrupt_reply(frame: Frame) -> Frame:
     """Replace the value of object 0x6072 (maximum torque) by 65535 in the reply to a read request."""
-    # The first bytes are those of an SDO upload reply with two bytes (0x4B) from object 0x6072.
+    # These are the first bytes of an SDO upload reply with two bytes (0x4B) from object 0x6072.
     matches = 0x580 < frame.can_id < 0x600 and frame.data[:4] == b"\x4b\x72\x60\x00"
     return (
         frame._replace(data=frame.data[:4] + b"\xff\xff\0\0") if matches else frame
-    )  # 0x6072 reads 65535
+    )  # the value of object 0x6072 becomes 65535
 
 
 def _force_command(node: Cia402Node, frame: Frame) -> None:

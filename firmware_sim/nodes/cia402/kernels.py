@@ -1,6 +1,6 @@
 """Kernels for the cyclic frames of a CiA 402 drive.
 
-The kernels work on an array row or on a Python object. Source: fact sheet cia402.
+The kernels accept an array row or a Python object as the drive. Source: fact sheet cia402.
 
 The standard RPDO (little-endian) has the control word in bytes 0..1 and the target torque in bytes
 2..3, in thousandths of the rated torque. The standard TPDO, sent after SYNC, has the status word in
@@ -49,10 +49,12 @@ _MAX_INT32 = (1 << 31) - 1
 
 
 class Cia402Struct(ctypes.Structure):
-    """Memory of a drive for compiled kernels. See ``node.Cia402Node`` for the fields.
+    """Memory of a simulated drive, for compiled kernels.
+
+    The class ``node.Cia402Node`` explains the fields.
 
     ``motor_number`` is the row of the drive's rotor. ``bus`` is the index of the drive's bus in the
-    hand.
+    list of the hand's buses.
     """
 
     _fields_ = [
@@ -80,7 +82,7 @@ class Cia402Struct(ctypes.Structure):
 
 @kernel_helper
 def _saturated(value: int, limit: int) -> int:
-    """Return a value saturated at the range of a signed object."""
+    """Return a value, limited to the range of an object with a signed data type."""
     return min(limit, max(-limit - 1, value))
 
 
@@ -91,11 +93,11 @@ def update_measured_objects(
     """Update the objects of a drive with measured values.
 
     Args:
-        node: the drive, as an array row or as a Python object.
+        node: simulated drive, as an array row or as a Python object.
         power: power stage of the drive.
         angle: spool angle that the encoder measures [rad].
         velocity: angular velocity of the spool [rad/s].
-        torque: torque of the motor at the spool [N m].
+        torque: torque of the motor, converted to the spool [N m].
     """
     values = node.values
     sign = node.direction
@@ -106,9 +108,9 @@ def update_measured_objects(
         # Bits 10 to 13 depend on the mode of operation.
         word = word & ~0x3C00 | node.mode_bits
     values[STATUS_WORD] = word
-    # The position is in encoder counts at the motor shaft.
+    # The position is counted in encoder counts at the motor shaft.
     values[POSITION] = _saturated(round(shaft / TURN_RAD * node.counts), _MAX_INT32)
-    # In this drive, object 0x606C (velocity) is in revolutions per minute.
+    # In this drive, object 0x606C (velocity) has the unit revolutions per minute.
     values[VELOCITY] = _saturated(round(sign * gear * velocity / TURN_RAD * 60.0), _MAX_INT32)
     values[TORQUE] = values[CURRENT] = _saturated(
         round(sign * torque / gear / node.rated * 1000.0), _MAX_INT16
@@ -122,11 +124,11 @@ def apply_torque(node: Any, servo: Any) -> None:
     thousandths = values[TARGET_TORQUE] + values[TORQUE_OFFSET]
     limit = values[MAX_TORQUE]
     servo.limit = node.peak
-    # Conversion from thousandths of the rated torque at the shaft to N m at the spool.
+    # This factor converts thousandths of the rated torque at the shaft to N m at the spool.
     servo.torque = (
         node.direction * node.gear * node.rated / 1000.0 * min(limit, max(-limit, thousandths))
     )
-    # Conversion from revolutions per minute at the shaft to rad/s at the spool.
+    # This factor converts revolutions per minute at the shaft to rad/s at the spool.
     servo.speed_limit = values[MAX_SPEED] * TURN_RAD / 60.0 / node.gear
     servo.speed_gain = 0.0
     if servo.speed_limit > 0.0:
@@ -141,14 +143,15 @@ def follows_torque(node: Any, power: Any) -> bool:
 
 @kernel_helper
 def heartbeat_timeout_ns(node: Any) -> int:
-    """Return the timeout of the master's heartbeat [ns], 0 if the drive does not supervise the master."""
-    # Object 0x1016 has the master's node number in bits 23..16 and the time [ms] in bits 15..0.
+    """Return the timeout of the master's heartbeat [ns], or 0 if the drive does not supervise the master."""
+    # Object 0x1016 contains the node number of the master in bits 23..16 and the time [ms] in bits
+    # 15..0.
     return int(node.values[MASTER] & 0xFFFF) * 1_000_000
 
 
 @kernel_helper
 def heartbeat_due(node: Any, t_ns: int) -> bool:
-    """Return True if the drive must now send its heartbeat."""
+    """Return True if the drive must send its heartbeat now."""
     period_ns = node.values[HEARTBEAT_MS] * 1_000_000
     return bool(period_ns > 0 and t_ns - node.heartbeat_ns >= period_ns)
 
@@ -168,9 +171,9 @@ def schedule_wake(node: Any, t_ns: int, frame_pending: bool) -> None:
     """Schedule the next wake of a drive, for temperatures, heartbeat, timeout of the master or motion.
 
     Args:
-        node: the drive, as an array row or as a Python object.
+        node: simulated drive, as an array row or as a Python object.
         t_ns: present time [ns].
-        frame_pending: True if a frame waits to be sent now.
+        frame_pending: True if a frame of the drive waits to be sent at once.
     """
     wake_ns = t_ns if frame_pending or node.thermal_ns < 0 else node.thermal_ns + THERMAL_PERIOD_NS
     period_ns = node.values[HEARTBEAT_MS] * 1_000_000

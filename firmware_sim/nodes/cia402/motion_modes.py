@@ -20,10 +20,10 @@ Choices of this simulation:
 
 - When the drive is enabled or changes its mode, 0x607A and the demand become the present position.
   0x60FF is kept.
-- Cyclic positions are interpolated over the period in 0x60C2.
-- Profile position stores one set-point in addition to the active one.
+- In cyclic position mode, positions are interpolated over the period in object 0x60C2.
+- In profile position mode, the drive stores one set-point in addition to the active one.
 - After homing, the home position has the value of 0x607C. The methods 33 and 34 move to the next
-  index pulse. With 35 and 37 the present position is the home position.
+  index pulse. With the methods 35 and 37, the present position becomes the home position.
 - The gains of the position and velocity controllers are assumed.
 """
 
@@ -81,13 +81,13 @@ def check_write(object_index: int, value: int) -> None:
 
 
 class MotionModes:
-    """The motion modes of a drive: demand and controllers.
+    """The position, velocity and homing modes of a drive, with demand values and controllers.
 
-    The demand is the shaft position in frames [count].
+    The demand is the desired shaft position in the units of the frames [count].
     """
 
     def __init__(self, node: Any) -> None:
-        """Use the objects and the rotor of a drive (``node.Cia402Node``)."""
+        """Use the objects and the rotor of a drive, see ``node.Cia402Node``."""
         self._node = node
         self._demand = MotionSetpoint()
         self._at_spool = MotionSetpoint()
@@ -167,7 +167,7 @@ class MotionModes:
         elif self._next is None:
             self._next = target
         self._acknowledged = True
-        # The bit *target reached* still belongs to the previous target.
+        # The bit *target reached* still refers to the previous target.
         self._bits &= ~TARGET_REACHED_BIT
 
     def _start_homing(self) -> None:
@@ -179,8 +179,7 @@ class MotionModes:
         method = node.objects[0x6098, 0]
         self._target = self._position()
         if method in (INDEX_NEGATIVE, INDEX_POSITIVE):
-            # The index pulse occurs at whole turns of the encoder, wherever the zero of the
-            # position is.
+            # The index pulse occurs at whole turns of the encoder, wherever the position is zero.
             turn = node.counts
             raw = self._position() - node.offset / TURN_RAD * turn
             edge = math.floor(raw / turn) if method == INDEX_NEGATIVE else math.ceil(raw / turn)
@@ -238,7 +237,7 @@ class MotionModes:
     ) -> bool:
         """Move the demand towards the target, with the speed and the ramps from objects of the drive.
 
-        Return True at the target.
+        Return True if the demand has reached the target.
         """
         slope = max(1.0, self._counts_per_s(self._node.objects[deceleration_index, 0]))
         if self._control & HALT_BIT:
@@ -265,7 +264,7 @@ class MotionModes:
         self._demand.jump(self._demand.position + change, change / step_s + self._rate_of(0x60B1))
 
     def _within_position_limits(self, target: float) -> float:
-        """Return the target, clamped to the software position limits (object 0x607D)."""
+        """Return the target, limited to the software position limits (object 0x607D)."""
         objects = self._node.objects
         inside = min(float(objects[0x607D, 2]), max(float(objects[0x607D, 1]), target))
         if inside != target:
@@ -295,7 +294,7 @@ class MotionModes:
         return arrived and abs(self._position() - self._target) <= window
 
     def _status_bits(self) -> int:
-        """Return the bits that the active mode sets in the status word."""
+        """Return the bits that the active mode sets in the status word of the drive."""
         if self._mode in (CYCLIC_POSITION, CYCLIC_VELOCITY):
             return self._bits | DRIVE_FOLLOWS_BIT
         if self._control & HALT_BIT:
@@ -308,8 +307,8 @@ class MotionModes:
         self._bits = (
             self._bits | TARGET_REACHED_BIT if reached else self._bits & ~TARGET_REACHED_BIT
         )
-        # In profile position, the set-point is acknowledged until the host clears the bit and the
-        # buffer is free.
+        # In profile position mode, a set-point stays acknowledged until the host clears the bit and
+        # the buffer is free.
         self._acknowledged = self._next is not None or (
             self._acknowledged and bool(self._control & NEW_SETPOINT_BIT)
         )
@@ -318,7 +317,7 @@ class MotionModes:
         return self._bits
 
     def _regulate_servo(self, step_s: float) -> None:
-        """Set the servo to the demand, converted from counts at the shaft to radians at the spool."""
+        """Set the servo to the demand, after conversion from counts at the shaft to radians at the spool."""
         node = self._node
         objects = node.objects
         scale = node.direction * TURN_RAD / node.counts / node.gear
@@ -340,7 +339,7 @@ class MotionModes:
         self._cascade.regulate(self._at_spool, gains, speed, limit, step_s, torque)
 
     def _position(self) -> float:
-        """Return the measured position at the shaft [count]."""
+        """Return the measured position of the shaft [count]."""
         node = self._node
         return float(
             (node.direction * node.gear * node.motor.encoder() + node.offset)
@@ -349,7 +348,7 @@ class MotionModes:
         )
 
     def _velocity(self) -> float:
-        """Return the measured velocity at the shaft [count/s]."""
+        """Return the measured velocity of the shaft [count/s]."""
         node = self._node
         return float(node.direction * node.gear * node.motor.velocity / TURN_RAD * node.counts)
 
@@ -358,5 +357,5 @@ class MotionModes:
         return float(per_minute / 60.0 * self._node.counts)
 
     def _rate_of(self, object_index: int) -> float:
-        """Return the value of a velocity object in count/s."""
+        """Return the value of a velocity object, converted to count/s."""
         return self._counts_per_s(self._node.objects[object_index, 0])

@@ -13,19 +13,19 @@ Frames (COB-ID, payload little-endian):
     0x700+node  heartbeat    u8 NMT state
     RPDO, TPDO  see ``pdo``
 
-A text is uploaded in segments. The first reply is 0x41 with the length of the text. Requests 0x60
-and 0x70 then alternate, and each reply has up to seven bytes of the text. Writing ``save`` to
-0x1010:1 stores the settings.
+A text object is uploaded in several segments. The first reply is 0x41 with the length of the text.
+Requests 0x60 and 0x70 then alternate, and each reply has up to seven bytes of the text. Writing
+``save`` to 0x1010:1 stores the settings.
 
 SDO specifiers: 0x40 upload request, 0x43 | 4 n upload reply with n unused bytes, 0x23 | 4 n
 download request, 0x60 download reply, 0x80 abort.
 
 Choices where the fact sheet is not definite:
 
-- Object 0x6076 is in mN·m, unless the option ``rated_torque_unit`` is uN_m.
-- Two events are faults if 0x6007 is 1: the node leaves operational while enabled, or the master's
-  heartbeat is lost. If 0x6007 is 2 or 3, these events switch the power stage off.
-- The host can change PDOs only while the node is pre-operational.
+- Object 0x6076 has the unit mN·m, unless the option ``rated_torque_unit`` is uN_m.
+- If object 0x6007 is 1, two events are faults: the node leaves the state operational while enabled,
+  or the master's heartbeat is lost. If 0x6007 is 2 or 3, these events switch the power stage off.
+- A host can change PDOs only while the node is in the state pre-operational.
 """
 
 from firmware_sim.bus.frame import FDF, REMOTE_FLAG, Frame
@@ -92,7 +92,7 @@ class Cia402Node:
         ids: None, because the node answers many identifiers.
         malformed: number of frames that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
-        watchdog_fed_ns: time of the master's last heartbeat [ns], -1 if the drive does not
+        watchdog_fed_ns: time of the master's last heartbeat [ns], or -1 if the drive does not
             supervise the master.
         thermal_ns: time of the last update of the temperatures [ns].
         heartbeat_ns: time of the drive's last heartbeat [ns].
@@ -102,12 +102,12 @@ class Cia402Node:
         rpdo_id: identifier of the standard RPDO, see ``pdo.NodePdos``.
         tpdo_id: identifier of the standard TPDO, see ``pdo.NodePdos``.
         tpdo_kind: transmission type of the standard TPDO.
-        accepted_ids: identifiers for the node to answer.
+        accepted_ids: identifiers of the frames that the node answers.
         values: values of the object dictionary.
         frame_pending: True if a frame of the drive waits to be sent.
-        motion: the position, velocity and homing modes of the drive.
-        motion_due_ns: time of the next update of ``motion_modes`` [ns], 0 in torque mode.
-        mode_bits: bits that the motion mode sets in the status word, -1 in torque mode.
+        motion: position, velocity and homing modes of the drive.
+        motion_due_ns: time of the next update of ``motion_modes`` [ns], or 0 in torque mode.
+        mode_bits: bits that the active mode sets in the status word, or -1 in torque mode.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -116,7 +116,7 @@ class Cia402Node:
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: shaft angle at the spool angle theta = 0 [rad].
+            offset: shaft angle when the spool angle theta is 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -226,7 +226,7 @@ class Cia402Node:
         return unsolicited
 
     def _nmt_command(self, command: int) -> None:
-        """Execute an NMT command."""
+        """Execute a command of the CANopen network management (NMT)."""
         if command in (0x81, 0x82):
             self._reset(sends_boot_message=True)
             return
@@ -259,7 +259,7 @@ class Cia402Node:
         self._apply_torque()
 
     def lose_settings(self) -> None:
-        """Restore the default torque limit and supervision of the master, but keep the state of the drive."""
+        """Give the torque limit and the supervision of the master their default values, but keep the drive's state."""
         initial = ObjectDictionary(self.node_id)
         for key in ((0x6072, 0), (0x6007, 0), (0x1016, 1)):
             self.objects[key] = initial[key]
@@ -274,7 +274,7 @@ class Cia402Node:
             self._unsolicited.append(Frame(0x80 + self.node_id, data))
 
     def _answer_sdo_request(self, data: bytes) -> None:
-        """Answer a request to the SDO server.
+        """Answer a request for an object (SDO request).
 
         Numbers have up to four bytes and are transferred in one frame.
         """
@@ -287,7 +287,7 @@ class Cia402Node:
             )
 
     def _execute_sdo_request(self, data: bytes, key: tuple[int, int]) -> bytes:
-        """Execute an SDO request.
+        """Execute a request for an object (SDO request).
 
         Returns:
             The payload of the SDO reply.
@@ -308,13 +308,13 @@ class Cia402Node:
         if specifier >> 5 != 1 or not specifier & 2:
             raise SdoAbort(UNKNOWN_COMMAND)
         # If bit 0 is set, bits 3..2 give the number of unused bytes. If bit 0 is not set, the
-        # request gives no size. The size of the object then counts.
+        # request does not contain the size. In this case, the size of the object is used.
         size = 4 - (specifier >> 2 & 3) if specifier & 1 else self.objects.size(key)
         self._write_object(key, data[4 : 4 + size])
         return b"\x60" + data[1:4] + bytes(4)
 
     def _first_segment(self, name: bytes, text: bytes) -> bytes:
-        """Return the reply that announces a text, and keep the text in segments of up to seven bytes."""
+        """Return the reply that announces a text, and store the text in segments of up to seven bytes."""
         self._segments = [text[i : i + 7] for i in range(0, len(text), 7)]
         return b"\x41" + name + len(text).to_bytes(4, "little")
 
@@ -336,7 +336,7 @@ class Cia402Node:
         return bytes((head,)) + segment.ljust(7, b"\0")
 
     def _write_object(self, key: tuple[int, int], value_bytes: bytes) -> None:
-        """Write an object to which a host has sent a value, and apply the new value."""
+        """Write the value that a host has sent to an object, and apply the new value."""
         # This range contains the communication and mapping objects of RPDOs (0x1400, 0x1600) and
         # TPDOs (0x1800, 0x1A00).
         if 0x1400 <= key[0] < 0x1C00:
@@ -403,10 +403,10 @@ class Cia402Node:
         return True
 
     def _synchronise(self) -> bool:
-        """Process a SYNC frame: apply stored RPDOs, measure, and send TPDOs.
+        """Process a SYNC frame: apply the stored RPDOs, measure, and send TPDOs.
 
         Returns:
-            True if the node is operational.
+            True if the node is in the state operational.
         """
         if self.nmt != OPERATIONAL_STATE:
             return False
@@ -459,7 +459,10 @@ class Cia402Node:
         return self._take_unsolicited()
 
     def _update_thermal(self, t_ns: int) -> None:
-        """Advance the temperatures of the drive, and trip on over-temperature of the winding."""
+        """Advance the temperatures of the drive.
+
+        If the winding is too hot, enter the fault state.
+        """
         if self.thermal_ns >= 0:
             self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0
@@ -474,7 +477,10 @@ class Cia402NodeRow(Cia402Struct, Cia402Node):
     layout = Cia402Struct
 
     def prepare(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Initialize the row of the drive. See ``Cia402Node``."""
+        """Set the row of the drive to the state after power-up.
+
+        The class ``Cia402Node`` explains the arguments.
+        """
         Cia402Node.__init__(self, spec, motor, offset)
         self.motor_number = motor.number
 

@@ -49,7 +49,7 @@ ObjectKey = tuple[int, int]
 
 
 class SdoAbort(Exception):  # noqa: N818 - the standard's word
-    """An error that refuses an SDO request.
+    """An error with which a node refuses an SDO request.
 
     Attributes:
         code: SDO abort code for the client.
@@ -66,8 +66,8 @@ def sdo_reply(data: bytes, access: Callable[[bytes, ObjectKey], bytes]) -> bytes
 
     Args:
         data: payload of the SDO request, 8 bytes.
-        access: function that executes the request on an object. The function returns the payload of
-            the reply, or raises ``SdoAbort``.
+        access: function that executes the request on an object of the node. The function returns
+            the payload of the reply, or raises ``SdoAbort``.
     """
     try:
         return access(data, (int.from_bytes(data[1:3], "little"), data[3]))
@@ -80,14 +80,14 @@ class ObjectDictionary:
 
     Attributes:
         texts: texts by object, such as the name of the device.
-        values: values of all other objects. The values of ``kernels.CYCLIC_OBJECTS`` come first.
+        values: values of all other objects. The objects in ``kernels.CYCLIC_OBJECTS`` come first.
     """
 
     def __init__(self, node_id: int, memory: Any = None) -> None:
-        """Read the EDS file and set all objects to their defaults.
+        """Read the EDS file, and set all objects to the default values.
 
         Args:
-            node_id: node number. The default identifiers depend on it.
+            node_id: node number. The default identifiers depend on this number.
             memory: memory for ``kernels.VALUE_CAPACITY`` values. If None, a list is
                 allocated.
         """
@@ -135,9 +135,10 @@ class ObjectDictionary:
         return value
 
     def __setitem__(self, key: ObjectKey, value: int) -> None:
-        """Set an object from inside the drive.
+        """Set the value of an object from inside the drive.
 
-        A value outside of the range of the object's data type is saturated.
+        If the value is outside the range of the object's data type, the nearest value of the range
+        is used.
         """
         bits = 8 * self._sizes[key]
         low, high = (
@@ -146,7 +147,10 @@ class ObjectDictionary:
         self.values[self._indices_of[key]] = min(high, max(low, value))
 
     def settings(self) -> dict[ObjectKey, int]:
-        """Return the values of the objects that a drive can store: all writable objects except commands."""
+        """Return the values of the objects that a drive can store.
+
+        These are all writable objects, without commands.
+        """
         return {key: self[key] for key in self._writable if key not in COMMAND_OBJECTS}
 
     def size(self, key: ObjectKey) -> int:
@@ -176,7 +180,7 @@ class ObjectDictionary:
         """Write the bytes of a received frame to an object.
 
         Raises:
-            SdoAbort: the object does not exist, is read-only, or has another length.
+            SdoAbort: the object does not exist, is read-only, or has a different length.
         """
         if len(value_bytes) != self.size(key):
             raise SdoAbort(WRONG_TYPE)

@@ -38,7 +38,7 @@ class NodePdos:
     """The received and sent PDOs of one node."""
 
     def __init__(self, objects: ObjectDictionary) -> None:
-        """Use the communication and mapping objects of a dictionary."""
+        """Use the communication and mapping objects of an object dictionary."""
         self._objects = objects
         self._waiting: dict[int, bytes] = {}
 
@@ -62,7 +62,7 @@ class NodePdos:
         self._objects.write(key, value_bytes)
 
     def _check_mapping(self, mapping_index: int, entry_count: int) -> None:
-        """Check that the number of entries and the length of a mapping are allowed."""
+        """Check that a mapping has an allowed number of entries and an allowed length."""
         if entry_count > 4:
             raise SdoAbort(OUT_OF_RANGE)
         if sum(self._objects[mapping_index, i + 1] & 0xFF for i in range(entry_count)) > 64:
@@ -75,7 +75,10 @@ class NodePdos:
             yield (entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8
 
     def _rpdo_index(self, can_id: int) -> int:
-        """Return the index of the RPDO that has an identifier. Return -1 if no RPDO has it."""
+        """Return the index of the RPDO with a given identifier.
+
+        If no RPDO has this identifier, return -1.
+        """
         return next((i for i in range(4) if self._objects[0x1400 + i, 1] == can_id), -1)
 
     def receives(self, can_id: int) -> bool:
@@ -83,10 +86,10 @@ class NodePdos:
         return self._rpdo_index(can_id) >= 0
 
     def unpack(self, can_id: int, data: bytes) -> list[ObjectKey] | None:
-        """Write the objects of an RPDO at once, or store the RPDO until the next SYNC frame.
+        """Write the objects of an RPDO at once, or keep the RPDO until the next SYNC frame.
 
         Returns:
-            The objects that were written at once. None if the RPDO is too short.
+            The objects that were written at once, or None if the RPDO is too short.
         """
         number = self._rpdo_index(can_id)
         if len(data) < sum(size for _, size in self._mapped_objects(0x1600 + number)):
@@ -107,7 +110,7 @@ class NodePdos:
         return keys
 
     def synchronise(self) -> list[ObjectKey]:
-        """Write the objects of the RPDOs that were stored until this SYNC frame.
+        """Write the objects of the RPDOs that have waited for this SYNC frame.
 
         Returns:
             The objects that were written.
@@ -174,13 +177,13 @@ class NodePdos:
         return (self._objects[0x1800 + i, 1] & 0x7FF if standard else -1), transmission
 
     def on_event(self) -> list[Frame]:
-        """Return the frames of the TPDOs that are sent on a change."""
+        """Return the frames of the TPDOs that the node sends when a value has changed."""
         return [
             self._tpdo_frame(i) for i in self._active_tpdos() if self._objects[0x1800 + i, 2] >= 254
         ]
 
     def _active_tpdos(self) -> list[int]:
-        """List the indices of the TPDOs that are on."""
+        """List the indices of the TPDOs that are switched on."""
         return [i for i in range(4) if not self._objects[0x1800 + i, 1] & PDO_OFF_BIT]
 
     def _tpdo_frame(self, pdo_number: int) -> Frame:

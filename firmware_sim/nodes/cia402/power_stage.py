@@ -1,13 +1,13 @@
 """The state machine of the power stage of a CiA 402 drive.
 
-Control words are the input of the state machine. Source: fact sheet cia402.
+The inputs of the state machine are control words. Source: fact sheet cia402.
 
 Bits of the control word: 0 switch on, 1 enable voltage, 2 quick stop (the value 0 stops), 3 enable
 operation, 7 fault reset (on its rising edge).
 
-Choices of this simulation: control word 0x0F in *ready to switch on* executes transitions 3 and 4
-together. After a quick stop, the state becomes *switch on disabled* without a further command. The
-state *fault reaction active* is passed within one step.
+Choices of this simulation: in the state *ready to switch on*, the control word 0x0F executes the
+transitions 3 and 4 together. After a quick stop, the state becomes *switch on disabled* without a
+further command. The state *fault reaction active* is left within one step.
 """
 
 import ctypes
@@ -26,7 +26,7 @@ def status_word(power: Any) -> int:
     """Return the status word of a drive.
 
     Bit 4 is *voltage enabled*, bit 9 *remote*, and bit 12 *drive follows the target torque*. The
-    other bits encode the state.
+    other bits of the status word encode the state.
     """
     return (
         _STATUS_WORD_BITS[power.state]
@@ -41,7 +41,7 @@ class PowerStage:
 
     Attributes:
         state: OFF_STATE, READY_STATE, ON_STATE, ENABLED_STATE or FAULT_STATE.
-        reset_bit: True if the bit fault reset was set in the last control word.
+        reset_bit: True if the last control word contained the bit *fault reset*.
     """
 
     def __init__(self) -> None:
@@ -74,6 +74,6 @@ class PowerStage:
 
 
 class PowerStruct(ctypes.Structure, PowerStage):
-    """The state machine of a power stage whose numbers are stored in the row of a drive."""
+    """The state machine of a power stage, whose numbers are in the array row of a drive."""
 
     _fields_ = [(name, ctypes.c_int64) for name in ("state", "reset_bit")]

@@ -46,16 +46,15 @@ _NEVER_NS = 1 << 62
 
 
 class LoadCellAmplifiers:
-    """The load cells of a hand that uses amplifiers, with their noise, bias and faults.
+    """The load cells of a hand with amplifiers, and the noise, the bias and the faults of these load cells.
 
     Attributes:
         nodes: the amplifiers of the hand.
         bias: present bias of each load cell [N].
-        cell_faults: for each load cell, the function that changes its reading, by the index of the
-            load cell.
-        joint_faults: empty, because amplifiers have no joint encoders.
-        suppressed: functions by the identifier of a frame. Such a function is called instead of
-            sending the frame.
+        cell_faults: functions by which faults change the readings, by the index of the load cell.
+        joint_faults: empty mapping, because amplifiers have no joint encoders.
+        suppressed: functions by the identifier of a frame, for faults that suppress this frame. The
+            function is called in place of sending the frame.
     """
 
     def __init__(self, spec: SensorSpec, tensions: Callable[[], Any], seed: int) -> None:
@@ -89,9 +88,9 @@ class LoadCellAmplifiers:
         ]
 
     def frame_of_cell(self, index: int) -> int:
-        """Return the identifier of the frame that contains the reading of a load cell.
+        """Return the identifier of the frame that contains the reading of a given load cell.
 
-        The identifier is the one in the usual mapping of a host.
+        The identifier belongs to the mapping that a host usually sets.
         """
         node = next(node for node in self.nodes if index in node.cells)
         return 0x180 + 0x100 * ((index - node.cells.start) // 2) + node.node_id
@@ -99,7 +98,7 @@ class LoadCellAmplifiers:
     def sample(self, t_ns: int) -> Any:
         """Return the readings of all load cells [N].
 
-        The amplifiers share one sample for each SYNC.
+        After each SYNC frame, all amplifiers use the same sample.
         """
         if t_ns != self._sampled_ns:
             elapsed_s = (t_ns - self._sampled_ns) * 1e-9 if self._sampled_ns >= 0 else 0.0
@@ -118,7 +117,7 @@ class AmplifierNode:
 
     Attributes:
         node_id: node number of the amplifier.
-        cells: indices of the load cells of this node in the list of the hand.
+        cells: indices of the load cells of this amplifier in the hand's list of load cells.
         nmt: NMT state of the amplifier.
         objects: object dictionary of the amplifier.
         ids: identifiers of the frames that the node may answer.
@@ -147,7 +146,7 @@ class AmplifierNode:
         self.restart()
 
     def restart(self) -> None:
-        """Restart with all objects as delivered, and announce the restart on the bus."""
+        """Restart with the values of all objects as delivered, and announce the restart on the bus."""
         self.objects = AmplifierObjects(self.node_id, len(self.cells), self._range, self.serial)
         self.nmt = PRE_OPERATIONAL
         self._syncs = 0
@@ -156,7 +155,7 @@ class AmplifierNode:
         self.wake_ns = 0
 
     def _update_ids(self) -> None:
-        """Update the identifiers for the node to answer."""
+        """Update the identifiers of the frames that the node answers."""
         self._sync_id = self.objects[0x1005, 0] & 0x7FF
         self.ids = frozenset((0x000, self._sync_id, 0x600 + self.node_id))
 
@@ -164,8 +163,8 @@ class AmplifierNode:
         """Process a frame from the bus.
 
         Returns:
-            The frames that the amplifier sends in response. None if the frame is not for this
-            node.
+            The frames that the amplifier sends in response, or None if the frame is not meant for
+            this node.
         """
         can_id = frame.can_id
         data = frame.data
@@ -202,7 +201,7 @@ class AmplifierNode:
         return [frame for frame in out if frame.can_id not in suppressed]
 
     def _nmt_command(self, command: int) -> None:
-        """Execute an NMT command."""
+        """Execute a command of the CANopen network management (NMT)."""
         if command in (0x81, 0x82):
             self.restart()
             return
@@ -215,7 +214,7 @@ class AmplifierNode:
             self._send_tpdos(lambda kind: kind > MAX_SYNCHRONOUS_TYPE)
 
     def _synchronise(self, data: bytes) -> None:
-        """Process a SYNC frame: sample the load cells, and send the TPDOs that are due."""
+        """Process a SYNC frame: read the load cells, and send the TPDOs that are due."""
         if data:
             self.malformed += 1
             return
@@ -226,7 +225,7 @@ class AmplifierNode:
             )
 
     def _send_tpdos(self, is_due: Callable[[int], bool]) -> None:
-        """Send the TPDOs that are due: ``is_due`` returns True for their transmission type."""
+        """Send the TPDOs for whose transmission type the function ``is_due`` returns True."""
         self._sample_load_cells()
         for i in range(TPDO_COUNT):
             can_id = self.objects[0x1800 + i, 1]
@@ -239,7 +238,7 @@ class AmplifierNode:
         self.objects.readings = [float(readings[i]) for i in self.cells]
 
     def _answer_sdo_request(self, data: bytes) -> None:
-        """Answer a request to the SDO server.
+        """Answer a request for an object (SDO request).
 
         Objects have up to four bytes and are transferred in one frame.
         """
@@ -252,7 +251,7 @@ class AmplifierNode:
             )
 
     def _execute_sdo_request(self, data: bytes, key: tuple[int, int]) -> bytes:
-        """Execute an SDO request.
+        """Execute a request for an object (SDO request).
 
         Returns:
             Payload of the SDO reply.
@@ -264,8 +263,8 @@ class AmplifierNode:
             self._sample_load_cells()
             raw = self.objects.read(key)
             return bytes((0x43 | (4 - len(raw)) << 2,)) + data[1:4] + raw.ljust(4, b"\0")
-        # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame),
-        # bit 0 if the request gives the size.
+        # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame).
+        # Bit 0 is set if the request gives the size.
         if data[0] >> 5 != 1 or data[0] & 3 != 3:
             raise SdoAbort(UNKNOWN_COMMAND)
         if 0x1000 <= key[0] < 0x1C00 and self.nmt != PRE_OPERATIONAL and key != (0x1017, 0):

@@ -127,7 +127,7 @@ class AmplifierObjects:
         return self._values[key]
 
     def __setitem__(self, key: ObjectKey, value: int) -> None:
-        """Set an object from inside the amplifier."""
+        """Set the value of an object from inside the amplifier."""
         self._values[key] = value
 
     def read(self, key: ObjectKey) -> bytes:
@@ -197,8 +197,8 @@ class AmplifierObjects:
         status = self._channel_status(channel)
         if index == 0x6150:
             return bytes((status,))
-        # The unit as delivered is assumed to be 1/100 N. A host that does not set the unit
-        # therefore reads wrong tensions.
+        # The unit in which the amplifier is delivered is assumed to be 1/100 N. Therefore a host
+        # that does not set the unit reads wrong tensions.
         unit = 1.0 if self[0x6131, channel] == NEWTON_UNIT else 100.0
         value = math.nan if status else self.readings[channel - 1] * unit
         if index == FLOAT_VALUE_INDEX:

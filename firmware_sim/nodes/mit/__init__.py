@@ -1,1 +1,1 @@
-"""Simulated drives that speak the MIT protocol."""
+"""Simulated drives that use the MIT protocol."""

@@ -1,6 +1,6 @@
 """Damiao motors as delivered.
 
-The data of the free shaft are an assumption. Source of the ranges: fact sheet mit_damiao.
+The data of the free shaft are assumed. Source of the ranges: fact sheet mit_damiao.
 """
 
 import math
@@ -59,9 +59,9 @@ class MotorRating(NamedTuple):
 
     @property
     def stall_torque(self) -> float:
-        """Return the torque of the motor at standstill, if only the voltage limited its current [N m]."""
+        """Return the torque at standstill that the supply voltage alone would allow [N m]."""
         # With space-vector modulation, the largest amplitude of a phase voltage is the supply
-        # voltage / sqrt(3).
+        # voltage divided by sqrt(3).
         return self.torque_constant * self.supply / math.sqrt(3.0) / self.resistance
 
 
@@ -154,13 +154,13 @@ def _corrupt_command(frame: Frame) -> Frame:
 
 def _corrupt_reply(frame: Frame) -> Frame:
     """Replace the value of the register TMAX by 1 in the reply to a read request."""
-    # The reply is to a read request (0x33) of register 23 (TMAX), from a motor with an identifier
-    # below 0x100.
+    # The reply belongs to a read request (0x33) for register 23 (TMAX), from a motor with an
+    # identifier below 0x100.
     data = frame.data
     matches = len(data) == 8 and data[2] == 0x33 and data[3] == 23 and data[1] == 0
     return (
         frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame
-    )  # TMAX reads 1
+    )  # the value of TMAX becomes 1
 
 
 def _force_command(node: MitNode, frame: Frame) -> None:

@@ -57,7 +57,7 @@ class FrameRanges(NamedTuple):
 
 
 class MitStruct(ctypes.Structure):
-    """Memory of a drive for compiled kernels, see ``node.MitNode``.
+    """Memory of a simulated drive for compiled kernels, see ``node.MitNode``.
 
     ``motor_number`` is the row of the drive's rotor.
     """
@@ -99,10 +99,12 @@ class MitCommand(NamedTuple):
 def to_code(value: float, limit: float, bits: int) -> int:
     """Encode a value as an integer code.
 
-    The value is clamped to -limit..limit, and the code is truncated as in the firmware.
+    The value is limited to -limit..limit, and the code is truncated in the same way as in the
+    firmware.
     """
     clamped = -limit if value < -limit else limit if value > limit else value
-    # The operations have the order of the firmware, because another order would round differently.
+    # The operations are in the same order as in the firmware, because another order would round
+    # differently.
     return int((clamped + limit) * ((1 << bits) - 1) / (2.0 * limit))
 
 
@@ -136,7 +138,7 @@ def read_command(word: int, position: float, velocity: float, torque: float) -> 
 
 @compiled("real")
 def _degrees(value: float) -> int:
-    """Return a temperature [degC] as one byte, saturated at 0 and 255."""
+    """Return a temperature [degC] as one byte, limited to the range from 0 to 255."""
     return 0 if value < 0.0 else 255 if value > 255.0 else int(value)
 
 
@@ -148,10 +150,10 @@ def write_feedback(
     """Encode the feedback of an MIT drive.
 
     Args:
-        state_and_id: state or error nibble and low four bits of ESC_ID, as one byte.
-        p: measured position [rad], saturated at the range of the type.
-        v: measured velocity [rad/s], saturated at the range of the type.
-        t: measured torque [N m], saturated at the range of the type.
+        state_and_id: one byte with the state or error nibble and the low four bits of ESC_ID.
+        p: measured position [rad], limited to the range of the motor type.
+        v: measured velocity [rad/s], limited to the range of the motor type.
+        t: measured torque [N m], limited to the range of the motor type.
         position: position range, register 21 [rad].
         velocity: velocity range, register 22 [rad/s].
         torque: torque range, register 23 [N m].
@@ -164,8 +166,8 @@ def write_feedback(
     motion = (
         to_code(p, position, 16) << 24 | to_code(v, velocity, 12) << 12 | to_code(t, torque, 12)
     )
-    # The highest byte is first made a signed byte. In compiled code, the shift of a byte above 127
-    # would overflow 64 bits.
+    # The most significant byte is first converted to a signed byte. In compiled code, the shift of
+    # an unsigned byte above 127 would overflow 64 bits.
     signed = state_and_id - 256 if state_and_id > 127 else state_and_id
     return signed << 56 | motion << 16 | _degrees(mosfet) << 8 | _degrees(winding)
 
@@ -175,13 +177,13 @@ def apply_command(node: Any, servo: Any, word: int) -> None:
     """Apply an MIT command to the servo of an enabled drive.
 
     Args:
-        node: the drive, as an array row or as a Python object.
+        node: simulated drive, as an array row or as a Python object.
         servo: servo of the drive's rotor.
         word: payload of the command as an integer.
     """
     ranges = node.position_range, node.velocity_range, node.torque_range
     position, velocity, servo.kp, servo.kd, torque = read_command(word, *ranges)
-    # To convert an angle in a frame to the spool, subtract the encoder offset, and then apply the
+    # An angle in a frame is converted to the spool: subtract the encoder offset, and then apply the
     # direction of the motor.
     servo.position = node.direction * (position - node.offset)
     servo.velocity = node.direction * velocity
@@ -193,7 +195,7 @@ def feedback_word(node: Any, rotor: Any, angle: float, mosfet: float, winding: f
     """Encode the present feedback of a drive.
 
     Args:
-        node: the drive, as an array row or as a Python object.
+        node: simulated drive, as an array row or as a Python object.
         rotor: rotor of the drive.
         angle: spool angle that the encoder measures [rad].
         mosfet: temperature of the MOSFETs [degC].
@@ -235,7 +237,7 @@ def encode_feedback(
     ranges: FrameRanges,
     temperatures: tuple[float, float],
 ) -> bytes:
-    """Encode feedback into 8 bytes. See ``write_feedback``."""
+    """Encode feedback into 8 bytes. The function ``write_feedback`` explains the layout."""
     return PAYLOAD_WORD_STRUCT.pack(
         write_feedback(state << 4 | node_id & 0xF, *motion, *ranges, *temperatures)
     )

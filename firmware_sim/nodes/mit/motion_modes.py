@@ -1,7 +1,7 @@
-"""Position-velocity, velocity and force-position mode of a Damiao motor.
+"""Position-velocity mode, velocity mode and force-position mode of a Damiao motor.
 
 Frames (little-endian). The motor follows the commands of a mode only if register 10 selects this
-mode:
+mode.
 
     0x100 + ESC_ID  float32 position [rad], float32 largest speed [rad/s]
     0x200 + ESC_ID  float32 velocity [rad/s]
@@ -30,14 +30,14 @@ NEVER_NS = (1 << 63) - 1
 
 
 class MotionModes:
-    """The motion modes of a motor: setpoint and controllers.
+    """The motion modes of a motor, with setpoint and controllers.
 
     Attributes:
         due_ns: time of the next update of the setpoint [ns].
     """
 
     def __init__(self, node: Any) -> None:
-        """Use the registers and the rotor of a motor (``node.MitNode``)."""
+        """Use the registers and the rotor of a motor, see ``node.MitNode``."""
         self._node = node
         self._setpoint = MotionSetpoint()
         self._cascade = CascadeController(node.motor)
@@ -64,7 +64,7 @@ class MotionModes:
         )
 
     def follow_force_position(self, position: float, speed: float, fraction: float) -> None:
-        """Take target position [rad], largest speed [rad/s] and fraction of the largest current from a frame."""
+        """Store target position [rad], largest speed [rad/s] and fraction of the largest current from a frame."""
         self._set_target(
             assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, fraction
         )
@@ -73,16 +73,16 @@ class MotionModes:
         return float(self._node.direction * (position - self._node.offset))
 
     def _set_target(self, gains: LoopGains, target: float, speed: float, fraction: float) -> None:
-        """Store a target at the spool with gains, largest speed and fraction of the largest torque."""
+        """Store a target for the spool, with gains, largest speed and fraction of the largest torque."""
         self._gains = gains
         self._target = target
         self._speed = speed
         self._fraction = fraction
 
     def start(self, t_ns: int) -> None:
-        """Follow the target from a time [ns] on.
+        """Follow the target from a given time on [ns].
 
-        If no target was followed before, the ramps start from the present motion.
+        If no target was followed before, the ramps start from the present motion of the motor.
         """
         if not self._running:
             self._running = True
@@ -118,7 +118,7 @@ class MotionModes:
             elif step_s:
                 self._setpoint.ramp(target, rise, fall, step_s)
         elif node.mode == reg.MODE_FORCE or rise == fall == math.inf:
-            # In this mode, the controllers limit the speed, and not the setpoint.
+            # In this mode, the controllers limit the speed, and the setpoint does not.
             self._setpoint.jump(self._target)
         elif step_s:
             self._setpoint.trapezoid(self._target, speed, rise, fall, step_s)

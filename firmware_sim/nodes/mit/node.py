@@ -1,16 +1,16 @@
-"""A motor with the firmware of a Damiao drive. The drive sends only answers.
+"""A motor with the firmware of a Damiao drive. The drive sends frames only as answers.
 
 Source: fact sheet mit_damiao.
 
 Choices where the fact sheet has only an assumption:
 
-- Commands to ESC_ID feed the watchdog, but register requests do not. The manual only says "no CAN
-  commands within the interval". Therefore the option ``watchdog`` can select another behaviour of
-  ``WATCHDOG_BEHAVIOURS``.
-- The special command FE (set zero) acts only while the motor is disabled.
+- Commands to ESC_ID restart the watchdog, but requests for registers do not. The manual only says
+  "no CAN commands within the interval". Therefore the option ``watchdog`` can select another
+  behaviour from ``WATCHDOG_BEHAVIOURS``.
+- The special command FE (set zero) has an effect only while the motor is disabled.
 - A command for another mode than the mode in CTRL_MODE is answered, but has no effect.
-- Position and velocity modes use cascaded controllers with fixed gains, see ``motion_modes``.
-- Positions beyond PMAX are saturated in the feedback.
+- The position and velocity modes use cascaded controllers with fixed gains, see ``motion_modes``.
+- In the feedback, positions beyond PMAX are replaced by PMAX.
 - Requests for unknown registers are not answered.
 
 Register request to 0x7FF (8 bytes):
@@ -20,7 +20,7 @@ Register request to 0x7FF (8 bytes):
     byte 3     register
     byte 4..7  value, uint32 or float32, low byte first
 
-The reply from MST_ID has the same layout. A special command has seven bytes of FF, and then FC
+The reply from MST_ID has the same layout. A special command has seven bytes FF, followed by FC
 (enable), FD (disable), FE (set zero) or FB (clear error).
 """
 
@@ -82,7 +82,7 @@ CLEAR_ANSWERS = {
 class FeedbackState(enum.IntEnum):
     """State nibble in the feedback.
 
-    States above ENABLED are errors. In these states, the motor has no torque.
+    All states above ENABLED are errors. In an error state, the motor makes no torque.
     """
 
     DISABLED = 0x0
@@ -106,15 +106,15 @@ class MitNode:
         registers: registers of the motor.
         offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         thermal: temperatures of the motor and its drive.
-        ids: identifiers for the node to answer.
-        malformed: number of frames with the node's identifiers that the node could not decode.
+        ids: identifiers of the frames that the node answers.
+        malformed: number of frames with an identifier of the node that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
-        watchdog_fed_ns: time of the last frame that fed the watchdog [ns].
-        timeout_ns: timeout of the watchdog [ns], 0 if the watchdog is off.
+        watchdog_fed_ns: time of the last frame that restarted the watchdog [ns].
+        timeout_ns: timeout of the watchdog [ns], or 0 if the watchdog is off.
         thermal_ns: time of the last update of the temperatures [ns], negative before the
             first update.
-        node_id: identifier of commands, register 8.
-        reply_id: identifier of answers, register 7.
+        node_id: identifier of commands to the motor, register 8.
+        reply_id: identifier of the motor's answers, register 7.
         position_range: largest position in frames, register 21 [rad].
         velocity_range: largest velocity in frames, register 22 [rad/s].
         mode: control mode, register 10.
@@ -170,7 +170,7 @@ class MitNode:
         self.timeout_ns = int(self.registers[reg.TIMEOUT]) * WATCHDOG_UNIT_NS
         mode = int(self.registers[reg.CTRL_MODE])
         if mode != self.mode:
-            # A setpoint is valid only in the mode in which it was sent.
+            # A setpoint is valid only in the mode in which a host has sent it.
             self._release_motor()
         self.mode = mode
 
@@ -178,7 +178,7 @@ class MitNode:
         """Process a frame, and answer in the same frame format.
 
         Returns:
-            The answers. None if the frame is not for this motor.
+            The answers, or None if the frame is not meant for this motor.
         """
         can_id, data, flags, bus, _ = frame
         if can_id == self.node_id:
@@ -211,11 +211,11 @@ class MitNode:
         return [Frame(self.reply_id, answer, flags, bus, t_ns)]
 
     def _process_command(self, data: bytes, t_ns: int) -> bytes | None:
-        """Process a frame to ESC_ID and return the payload of the answer, None if the frame is malformed."""
+        """Process a frame to ESC_ID, and return the payload of the answer, or None if the frame is malformed."""
         if len(data) != 8:
             return None
-        # The last byte is compared first. The last byte differs in most commands, so the comparison
-        # of the other seven bytes is rarely made.
+        # The last byte of the payload is compared first. It differs in most commands. So the other
+        # seven bytes are rarely compared.
         if data[7] >= _CLEAR_COMMAND and data[7] != 0xFF and data[:7] == _SPECIAL_COMMAND_START:
             return self._process_special_command(data, t_ns)
         self.watchdog_fed_ns = t_ns
@@ -227,7 +227,7 @@ class MitNode:
         """Process a command of the position-velocity (1), velocity (2) or force-position mode (3).
 
         Returns:
-            Payload of the feedback, None if the command is malformed.
+            Payload of the feedback, or None if the command is malformed.
         """
         layout = _MOTION_STRUCTS[kind]
         if len(data) < layout.size:
@@ -253,7 +253,7 @@ class MitNode:
         return self.feedback()
 
     def _process_special_command(self, data: bytes, t_ns: int) -> bytes | None:
-        """Execute a special command and return the payload of the answer, None if the command is malformed."""
+        """Execute a special command, and return the payload of the answer, or None if the command is malformed."""
         if len(data) != 8 or data[:7] != _SPECIAL_COMMAND_START:
             return None
         self.watchdog_fed_ns = t_ns
@@ -298,7 +298,8 @@ class MitNode:
     def trip(self, state: FeedbackState) -> None:
         """Enter an error state.
 
-        The motor makes torque again only after the error was cleared and the motor was enabled.
+        The motor makes torque again only after the error has been cleared and the motor has been
+        enabled.
         """
         self._release_motor()
         self.state = state
@@ -312,7 +313,7 @@ class MitNode:
         )
 
     def _process_register_request(self, data: bytes) -> bytes | None:
-        """Execute a register request and return the payload of the reply, None if the request is malformed."""
+        """Execute a register request, and return the payload of the reply, or None if the request is malformed."""
         operation = data[2]
         register = data[3]
         if operation == _REFRESH_REQUEST:
@@ -350,7 +351,7 @@ class MitNode:
         """Restore the saved registers, but keep the state of the motor.
 
         Args:
-            torque_max: new value of TMAX [N m], 0 for the saved value.
+            torque_max: new value of TMAX [N m], or 0 for the saved value.
         """
         self.registers.power_cycle()
         if torque_max:
@@ -380,7 +381,7 @@ class MitNode:
         self.wake_ns = min(self.wake_ns, self._motion_modes.due_ns)
 
     def _update_thermal(self, t_ns: int) -> None:
-        """Advance the temperatures, and trip on over-temperature of the winding."""
+        """Advance the temperatures. If the winding is too hot, enter an error state."""
         if self.thermal_ns >= 0:
             self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0
@@ -398,7 +399,10 @@ class MitNodeRow(MitStruct, MitNode):
     layout = MitStruct
 
     def prepare(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Initialize the row of the node. See ``MitNode``."""
+        """Set the row of the node to the state after power-up.
+
+        The class ``MitNode`` explains the arguments.
+        """
         MitNode.__init__(self, spec, motor, offset)
         self.motor_number = motor.number
 

@@ -1,4 +1,4 @@
-"""Registers of a Damiao motor: numbers (uint32 or float32) in RAM, with a copy in flash.
+"""Registers of a Damiao motor: numbers (uint32 or float32) in working memory, with a copy in flash memory.
 
 Source: fact sheet mit_damiao.
 """
@@ -83,7 +83,7 @@ class MitRegisters:
     """
 
     def __init__(self, spec: MotorSpec) -> None:
-        """Initialize the registers as in a commissioned motor whose watchdog (register TIMEOUT) is off."""
+        """Set the registers to the values of a commissioned motor whose watchdog (register TIMEOUT) is off."""
         self._values: dict[int, float] = _factory_values(spec)
         self._flash = self._values.copy()
 
@@ -118,7 +118,7 @@ class MitRegisters:
             self._values[register] = value
 
     def save(self) -> None:
-        """Copy the registers from RAM to flash."""
+        """Copy the registers from the working memory to the flash memory."""
         self._flash = self._values.copy()
 
     def power_cycle(self) -> None:
@@ -134,7 +134,7 @@ def _is_value_possible(register: int, value: float) -> bool:
         return 0 <= value < 0x7FF
     if register == DECELERATION:
         return -math.inf < value < 0.0
-    # Register 35 holds the code of the bit rate.
+    # Register 35 contains the code of the bit rate.
     if register == 35:
         return value <= 11
     return math.isfinite(value) and (value > 0 or register not in _POSITIVE_REGISTERS)
@@ -142,7 +142,7 @@ def _is_value_possible(register: int, value: float) -> bool:
 
 def _factory_values(spec: MotorSpec) -> dict[int, float]:
     """Return the register values of a commissioned motor."""
-    # The default serial number is the ASCII text "SIM" and the node number.
+    # The default serial number consists of the ASCII text "SIM" and the node number.
     serial = 0x5349_4D00 + spec.node_id if spec.serial is None else spec.serial
     values: dict[int, float] = dict.fromkeys(
         (*range(24, 29), *range(31, 35), *range(50, 56), 4, 5, 18, 19), 0.0

@@ -1,6 +1,6 @@
 """Moteus controllers as delivered.
 
-The data of motor and free shaft are assumptions, for a motor like mj5208.
+The data of the motor and the free shaft are assumed, for a motor like mj5208.
 """
 
 from firmware_sim.bus.frame import EXTENDED_FLAG, FDF, Frame
@@ -14,7 +14,10 @@ STOP_PAYLOAD = b"\x01\x00\x00"
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
-    """Return a request that reads the mode. The answer goes to the sender with number 0."""
+    """Return a request that reads the mode of a moteus controller.
+
+    The controller answers to the sender with number 0.
+    """
     return EXTENDED_FLAG | 0x8000 | node_id, b"\x11\x00"
 
 

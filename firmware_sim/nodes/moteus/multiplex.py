@@ -8,8 +8,8 @@ Source: docs/facts/moteus.md.
     0x40 text in, 0x41 text out: channel, length, text       0x42  poll for text: channel, longest length
 
 Bits 3 and 2 of a register subframe give the type of the values: int8, int16, int32 or float32. Bits
-1 and 0 are the number of values. If they are 0, the number follows as a varuint. Numbers are
-little-endian.
+1 and 0 contain the number of values. If both bits are 0, the number of values follows as a varuint.
+Numbers are little-endian.
 """
 
 import math
@@ -31,7 +31,7 @@ FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 PADDING_SUBFRAME = b"\x50"
 """Subframe *no operation*, which fills a payload up to a length of CAN FD."""
 
-# Value of one integer step as int8, int16 and int32, for each kind of quantity.
+# Value of one integer step as int8, int16 and int32, for each kind of physical quantity.
 UNSCALED_STEPS = (1.0, 1.0, 1.0)
 POSITION_STEPS = (0.01, 0.0001, 0.00001)
 VELOCITY_STEPS = (0.1, 0.00025, 0.00001)
@@ -46,7 +46,7 @@ FRACTION_STEPS = (1.0 / 127, 1.0 / 32767, 1.0 / 2147483647)
 
 
 class MalformedPayload(Exception):  # noqa: N818 - never leaves the node
-    """An error: a payload ends within a subframe, or has an unknown subframe."""
+    """An error: a payload ends within a subframe, or contains an unknown subframe."""
 
 
 class PayloadReader:
@@ -66,7 +66,7 @@ class PayloadReader:
         """Return the next bytes of the payload.
 
         Raises:
-            MalformedPayload: the payload has fewer bytes left.
+            MalformedPayload: the payload has fewer bytes left than requested.
         """
         part = self._data[self._at : self._at + length]
         if len(part) != length:
@@ -111,8 +111,8 @@ def encode_register(value: float, value_type: int, steps: tuple[float, float, fl
         return REGISTER_STRUCTS[FLOAT].pack(value)
     if not math.isfinite(value):
         return REGISTER_STRUCTS[value_type].pack(-MAX_COUNTS[value_type] - 1)
-    # The quotient is rounded to float32, as in the drive. In float64, 0.00003 / 1e-5 would be just
-    # below 3.
+    # The quotient is rounded to float32, because the drive does the same. In float64, 0.00003 /
+    # 1e-5 would be slightly less than 3.
     count = struct.unpack("<f", struct.pack("<f", value / steps[value_type]))[0]
     return REGISTER_STRUCTS[value_type].pack(
         int(max(-MAX_COUNTS[value_type], min(MAX_COUNTS[value_type], count)))

@@ -1,21 +1,22 @@
 """A motor with a moteus controller. Source: docs/facts/moteus.md.
 
 The drive executes a frame subframe by subframe. If the frame writes the mode, all written registers
-take effect at the end of the frame. The reply is built before that. The reply therefore contains
-the mode that the drive had before the frame. An unknown subframe ends the execution of its frame.
+take effect at the end of the frame. The drive builds the reply before that. Therefore the reply
+contains the mode that the drive had before the frame. If a subframe is unknown, the drive ignores
+the rest of the frame.
 
 In position mode, the drive moves the commanded position with the commanded velocity until the next
 command. A command without a position keeps the present target.
 
 Choices where the fact sheet has only an assumption:
 
-- The preparation of the power stage (modes 2, 3 and 4) takes 10 ms.
-- The drive is calibrated and has the gains of ``text_channel.FACTORY_CONFIGURATION``. The
+- The drive needs 10 ms to prepare the power stage (modes 2, 3 and 4).
+- The drive is already calibrated, and has the gains of ``text_channel.FACTORY_CONFIGURATION``. The
   integrator of the drive is not simulated.
-- Limits of velocity, acceleration and slip have no effect. The target moves as if these limits were
-  nan.
+- Limits of velocity, acceleration and slip have no effect in the simulation. The target moves as if
+  these limits were nan.
 - Stop position, fixed current and the voltage modes are not simulated. A command with one of these
-  modes is refused like an invalid value.
+  modes is refused, as an invalid value is.
 - Beyond a position limit, the feedforward torque cannot push further in the direction of that
   limit.
 """
@@ -72,9 +73,9 @@ class MoteusNode:
 
     Attributes:
         mode: present mode of the controller.
-        fault: present fault code, or the code of a limit that acts.
+        fault: present fault code, or the code of a limit that is in effect.
         command: values of the command registers.
-        channel: text channel, which holds the configuration.
+        channel: text channel of the controller, which contains the configuration.
         thermal: temperatures of motor and drive.
         offset: angle in the frames of the drive when the spool angle theta is 0 [rad].
         ids: None, because the node answers many identifiers.
@@ -139,7 +140,7 @@ class MoteusNode:
     def _reply_frame(self, data: bytes, host: int, frame: Frame) -> Frame:
         """Return the frame of a reply to a host.
 
-        A reply too long for the format of the request has the format CAN FD.
+        If the reply is too long for the format of the request, the frame has the format CAN FD.
         """
         number = self.node_id << 8 | host
         can_id = number | EXTENDED_FLAG if number >= 0x800 else number
@@ -150,7 +151,7 @@ class MoteusNode:
         )
 
     def _execute_payload(self, data: bytes) -> bytes:
-        """Execute the subframes of a payload and return the reply."""
+        """Execute the subframes of a payload, and return the reply."""
         reader = mp.PayloadReader(data)
         out = b""
         try:
@@ -175,7 +176,7 @@ class MoteusNode:
         """Execute a subframe that writes or reads registers.
 
         Returns:
-            The bytes to add to the reply. None if the rest of the frame is for another
+            The bytes to add to the reply, or None if the rest of the frame is meant for another
             controller.
         """
         kind = subframe >> 2 & 3
@@ -198,7 +199,7 @@ class MoteusNode:
     def _read_registers(self, value_type: int, count: int, first: int) -> bytes:
         """Return the reply to a request that reads registers.
 
-        If a register has no value, the reply ends with an error at this register.
+        If a register has no value, the reply ends with an error for this register.
         """
         values = list[bytes]()
         error = b""
@@ -275,13 +276,13 @@ class MoteusNode:
         )
 
     def _integer_register(self, register: int) -> int:
-        """Return the value of a register that exists only as int32."""
+        """Return the value of a register that can be read only as int32."""
         if 0x120 <= register <= 0x122:
             return self._serial >> 32 * (register - 0x120) & 0xFFFFFFFF
         if reg.UUID <= register < reg.UUID + 4:
             return self._uuid_word(register - reg.UUID)
-        # These registers are model number, firmware version, version of the register map, node
-        # number and support of the UUID mask.
+        # These registers contain the model number, the firmware version, the version of the
+        # register map, the node number, and the support of the UUID mask.
         fixed = {
             0x100: 3,
             0x101: FIRMWARE_VERSION,
@@ -307,9 +308,10 @@ class MoteusNode:
 
     @property
     def _fault_code(self) -> int:
-        """Return the fault code.
+        """Return the fault code of the drive.
 
-        In position mode, it may be the code of a limit that acts on the torque of the loop.
+        In position mode, it may be the code of a limit that reduces the torque of the position
+        loop.
         """
         motor = self.motor
         servo = motor.servo
@@ -381,7 +383,7 @@ class MoteusNode:
         return self.channel.items[name]
 
     def _follow_mode(self) -> None:
-        """Set the servo as the present mode and command registers demand."""
+        """Set the servo according to the present mode and the command registers."""
         command = self.command
         kp = self._configuration_item("servo.pid_position.kp") / TURN_RAD
         kd = self._configuration_item("servo.pid_position.kd") / TURN_RAD
@@ -424,7 +426,7 @@ class MoteusNode:
     ) -> None:
         """Set gains and setpoints of the servo from values in turn, turn/s and N m.
 
-        A limit of NaN is the peak torque.
+        A limit of NaN stands for the peak torque.
         """
         servo = self.motor.servo
         sign = self._direction
@@ -447,9 +449,9 @@ class MoteusNode:
         servo.limit = largest
 
     def trip(self, fault: int) -> None:
-        """Enter the mode fault with a code.
+        """Enter the mode *fault* with a given code.
 
-        The code TIMEOUT enters the mode timeout, without a fault code.
+        With the code TIMEOUT, enter the mode *timeout* without a fault code.
         """
         self.motor.servo.release()
         self._has_target = False
@@ -458,18 +460,18 @@ class MoteusNode:
         self._schedule()
 
     def power_cycle(self) -> None:
-        """Restart in the mode stopped, with the stored configuration."""
+        """Restart in the mode *stopped*, with the stored configuration."""
         self._stop()
         self.command = dict(reg.REGISTER_DEFAULTS)
         self.channel.forget()
 
     def lose_settings(self) -> None:
-        """Restore the stored configuration, but keep the mode."""
+        """Restore the stored configuration, but keep the present mode."""
         self.channel.forget()
 
     @property
     def _timeout_ns(self) -> int:
-        """Return the time without a command after which the watchdog fires [ns], 0 if the watchdog is off."""
+        """Return the time without a command after which the watchdog fires [ns], or 0 if the watchdog is off."""
         seconds = self.command[reg.TIMEOUT]
         if seconds == 0.0:
             seconds = self._configuration_item("servo.default_timeout_s")
@@ -516,7 +518,10 @@ class MoteusNode:
         self._follow_mode()
 
     def _time_out(self) -> None:
-        """Enter the mode timeout. An item of the configuration selects the effect of this mode."""
+        """Enter the mode *timeout*.
+
+        An item of the configuration selects the effect of this mode.
+        """
         effect = int(self._configuration_item("servo.timeout_mode"))
         self.mode = effect if effect in (POSITION, ZERO_VELOCITY, BRAKE) else STOPPED
         if self.mode == STOPPED:
@@ -528,7 +533,10 @@ class MoteusNode:
         self.fault = 0
 
     def _update_thermal(self, t_ns: int) -> None:
-        """Advance the temperatures, and trip on over-temperature of winding or MOSFETs."""
+        """Advance the temperatures.
+
+        If the winding or the MOSFETs are too hot, enter the mode *fault*.
+        """
         if self._thermal_ns >= 0:
             self.thermal.advance((t_ns - self._thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0

@@ -2,7 +2,8 @@
 
 Commands and answers are lines of text. Source: docs/facts/moteus.md.
 
-A changed configuration item is only in the working memory until ``conf write`` stores it.
+If a configuration item is changed, the change is in the working memory until ``conf write`` stores
+it.
 """
 
 import math
@@ -39,7 +40,7 @@ class TextChannel:
     Attributes:
         items: configuration items in the working memory.
         saved: configuration items in the permanent memory.
-        out: text of those answers that the host has not read yet.
+        out: answers that the host has not read yet, as one text.
     """
 
     def __init__(self, stop_drive: Callable[[], None]) -> None:
@@ -73,12 +74,12 @@ class TextChannel:
         return part
 
     def forget(self) -> None:
-        """Load the stored configuration and empty the channel, as after a restart."""
+        """Load the stored configuration, and empty the channel, as a restart does."""
         self.items = dict(self.saved)
         self.out = self._line = b""
 
     def _execute_command_line(self, words: list[str]) -> str:
-        """Execute a command line and return the answer without its line end."""
+        """Execute a command line, and return the answer without its line end."""
         match words:
             case ["conf", "get", name]:
                 return self._item_text(name) if name in self.items else "ERR error reading"

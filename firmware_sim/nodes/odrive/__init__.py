@@ -1,1 +1,1 @@
-"""Simulated drives that speak ODrive's CANSimple protocol."""
+"""Simulated drives that use ODrive's protocol CANSimple."""

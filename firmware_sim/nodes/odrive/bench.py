@@ -39,7 +39,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace the commands Estop and Set_Axis_State(IDLE) by a frame for no node."""
+    """Replace the commands Estop and Set_Axis_State(IDLE) by a frame that no node receives."""
     command = frame.can_id & 0x1F
     releases = command == 0x02 or (command == 0x07 and frame.data[:1] == b"\1")
     return UNADDRESSED_FRAME if releases else frame

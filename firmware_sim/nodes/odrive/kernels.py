@@ -1,4 +1,4 @@
-"""Kernels for the cyclic messages of an ODrive, which may be an array row or a Python object.
+"""Kernels for the cyclic messages of an ODrive. The drive is an array row or a Python object.
 
 Source: fact sheet odrive_cansimple.
 """
@@ -26,10 +26,12 @@ TURN_RAD = 2.0 * math.pi
 
 
 class OdriveStruct(ctypes.Structure):
-    """Memory of an axis for compiled kernels. See ``node.OdriveNode`` for the fields.
+    """Memory of a simulated axis, for compiled kernels.
+
+    The class ``node.OdriveNode`` explains the fields.
 
     ``motor_number`` is the row of the drive's rotor. ``bus`` is the index of the drive's bus in the
-    hand.
+    list of the hand's buses.
     """
 
     _fields_ = [
@@ -73,13 +75,15 @@ class OdriveStruct(ctypes.Structure):
 
 @kernel_helper
 def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
-    """Set a torque setpoint [N m at the shaft], and follow it at once in torque control without a ramp.
+    """Set a torque setpoint [N m at the shaft].
 
-    The setpoint feeds the watchdog in every control mode.
+    In torque control without a ramp, follow it at once.
+
+    The setpoint restarts the watchdog in every control mode.
     """
     node.watchdog_fed_ns = t_ns
     node.setpoint = torque
-    # In every other mode, the drive follows the setpoint at the next update of the mode, see
+    # In every other mode, the drive follows the setpoint when the mode is updated next, see
     # ``motion_modes``.
     if (
         node.state != CLOSED_LOOP
@@ -95,7 +99,7 @@ def follow_torque(node: Any, servo: Any, torque: float) -> None:
     """Follow a torque setpoint [N m at the shaft] within the limits of the drive."""
     limit = node.current_limit * node.torque_constant
     servo.limit = limit if limit < node.peak else node.peak
-    # Limits may be NaN, so the comparisons are exactly those of Python's min(high, max(low,
+    # The limits may be NaN. So the comparisons must be exactly those of Python's min(high, max(low,
     # torque)).
     torque = torque if torque > node.torque_min else node.torque_min
     torque = torque if torque < node.torque_max else node.torque_max
@@ -111,8 +115,8 @@ def limit_speed(node: Any, servo: Any) -> None:
 
     In torque control, the drive brakes if the speed is above the limit
     (``enable_torque_mode_vel_limit``, on by default). In velocity control, the drive limits the
-    setpoint. In both cases, the torque is gain (limit - velocity). Source: ODrive firmware 0.5.6,
-    ``controller.cpp``, limitVel.
+    setpoint of the velocity. In both cases, the torque is gain (limit - velocity). Source: ODrive
+    firmware 0.5.6, ``controller.cpp``, limitVel.
     """
     servo.speed_limit = node.velocity_limit * TURN_RAD / node.gear
     servo.speed_gain = node.velocity_gain / TURN_RAD * node.gear * node.gear
@@ -120,7 +124,7 @@ def limit_speed(node: Any, servo: Any) -> None:
 
 @kernel_helper
 def position_in_turns(node: Any, angle: float) -> float:
-    """Convert the spool angle of the encoder [rad] to the position that the drive reports [turn]."""
+    """Convert the measured spool angle [rad] to the position that the drive reports [turn]."""
     return float((node.direction * node.gear * angle + node.offset) / TURN_RAD)
 
 

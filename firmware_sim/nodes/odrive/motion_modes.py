@@ -5,9 +5,9 @@
 
 The inputs are the values of Set_Input_Pos, Set_Input_Vel and Set_Input_Torque. Each of these
 messages sets its inputs in every mode. A mode uses only the inputs that it needs. Gains, filter,
-ramps and integrator are as in the ODrive firmware (MIT licence), controller.cpp. The integrator
-decays while the torque is limited. Each step plans the rest of the trapezoid again. The result
-differs from trapTraj.cpp only if the target changes on the way.
+ramps and integrator are as in the ODrive firmware (MIT licence), controller.cpp. While the torque
+is limited, the integrator decays. In each step, the rest of the trapezoid is planned again. The
+result differs from trapTraj.cpp only if the target changes during the motion.
 
 Differences from the firmware: a speed above the limit is not an error, because the position
 controller limits the velocity demand. Input mode 0 (inactive) keeps the last setpoint. The firmware
@@ -91,9 +91,9 @@ _MESSAGES_THAT_ALLOW_ZERO = {0x13, 0x1A, 0x1B}
 
 
 class MotionModes:
-    """The motion modes of one axis: inputs, setpoints and controllers.
+    """The motion modes of one axis, with inputs, setpoints and controllers.
 
-    Setpoints are in turns of the shaft.
+    Setpoints are given in turns of the shaft.
 
     Attributes:
         input_position: position of the last Set_Input_Pos [turn].
@@ -103,7 +103,7 @@ class MotionModes:
     """
 
     def __init__(self, node: Any) -> None:
-        """Use the settings and the rotor of an axis (``node.OdriveNode``)."""
+        """Use the settings and the rotor of an axis, see ``node.OdriveNode``."""
         self._node = node
         self.settings = MotionSettings()
         self.input_position = self.input_velocity = 0.0
@@ -123,10 +123,10 @@ class MotionModes:
             )
 
     def take(self, with_position: bool, position: float, velocity: float) -> None:
-        """Set position and velocity input.
+        """Set the position input and the velocity input.
 
         Args:
-            with_position: True if the message has a position, which begins a new trajectory.
+            with_position: True if the message contains a position, which begins a new trajectory.
             position: position input [turn].
             velocity: velocity input [turn/s].
         """
@@ -135,7 +135,7 @@ class MotionModes:
         self.done = self.done and not with_position
 
     def start(self, t_ns: int) -> None:
-        """Enter closed loop.
+        """Enter the axis state closed loop.
 
         All inputs start from the present position, zero velocity and zero torque.
         """
@@ -207,7 +207,7 @@ class MotionModes:
             self._torque = setpoint.acceleration * settings.inertia
 
     def _regulate_servo(self, step_s: float) -> None:
-        """Set the servo to the setpoint, converted from turns at the shaft to radians at the spool."""
+        """Set the servo to the setpoint, after conversion from turns at the shaft to radians at the spool."""
         node = self._node
         settings = self.settings
         scale = node.direction * TURN_RAD / node.gear
@@ -221,7 +221,7 @@ class MotionModes:
             position_gain, settings.velocity_gain * to_spool, settings.integral_gain * to_spool
         )
         # The drive has a torque limit for each direction. The servo has one limit for both
-        # directions, so the smaller limit is used.
+        # directions. So the smaller of both limits is used.
         torque_limit = max(0.0, min(node.torque_max, -node.torque_min)) * node.gear
         limit = min(node.peak, node.current_limit * node.torque_constant, torque_limit)
         speed = node.velocity_limit * TURN_RAD / node.gear

@@ -16,14 +16,14 @@ Source: docs/facts/robstride.md, section MIT mode.
     0x100 + motor       target position, largest speed   feedback
     0x200 + motor       target speed, current limit      feedback
 
-Feedback has the identifier of the host. The payload of feedback is the number of the motor, the
-position (16 bits), the velocity (12 bits), the torque (12 bits) and the temperature (16 bits, in
-0.1 degC). The identity has the identifier of the motor.
+A feedback frame has the identifier of the host. The payload of feedback is the number of the motor,
+the position (16 bits), the velocity (12 bits), the torque (12 bits) and the temperature (16 bits,
+in 0.1 degC). The identity has the identifier of the motor.
 
 Choices where the fact sheet has only an assumption:
 
 - Frames with 29-bit identifiers are ignored.
-- Commands of position and velocity mode are answered, but have no effect.
+- Commands of the position mode and the velocity mode are answered, but have no effect.
 - The motor sends no fault reports.
 """
 
@@ -57,7 +57,7 @@ class RobstrideMitNode(RobstrideNode):
     """A simulated RobStride motor in MIT mode.
 
     Attributes:
-        host_id: identifier of the feedback.
+        host_id: identifier of the feedback frames.
         next_protocol: protocol that the motor will use from the next power-up on: 0 private, 1
             CANopen, 2 MIT.
     """
@@ -123,7 +123,8 @@ class RobstrideMitNode(RobstrideNode):
         elif command_code == 0xFD and plain:
             self._stop(clear_faults=False)
         elif command_code == 0xFB:
-            # LeRobot polls running motors with this command, so the command must not stop a motor.
+            # LeRobot sends this command repeatedly to running motors. So the command must not stop
+            # a motor.
             self.fault = 0
         elif command_code == 0xFE and plain:
             self.offset = -self._direction * self.motor.encoder()
@@ -137,7 +138,7 @@ class RobstrideMitNode(RobstrideNode):
             self.parameters[0x7005] = bytes(((0, 5, 2)[mode], 0, 0, 0))
 
     def _change_configuration(self, data_area: int, command_code: int) -> list[Frame]:
-        """Change the protocol, or the number of the motor or host.
+        """Change the protocol, or the number of the motor or of the host.
 
         The motor replies with its identity.
         """
@@ -201,7 +202,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace a stop command by a command without torque, which keeps the motor enabled."""
+    """Replace a stop command by a command with zero torque, which leaves the motor enabled."""
     stop = frame.can_id < 0x80 and frame.data == b"\xff" * 7 + b"\xfd"
     return frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff") if stop else frame
 

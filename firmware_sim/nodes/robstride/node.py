@@ -1,4 +1,6 @@
-"""A motor with RobStride's firmware and private protocol. Source: docs/facts/robstride.md.
+"""A motor with RobStride's firmware and private protocol.
+
+Source: docs/facts/robstride.md.
 
     type   identifier 23..16   15..8   7..0     payload
     0      0                   host    motor    identity request, answered by motor in 15..8, 0xFE, 64 bits
@@ -18,8 +20,8 @@ The motor answers the types 1, 3, 4, 6, 0x12 and 0x16 with a frame of type 2.
 Choices where the fact sheet has only an assumption:
 
 - The answer to a control command goes to the host that sent the latest request.
-- Enable and control commands feed the watchdog. When the watchdog fires, the motor enters reset
-  mode without a fault.
+- Enable commands and control commands restart the watchdog. When the watchdog fires, the motor
+  enters reset mode without a fault.
 - Faults other than over-temperature stay until they are cleared. A fault prevents enabling.
 - After each new fault, the motor sends a fault report to the host that sent the latest request.
 - The motor does not answer a request for a mode of operation other than 0, or for another bit rate
@@ -97,7 +99,7 @@ READ_ONLY_PARAMETERS = (0x7019, 0x701A, 0x701B, 0x701C)
 def to_code(value: float, largest: float) -> int:
     """Encode a value between -largest and largest as 16 bits.
 
-    Values outside of this range are limited to it.
+    If a value is outside of this range, the nearest value of the range is encoded.
     """
     return round((min(largest, max(-largest, value)) + largest) / (2.0 * largest) * 65535)
 
@@ -113,7 +115,7 @@ class RobstrideNode:
     Attributes:
         mode: mode of the motor, reset or run.
         fault: bits of the present faults.
-        parameters: bytes of each parameter that can be written, by its number.
+        parameters: bytes of each parameter that can be written, by the number of the parameter.
         thermal: temperatures of the motor and the drive.
         offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         ids: None, because the node answers many identifiers.
@@ -163,7 +165,7 @@ class RobstrideNode:
 
     @property
     def timeout_ns(self) -> int:
-        """Return the time without a command after which the watchdog fires [ns], 0 if the watchdog is off."""
+        """Return the time without a command after which the watchdog fires [ns], or 0 if the watchdog is off."""
         return int.from_bytes(self.parameters[0x7028], "little") * TIMEOUT_UNIT_NS
 
     @property
@@ -201,9 +203,9 @@ class RobstrideNode:
     def _execute_request(
         self, frame_type: int, data_area: int, frame: Frame, t_ns: int
     ) -> list[Frame]:
-        """Execute a request of a host and answer it."""
+        """Execute a request of a host, and return the answers."""
         if frame_type in (0, 7):
-            # A new motor number takes effect at once, and the answer is the identity.
+            # A new motor number takes effect at once, and the motor answers with its identity.
             if frame_type == 7 and 0 < data_area < 0x80:
                 self.node_id = data_area
             return [self._identity_frame(frame)]
@@ -229,7 +231,7 @@ class RobstrideNode:
         )
 
     def _enable(self, _data: bytes, t_ns: int) -> None:
-        """Enter run mode, if the motor has no fault and its mode of operation is 0 (operation control)."""
+        """Enter run mode, if the motor has no fault and the mode of operation is 0 (operation control)."""
         if self.fault or self.run_mode != 0:
             return
         self.watchdog_fed_ns = t_ns
@@ -239,7 +241,7 @@ class RobstrideNode:
         self._schedule()
 
     def _stop_on_request(self, data: bytes, _t_ns: int) -> None:
-        """Enter reset mode. If byte 0 of the request is 1, also clear the faults."""
+        """Enter reset mode. If byte 0 of the request is 1, also clear all faults."""
         self._stop(clear_faults=data[0] == 1)
 
     def _set_zero(self, data: bytes, _t_ns: int) -> None:
@@ -302,7 +304,7 @@ class RobstrideNode:
         return values[parameter]
 
     def _write_parameter(self, data: bytes, _t_ns: int) -> None:
-        """Write a parameter. Unknown parameters and values out of range are ignored."""
+        """Write a parameter. Unknown parameters, and values out of range, are ignored."""
         number = int.from_bytes(data[:2], "little")
         coding = WRITABLE_PARAMETERS.get(number)
         if coding is None:
@@ -315,7 +317,7 @@ class RobstrideNode:
         self.parameters[number] = struct.pack(f"<{coding}", value).ljust(4, b"\0")
 
     def _feedback_frame(self, frame: Frame) -> Frame:
-        """Return the frame with the feedback, to the host that sent the latest request."""
+        """Return the feedback frame for the host that has sent the latest request."""
         motor = self.motor
         sign = self._direction
         position = to_code(sign * motor.encoder() + self.offset, POSITION_RANGE)
@@ -333,7 +335,7 @@ class RobstrideNode:
     def trip(self, fault: int) -> None:
         """Enter reset mode with a fault.
 
-        The value 0 stands for the watchdog. It sets no fault.
+        The value 0 stands for the watchdog, which sets no fault.
         """
         self.motor.servo.release()
         self.mode = RESET_MODE

@@ -36,8 +36,8 @@ class CampaignReport:
         hand: name of the hand.
         control_rates_hz: control rate by protocol [Hz].
         results: results of the scenarios, by protocol.
-        false_alarms: false alarms by protocol. A false alarm is a fault with reaction HOLD or a more
-            severe one in a run without injected faults.
+        false_alarms: false alarms of each protocol, by the name of the protocol. A false alarm is a
+            fault with reaction HOLD or a more severe one in a run without injected faults.
         simulated_s: simulated time of the runs without faults, for all protocols together [s].
     """
 
@@ -91,7 +91,7 @@ def campaign_scenarios(
     """Return the scenarios that a campaign runs: all, every seventh, or those of some rows of the fault matrix.
 
     A quick campaign runs a sample of the scenarios. The seed determines the first scenario of this
-    sample. So the next seed selects other scenarios.
+    sample. Another seed selects another sample.
     """
     period_ms = 1e3 / rate_hz
     selected = scenarios_of_hand(hand, protocol, period_ms)
@@ -142,8 +142,8 @@ def run_campaign(
         )
         results = report.results[protocol] = []
 
-        # The default arguments bind the values of this protocol. Without them, the function would
-        # use the values of the last protocol.
+        # The default arguments bind the values of this protocol. Without these arguments, the
+        # function would use the values of the last protocol of the loop.
         def add_result(
             result: ScenarioResult,
             results: list[ScenarioResult] = results,
@@ -166,18 +166,18 @@ def run_campaign(
 
 
 def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) -> list[str]:
-    """Run a hand without faults, but with increased noise and lost frames, and return the false alarms.
+    """Run a hand without faults, but with more noise and with lost frames, and return the false alarms.
 
-    The hand moves and grasps repeatedly. A run that does not reach a grasp counts as a false alarm,
-    because such a run tests too little.
+    During the run, the hand moves and grasps repeatedly. A run that does not reach a grasp counts
+    as a false alarm, because such a run tests too little.
     """
     alarms: list[str] = []
     remaining_s = seconds
     while remaining_s > 0.0:
         with homed_run(hand, rate_hz, seed, {"noise": NOISE_FACTOR}) as simulation:
             for bus in hand.bus_names:
-                # `drop` loses frames that the drives send to the host. `deaf` loses frames that the
-                # host sends to the drives.
+                # The fault command `drop` loses frames that the drives send to the host. The fault
+                # command `deaf` loses frames that the host sends to the drives.
                 simulation.simulated_hand.inject(
                     f"drop bus={bus} p={FRAME_LOSS_PROBABILITY} seed={seed}"
                 )
@@ -213,6 +213,6 @@ def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) ->
 def _is_hold_or_more(event: TickEvent) -> bool:
     """Return True if the reaction to a fault is HOLD or a more severe one.
 
-    The text of the fault event ends with the reaction.
+    The text of the fault event ends with the name of the reaction.
     """
     return SafetyAction[event.text.rpartition(" ")[2]] >= SafetyAction.HOLD

@@ -75,7 +75,7 @@ def write_page(path: Path, report: CampaignReport) -> None:
 
 
 def _slowest_of_rows(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
-    """Return for each row of the matrix the scenario with the largest ratio of reaction time to bound."""
+    """Return, for each row of the fault matrix, the scenario whose reaction was slowest relative to its limit."""
     slowest: dict[str, ScenarioResult] = {}
     for result in results:
         current = slowest.get(result.id)
@@ -86,9 +86,9 @@ def _slowest_of_rows(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
 
 
 def bound_fraction(result: ScenarioResult) -> float:
-    """Return the reaction time in a scenario as a fraction of the largest allowed time.
+    """Return the reaction time in a scenario, divided by the longest time that is allowed.
 
-    Without a reaction the fraction is 9.9.
+    If there was no reaction, the result is 9.9.
     """
     return result.ticks / max(result.bound, 1) if result.ticks >= 0 else 9.9
 

@@ -55,22 +55,23 @@ class MatrixRow(NamedTuple):
 
     Attributes:
         id: id of the fault in the fault catalogue.
-        fault: command for the simulator, or text that begins with HOST_PREFIX. The text may have
-            place holders for the affected instance: {node}, {tendon}, {digit}, {bus} or {joint},
-            and {other} for the next motor. Other place holders stand for sizes. {trip} and {limit}
-            are a tendon's tension_trip_N and drive_limit_N. {late} is a delay that is late at the
-            control rate [ms]. {jump} and {rough} are a step and a noise that no drive can make at
-            the control rate [rad].
-        action: weakest reaction to the fault that is sufficient.
+        fault: command for the simulator, or text that begins with HOST_PREFIX. The text may contain
+            place holders for the part of the hand that has the fault: {node}, {tendon}, {digit},
+            {bus} or {joint}. The place holder {other} stands for the next motor. Other place
+            holders stand for sizes. {trip} and {limit} are a tendon's tension_trip_N and
+            drive_limit_N. {late} is a delay that is late at the control rate [ms]. {jump} and
+            {rough} are a step and a noise that no drive can make at the control rate [rad].
+        action: least severe reaction that is sufficient for the fault.
         max_ticks: time limit for the reaction [control periods]. ``max_extra_ms`` is added to this limit.
         max_extra_ms: addition to the time limit ``max_ticks`` [ms].
-        accepted_faults: prefixes of the fault ids that are accepted as a detection. The row's own fault comes
-            first.
+        accepted_faults: prefixes of the fault ids that are accepted as a detection. The first
+            prefix is the fault of the row itself.
         stages: stages of a run in which the fault is tested.
         protocols: drive protocols with which the fault is tested.
-        extra_ms: further time that some protocols need, by protocol [ms].
-        extra_ticks: further ticks that some protocols need, by protocol. These ticks are added to
-            ``extra_ms``.
+        extra_ms: further time that the reaction may take with some protocols [ms], by the name of
+            the protocol.
+        extra_ticks: further number of ticks that the reaction may take with some protocols, by the
+            name of the protocol. These ticks are added to the time ``extra_ms``.
         no_cell_ms: further time if the tendon of the fault has no load cell [ms].
         sensor_frames: number of further frames of the sensor node that the detection needs.
             ``ticks`` contains one tick for each. If the hand has no load cells, each is a joint
@@ -104,10 +105,10 @@ class MatrixRow(NamedTuple):
         )
 
     def sensing_ticks(self, hand: Hand, fault: str, period_ms: float) -> int:
-        """Return the addition to the time limit for the sensors that a hand lacks [ticks].
+        """Return the time that is added to the time limit of a fault because a hand lacks sensors [ticks].
 
         Args:
-            hand: hand that is simulated.
+            hand: description of the simulated hand.
             fault: text of the fault, in which the place holders are filled in.
             period_ms: control period [ms].
         """
@@ -121,7 +122,7 @@ class MatrixRow(NamedTuple):
 
 
 class FaultScenario(NamedTuple):
-    """Row of the fault matrix, for one instance of the fault and one stage of the run.
+    """Row of the fault matrix, with one affected part of the hand and one stage of the run.
 
     Attributes:
         row: row of the fault matrix.
@@ -139,7 +140,7 @@ class FaultScenario(NamedTuple):
 
     @property
     def id(self) -> str:
-        """Return the id of the scenario's row."""
+        """Return the identifier of the row that the scenario tests."""
         return self.row.id
 
     @property
@@ -186,7 +187,7 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("B05", "duplicate node=sensors", WARN, 2, accepted_faults=("B05",)),
     MatrixRow("B06", "twin node={node}", RELAX, 2, accepted_faults=("B06",), protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("B06", "twin node=sensors", RELAX, 2, accepted_faults=("B06",)),
-    # The first frame comes after the second one, so the detection needs two frames.
+    # The first frame comes after the second frame, so the detector needs two frames.
     MatrixRow("B07", "reorder node=sensors", WARN, 2, accepted_faults=("B07",), sensor_frames=1),
     MatrixRow("B08", "shorten node={node}", RELAX, 4, accepted_faults=("B08", "B17")),
     MatrixRow("B09", "shorten node={node} for=3ms", WARN, 2, accepted_faults=("B09",)),
@@ -236,19 +237,20 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("N11", "error node={node} size=60", CUT, 2, accepted_faults=("N11b",), protocols=(MOTEUS,)),
     MatrixRow("N11", "error node={node} size=0x4000", CUT, 2, accepted_faults=("N11b",), protocols=(ROBSTRIDE,)),
     MatrixRow("N12", "forget node={node}", CUT, 4, 1000.0, ("N12",), protocols=(MIT, ODRIVE, CIA402, ROBSTRIDE)),
-    # Every command of this protocol contains torque limit and watchdog. The drive also forgets its
-    # position limits, and the default limits remove its torque. The controller reports this as N14
-    # (a command is not obeyed).
+    # Every command of this drive protocol contains the torque limit and the watchdog time. After a
+    # restart, the drive also forgets its position limits. The default position limits make the
+    # drive remove its torque. The controller reports this as N14 (a command is not obeyed).
     MatrixRow("N12", "forget node={node}", RELAX, 4, 1000.0, ("N12", "N14"), protocols=(MOTEUS,)),
-    # A restart before the first answer to the enable command looks like a lost command. The lost
-    # settings reveal the restart.
+    # A drive may restart before it first answers the enable command. Such a restart looks like a
+    # lost command. The controller recognises the restart by the settings that the drive has lost.
     MatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01", "N14"), (ARMING_STAGE,), (MOTEUS,)),
     MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, accepted_faults=("B06", "N13"),
               protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, accepted_faults=("N13", "B06"),
               protocols=ONE_ANSWER_PROTOCOLS),
-    # A load cell shows the missing tension. Without it, N17 finds a drive whose command is smaller
-    # than the thresholds of N14, within the time constant of its comparison.
+    # A load cell shows the missing tension. Without a load cell, the fault N17 finds the drive
+    # within the time constant of the comparison, although the command of this drive is smaller than
+    # the thresholds of N14.
     MatrixRow("N14", "disobey node={node} size=0", RELAX, 22, accepted_faults=("N14", "T02", "T04", "N17"),
         stages=(GRASP_STAGE,), protocols=ONE_ANSWER_PROTOCOLS, no_cell_ms=250.0),
     MatrixRow("N14", "runaway node={node}", RELAX, 10, accepted_faults=("N14", "T03", "N05", "T04")),
@@ -263,14 +265,16 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
         protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("N17", "late node={node} size=50", RELAX, 2, 4000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
         protocols=ONE_ANSWER_PROTOCOLS),
-    # In a grasp at rest, the velocity limit of ODrive drives hides an exchange of two drives.
+    # While a grasp is at rest, the velocity limit of ODrive drives hides that two drives have been
+    # exchanged.
     MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
         (FREE_STAGE,), (ODRIVE,)),
     MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 2000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
         (FREE_STAGE,), (ODRIVE,)),
-    # Without a load cell, a torn tendon shows only when joint and spool have moved apart. A spool
-    # whose command is smaller than the friction of its motor rests. The joint then creeps, and the
-    # filter of N06b takes 0.3 s more.
+    # Without a load cell, a torn tendon is visible only after the joint and the spool have moved
+    # apart. If the torque command of a motor is smaller than the friction of the motor, the spool
+    # does not turn. In this case the joint moves slowly, and the filter of the fault N06b takes 0.3
+    # s more.
     MatrixRow("T01", "snap tendon={tendon}", RELAX, 10, accepted_faults=("T01", *_PARTED_FAULTS), stages=(GRASP_STAGE,),
         no_cell_ms=500.0),
     MatrixRow("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04", *_PARTED_FAULTS), (FREE_STAGE,),
@@ -328,7 +332,7 @@ def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[Fault
     first and the last motor.
 
     Args:
-        hand: hand that is simulated.
+        hand: description of the simulated hand.
         protocol: protocol of the drives.
         period_ms: control period [ms].
     """
@@ -348,11 +352,12 @@ def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[Fault
 
 
 def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenario]:
-    """Return a scenario in a grasp for every pair of the faults in `PAIRED_ROWS`.
+    """Return a scenario during a grasp for every pair of the faults in `PAIRED_ROWS`.
 
     The fault with the more severe reaction comes first. The other fault of the pair starts a few
-    ticks later, on another instance. If the hand has no instance for a fault, such as a load cell,
-    there are no pairs with this fault. `period_ms` is the control period [ms].
+    ticks later, on another part of the hand, such as another motor. If the hand has no part that a
+    fault could affect, such as a load cell, there are no pairs with this fault. `period_ms` is the
+    control period [ms].
     """
     rows = [
         next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols)
@@ -361,7 +366,8 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
     selected = []
     for i, first in enumerate(rows):
         for second in rows[i + 1 :]:
-            # The controller must react to a pair as to the more severe of its two faults.
+            # If two faults are present, the controller must react as it does to the more severe
+            # fault alone.
             main, other = (first, second) if first.action >= second.action else (second, first)
             texts = texts_of_fault(hand, main.fault, period_ms)
             second_texts = texts_of_fault(hand, other.fault, period_ms)
@@ -372,9 +378,9 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
 
 
 def texts_of_fault(hand: Hand, fault: str, period_ms: float) -> list[str]:
-    """Return the text of a fault for each instance that the hand has.
+    """Return the text of a fault for each part of the hand that the fault can affect.
 
-    The list is empty if the hand has no instance for the fault.
+    The list is empty if the hand has no such part.
     """
     if fault.startswith(HOST_PREFIX):
         return [fault]
@@ -388,9 +394,9 @@ def texts_of_fault(hand: Hand, fault: str, period_ms: float) -> list[str]:
 
 
 def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
-    """Return the values of the place holders for each instance of a fault.
+    """Return the values of the place holders for each part of the hand that a fault can affect.
 
-    A fault without a place holder for an instance has one instance.
+    A fault text without such a place holder gives a single entry.
     """
     if "{tendon}" in fault:
         limited = "{trip}" in fault or "{limit}" in fault
@@ -403,8 +409,8 @@ def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
             }
             for tendon in hand.tendon
             if not of_cell or tendon.name in hand.sensor_node.tendons
-            # The controller would report a trip tension near the end of the load cell's range as
-            # saturation.
+            # If a trip tension is near the end of the load cell's range, the controller would
+            # report it as saturation.
             if not limited or tendon.tension_trip_N < MAX_READABLE_TRIP_N
         ]
     if "{other}" in fault:

@@ -1,6 +1,6 @@
 """Simulated hands with each drive protocol, and runs that have reached each stage.
 
-Each scenario runs in a process that branches off from such a run.
+Each scenario runs in a child process that starts as a copy of such a run.
 """
 
 import json
@@ -63,7 +63,7 @@ def hand_with_protocol(name: str, protocol: str, motor_type: str | None = None) 
         motor_type: motor type of all drives, None for the default of the protocol.
 
     Raises:
-        ConfigError: the protocol has no such motor type.
+        ConfigError: the protocol has no motor type with this name.
     """
     hand = load_hand(name)
     options = options_with_motor_type(protocol, motor_type)
@@ -83,7 +83,7 @@ def with_drives(hand: Hand, protocol: str, options: Mapping[str, Any] | None = N
     Args:
         hand: description of the hand.
         protocol: name of the protocol.
-        options: options of every drive, None for those of the protocol.
+        options: options of every drive, or None for the default options of the protocol.
     """
     traits = PROTOCOL_TRAITS[protocol]
     motors = tuple(
@@ -151,8 +151,8 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
         nonlocal free_ticks
         if stage == ARMING_STAGE:
             return bool(out.mode == HandMode.ARMING)
-        # A run has reached the grasp if at least one digit is in contact and a tendon has at least
-        # 16 N.
+        # A run has reached the grasp stage if at least one digit touches an object and a tendon has
+        # at least 16 N.
         free_ticks += out.phase == "free"
         free = free_ticks * simulation.period_ns > FREE_STAGE_DELAY_S * 1e9
         holds = (
@@ -171,7 +171,7 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
 
 
 class StagedRun(Protocol):
-    """Experiment that branches off from a run at a stage: a scenario of the fault matrix, or a random sequence."""
+    """Experiment that starts from a given stage of a run: a scenario of the fault matrix, or random faults."""
 
     @property
     def name(self) -> str:
@@ -182,7 +182,7 @@ class StagedRun(Protocol):
     def id(self) -> str:
         """Return the id of the experiment for reports.
 
-        A scenario has the id of a row of the fault matrix.
+        The id of a scenario is the id of a row of the fault matrix.
         """
         ...
 
@@ -205,7 +205,7 @@ def run_experiments(
     on_failure: Callable[[SimulatedRun, ScenarioResult], None],
     seed: int = 0,
 ) -> None:
-    """Simulate a run up to each stage, and run the experiments that begin at this stage as branches of the run.
+    """Simulate a run up to each stage, and run the experiments of this stage in copies of the simulation.
 
     See `run_in_branches` for the arguments.
     """
@@ -237,10 +237,11 @@ def run_in_branches(
     Args:
         simulation: simulation at the stage of the experiments. The simulation stays unchanged.
         experiments: experiments to run.
-        jobs: number of copies that run at the same time.
+        jobs: number of forked copies that run at the same time.
         run_experiment: function that runs an experiment in a copy and returns the result.
         on_result: function called in this process with each result.
-        on_failure: function called in the copy of a failed experiment, with simulation and result.
+        on_failure: function called in the copy of a failed experiment, with the simulation and the
+            result.
     """
     running: dict[int, tuple[int, T]] = {}
     waiting = list(experiments)
@@ -264,7 +265,7 @@ def run_in_branches(
 def _run_to_json(
     run_experiment: Callable[[], ScenarioResult], on_failure: Callable[[ScenarioResult], None]
 ) -> str:
-    """Run an experiment, call `on_failure` if the result is not ok, and return the result as JSON."""
+    """Run an experiment, call `on_failure` if the experiment has failed, and return the result as JSON."""
     result = run_experiment()
     if not result.ok:
         on_failure(result)
@@ -272,7 +273,7 @@ def _run_to_json(
 
 
 def _read_result(reading: int, experiment: StagedRun, status: int) -> ScenarioResult:
-    """Read the result of an experiment from the pipe of the copy that has ended with `status`."""
+    """Read the result of an experiment from the pipe of a forked copy that has ended with `status`."""
     with os.fdopen(reading) as pipe:
         text = pipe.read()
     if status or not text:

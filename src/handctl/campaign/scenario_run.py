@@ -1,6 +1,7 @@
 """Run of one scenario on a simulated hand.
 
-The run injects the fault, and measures detection and reaction.
+The run injects the fault of the scenario, and measures when the fault is detected and when the
+controller reacts.
 """
 
 import math
@@ -54,15 +55,16 @@ class ScenarioResult:
             change of the motor force that the detection needs. The number
             is -1 without a reaction.
         bound: largest allowed number of ticks until the reaction.
-        detected_by: id and instance of the fault that the controller reported. The text is empty if
-            nothing was detected.
-        safe_ticks: number of ticks from the physical event until all torques are zero. The number
-            is -1 if torque remains.
+        detected_by: id of the fault that the controller reported, and the name of the affected
+            part. The text is empty if the controller reported nothing.
+        safe_ticks: number of ticks from the physical event until all motor torques are zero. The
+            number is -1 if a torque remains.
         tension: largest true tension of a tendon during the scenario [N].
         tension_bound: largest tension to expect [N], see the function `tension_bound`.
-        ok: True if the fault took effect and was detected as one of the allowed faults, the
-            reaction came in time, no torque remained, and the tension did not exceed the bound.
-        problem: reasons why the result is not ok.
+        ok: True if the scenario passed: the fault took effect and was detected as one of the
+            allowed faults, the reaction came in time, no torque remained, and the tension did not
+            exceed the bound.
+        problem: reasons why the scenario did not pass.
     """
 
     scenario: str
@@ -80,7 +82,7 @@ class ScenarioResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as plain values for JSON."""
-        # The keys must stay equal to those of the report file, because other programs read this
+        # The keys must stay equal to those of the report file, because other programs read that
         # file.
         keys = {
             "effects": "felt",
@@ -94,7 +96,7 @@ class ScenarioResult:
 def run_scenario(
     simulation: SimulatedRun, scenario: FaultScenario, protocol: str
 ) -> ScenarioResult:
-    """Run a scenario to the end, and return the result.
+    """Run a scenario to the end, and return the result of the scenario.
 
     Args:
         simulation: simulation at the stage of the scenario. The simulation cannot be used after the
@@ -131,8 +133,8 @@ def run_scenario(
         elif i == PAIR_DELAY_TICKS and scenario.second_fault:
             simulation.simulated_hand.inject(scenario.second_fault)
         t_ns = (simulation.k + int(inputs.get("skip", 0))) * simulation.period_ns
-        # If the fault stops the host for some ticks, the reaction time counts from the tick in
-        # which the host wakes up.
+        # If the fault stops the host for some ticks, the reaction time begins with the tick in
+        # which the host continues.
         start_ns = t_ns if host and i == 0 else start_ns
         out = simulation.run_tick(**inputs)
         effect_ns = _first_effect_ns(simulation, host, start_ns)
@@ -158,9 +160,9 @@ def run_scenario(
 
 
 def _tendon_speeds(simulation: SimulatedRun) -> list[float]:
-    """Return the measured speed of each tendon, without sign [m/s].
+    """Return the absolute value of the measured speed of each tendon [m/s].
 
-    The speed is zero before the first tick.
+    Before the first tick, the speeds are zero.
     """
     if simulation.last_output is None:
         return [0.0] * simulation.controller.model.tendon_count
@@ -178,7 +180,7 @@ def tension_bound(
     speed: list[float],
     seconds: float,
 ) -> float:
-    """Return the largest tension that the drives and their momentum can be expected to cause in a scenario [N].
+    """Return the largest tension that the drives and the momentum of the rotors can cause in a scenario [N].
 
     Only the fault `runaway` makes a drive pull harder than commanded. With all other faults, the
     tension must not exceed the trip tension. A single reading above the trip tension makes the hand
@@ -186,10 +188,10 @@ def tension_bound(
 
     Args:
         simulation: simulation of the run.
-        scenario: scenario that was run.
+        scenario: scenario that the simulation has run.
         start_tension: tension of each tendon when the fault was injected [N].
         speed: speed of each tendon when the fault was injected [m/s].
-        seconds: time from the fault until all torques are zero [s].
+        seconds: time from the start of the fault until all torques are zero [s].
     """
     if RUNAWAY_FAULT not in (scenario.fault.split()[0], *scenario.second_fault.split()[:1]):
         return max(*simulation.controller.derived.limits.tension_trip, *start_tension)
@@ -206,10 +208,10 @@ def runaway_tension(
 ) -> float:
     """Return the largest tension that a runaway drive can cause [N].
 
-    The drive accelerates the rotor (mass m at the tendon) with the force limit F of the drive,
-    against the stiffness k of the tendon. From the tension T, the tension overshoots to
-    F + sqrt((F - T)^2 + k m v^2). v is the speed of the rotor, plus the speed that F adds while the
-    finger moves freely.
+    A runaway drive accelerates a rotor, whose mass at the tendon is m, with the largest force F of
+    the drive. The tendon, with stiffness k, resists. If the tension is T at the start, the tension
+    rises up to F + sqrt((F - T)^2 + k m v^2). Here v is the speed of the rotor at the start, plus
+    the speed that F adds while the finger moves freely.
 
     Args:
         model: model of the hand.
@@ -230,7 +232,7 @@ def runaway_tension(
 
 
 def _first_effect_ns(simulation: SimulatedRun, host: "HostFault | None", start_ns: int) -> int:
-    """Return the time at which the fault first took effect [ns].
+    """Return the time at which the injected fault first took effect [ns].
 
     The time is -1 if the fault has had no effect yet.
     """
@@ -298,7 +300,7 @@ def _observe_tick(
     reaction_start_ns: int,
     t_ns: int,
 ) -> None:
-    """Update the result of a scenario from the output of a tick."""
+    """Add to the result of a scenario the information in the output of a tick."""
     row = scenario.row
     truth = simulation.simulated_hand.truth()
     result.tension = max(result.tension, *truth["tension"])
@@ -314,14 +316,15 @@ def _observe_tick(
         )
         if not result.detected_by and is_report and is_expected:
             result.detected_by = " ".join(event.text.split(":")[0].split()[:1]) + f" {event.where}"
-    # If the required action is RELAX or more, a mode that relaxes or shuts down the hand is a
-    # reaction too. But if CUT is required, the mode RELAX is not enough.
+    # If the required reaction is RELAX or a more severe one, any mode in which the hand relaxes or
+    # shuts down counts as a reaction. But if CUT is required, the mode RELAX is not enough.
     reacted = out.action >= row.action or (
         row.action >= SafetyAction.RELAX
         and out.mode in (*SHUT_DOWN_MODES, HandMode.RELAX, HandMode.CUT)
     )
     reacted = reacted and not (row.action == SafetyAction.CUT and out.mode == HandMode.RELAX)
-    # The controller only reports the fault H01, so the report counts as the reaction.
+    # The controller only reports the fault H01 and does not react otherwise. So the report counts
+    # as the reaction.
     if row.id == "H01":
         reacted = bool(result.detected_by)
     if (
@@ -335,7 +338,7 @@ def _observe_tick(
 
 
 def _judge_result(result: ScenarioResult, row: MatrixRow, is_visible: bool) -> ScenarioResult:
-    """Complete a result with the verdict and a list of problems, and return the result.
+    """Add the verdict and the list of problems to a result, and return the result.
 
     Args:
         result: result of the run.
@@ -366,7 +369,7 @@ def _judge_result(result: ScenarioResult, row: MatrixRow, is_visible: bool) -> S
 
 
 class HostFault:
-    """Fault of the host computer, or request to the controller.
+    """Fault of the host computer, or request of an operator to the controller.
 
     The text of a fault has one of the forms `io KIND [WHERE] [lasting]`, `skip N`, `late FRACTION`
     and `ask REQUEST [TIMES]`.

@@ -1,19 +1,20 @@
-"""Random sequences of faults, and rules that the controller must keep for any order of faults.
+"""Random sequences of faults, and rules that the controller must obey in any such sequence.
 
-The fault matrix tests that each single fault is detected in time. A sequence has several temporary
-or permanent faults one after the other, on any instance and in any stage. Requests of a client may
-come between the faults.
+The fault matrix tests whether the controller detects each single fault in time. A sequence contains
+several temporary or permanent faults, one after the other. They affect any part of the hand, in any
+stage of the run. Requests of a client may come between the faults.
 
-Rules:
+The controller must obey these rules:
 
 - No tick raises an exception.
-- The mode of the hand never goes back to an earlier one.
+- The mode of the hand never changes back to an earlier mode.
 - A latched fault stays latched until a request clears the fault.
 - No setpoint rises while the hand relaxes.
 - No tendon exceeds the trip tension. If a sequence has a runaway drive, the limit is the tension
   that the drive and the momentum of the rotor can cause.
-- A stop ends the run without torque, or asks the operator to remove the power.
-- If the inputs are repeated, the controller reaches the same states.
+- A stop request ends the run without torque, or the controller asks the operator to switch off the
+  power.
+- If the inputs of a run are executed again, the controller goes through the same states.
 """
 
 import random
@@ -79,7 +80,8 @@ class FaultStep(NamedTuple):
 
     Attributes:
         tick: tick of the fault or request, counted from the start of the sequence.
-        fault: text of the fault for the simulator, or text for `HostFault`.
+        fault: text of the fault for the simulator, or text of a request or host fault for
+            `HostFault`.
     """
 
     tick: int
@@ -87,7 +89,7 @@ class FaultStep(NamedTuple):
 
 
 class FaultSequence(NamedTuple):
-    """Random sequence of faults.
+    """Faults and requests of a random sequence.
 
     Attributes:
         seed: seed from which the sequence was drawn.
@@ -101,7 +103,7 @@ class FaultSequence(NamedTuple):
 
     @property
     def id(self) -> str:
-        """Return the id for reports.
+        """Return the id of the sequence for reports.
 
         All sequences have the same id, because no sequence belongs to a row of the fault matrix.
         """
@@ -121,8 +123,8 @@ def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Fau
     The result depends only on the seed, the hand, the protocol and the control period [ms].
     """
     chance = random.Random(f"sequence {seed}")
-    # Every row of the matrix has the same probability, no matter how many instances its fault has
-    # on the hand.
+    # Every row of the matrix has the same probability, no matter how many parts of the hand its
+    # fault can affect.
     rows = [row for row in FAULT_MATRIX if protocol in row.protocols]
     count = chance.randint(MIN_FAULTS, MAX_FAULTS)
     steps = []
@@ -157,19 +159,18 @@ def run_sequences(
     on_progress: Callable[[int], None],
     on_failure: Callable[[SimulatedRun, ScenarioResult], None],
 ) -> list[ScenarioResult]:
-    """Run sequences, and return their results.
+    """Run random sequences of faults, and return their results.
 
-    Each sequence runs in a copy of a simulated run that has reached the stage of the sequence.
+    Each sequence runs in a forked copy of a simulation that has reached the stage of the sequence.
 
     Args:
-        hand: hand whose drives use `protocol`.
+        hand: hand whose drives use the protocol `protocol`.
         protocol: drive protocol.
         rate_hz: control rate [Hz].
         seeds: seeds of the sequences.
         jobs: number of processes that run at the same time.
         on_progress: function called with the number of finished sequences.
-        on_failure: function called with a simulation in which a rule was violated, and with the
-            result.
+        on_failure: function called after a violated rule, with the simulation and the result.
     """
     sequences = [draw_sequence(hand, protocol, 1e3 / rate_hz, seed) for seed in seeds]
     results = list[ScenarioResult]()
@@ -183,12 +184,12 @@ def run_sequences(
 
 
 def run_sequence(simulation: SimulatedRun, sequence: FaultSequence) -> ScenarioResult:
-    """Run a sequence, stop the hand, and return the result with the violated rules.
+    """Run a sequence of faults, stop the hand, and return the result with the violated rules.
 
     Args:
         simulation: simulation at the stage of the sequence. The simulation cannot be used after the
             run.
-        sequence: faults to inject.
+        sequence: sequence of faults to inject.
     """
     start = (simulation.state, len(simulation.recorded_ticks))
     start_tension = simulation.simulated_hand.truth()["tension"]
@@ -224,7 +225,7 @@ def run_sequence(simulation: SimulatedRun, sequence: FaultSequence) -> ScenarioR
 
 
 def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterator[dict[str, Any]]:
-    """Yield the inputs of each tick, and inject the simulator's faults in the planned ticks.
+    """Yield the inputs of each tick, and inject the faults of the simulator in the planned ticks.
 
     At the end of the sequence, the inputs have a stop request.
     """
@@ -246,7 +247,7 @@ def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterat
 
 
 def violations_in_tick(before: ControllerState, after: ControllerState, cleared: bool) -> list[str]:
-    """Return a text for each rule that a tick violates."""
+    """Return a text for each rule that the controller violates in a tick."""
     violations = []
     if MODES_IN_ORDER.index(after.mode) < MODES_IN_ORDER.index(before.mode):
         violations.append(f"the mode goes back: {before.mode.name} to {after.mode.name}")
@@ -257,7 +258,7 @@ def violations_in_tick(before: ControllerState, after: ControllerState, cleared:
         after.view("setpoint") > before.view("setpoint") + 1e-9
     ):
         violations.append("a setpoint rises while the hand relaxes")
-    # The relative tolerance covers the rounding of torques in the CAN frames.
+    # The relative tolerance covers the rounding of torques that the CAN frames cause.
     if after.mode == HandMode.RELAX and np.any(
         after.view("asked") > np.maximum(before.view("asked"), 0.0) * (1.0 + 1e-9)
     ):
@@ -273,8 +274,8 @@ def _tension_bound(
     A runaway drive is assumed to start with a slack tendon, and to pull until the watchdog of the
     drive has fired.
     """
-    # Without a runaway drive, the bound is the largest trip tension, or the tension at the start if
-    # that tension is larger.
+    # Without a runaway drive, the bound is the larger of two tensions: the largest trip tension,
+    # and the largest tension at the start.
     limits = simulation.controller.derived.limits
     model = simulation.controller.model
     if not any(step.fault.startswith(RUNAWAY_FAULT) for step in sequence.steps):
@@ -286,7 +287,7 @@ def _tension_bound(
 
 
 def violations_at_end(simulation: SimulatedRun) -> list[str]:
-    """Return a text for each rule that the end of a run violates."""
+    """Return a text for each rule that the controller violates at the end of a run."""
     state = simulation.state
     names = simulation.controller.model.hand.tendon_names
     if state.mode != HandMode.DONE:
@@ -306,8 +307,7 @@ def violations_at_end(simulation: SimulatedRun) -> list[str]:
 def violations_on_replay(simulation: SimulatedRun, state: ControllerState, first: int) -> list[str]:
     """Execute the inputs of a simulated run again.
 
-    Return a text about the first tick whose state, frames or events differ from those of the run,
-    if there is one.
+    If the repetition differs in state, frames or events, return a text about the first such tick.
     """
     for entry, out in simulation.recorded_ticks[first:]:
         state, replayed = simulation.controller.tick(state, entry)

@@ -1,14 +1,14 @@
-# PYTHON_ARGCOMPLETE_OK: a shell with global completion asks only programs with this mark for
-# completions
-"""Entry point of the command line, and table of the commands.
+# PYTHON_ARGCOMPLETE_OK: for completions, a shell with global completion calls only programs that
+# contain this mark
+"""Entry point of the command line, and the table of all commands.
 
 In this module, a *verb* is a command such as ``run``.
 
 The module ``arguments`` of a folder declares the arguments of all verbs in the folder. The code of
 a verb is in the module with the name of the verb.
 
-To show a help text, or an error in the arguments, handctl imports only ``arguments``. Therefore
-both appear fast.
+To print a help text, or an error in the arguments, handctl imports only the module ``arguments``.
+Therefore help texts and errors appear fast.
 """
 
 import errno
@@ -45,11 +45,11 @@ from handctl.session.exit_codes import ExitCode
 
 
 class VerbGroup(NamedTuple):
-    """Verbs of the command line that have a common purpose.
+    """Verbs of the command line that serve the same purpose.
 
     Attributes:
         title: common purpose of the verbs, printed as a heading in the help text.
-        verbs: one line of help for each verb, by name.
+        verbs: one line of help for each verb, by the name of the verb.
     """
 
     title: str
@@ -136,7 +136,7 @@ All other file errors count as failures of the machine.
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``handctl`` with a command line.
 
-    If an error occurs, print a message of one line, and return an exit code.
+    If an error occurs, print a message with a single line, and return an exit code.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
@@ -149,7 +149,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run_and_report_errors(words: list[str]) -> int:
-    """Run a command line, print the error if there is one, and return the exit code."""
+    """Run a command line. If there is an error, print it. Return the exit code."""
     try:
         with terminate_on_signals():
             check_words(words)
@@ -161,7 +161,7 @@ def _run_and_report_errors(words: list[str]) -> int:
     except (ConfigError, LogError) as error:
         return _report_error(error, ExitCode.BAD_INPUT)
     except PowerError as error:
-        if error.__cause__:  # a bug in handctl
+        if error.__cause__:  # the error is caused by a bug in handctl
             traceback.print_exception(error.__cause__)
         return _report_error(error, ExitCode.REMOVE_POWER)
     except HandctlError as error:
@@ -172,7 +172,7 @@ def _run_and_report_errors(words: list[str]) -> int:
     except OSError as error:
         nameless = (
             "the working folder: " if error.errno == errno.ENOENT else ""
-        )  # the folder was deleted
+        )  # the current folder was deleted
         where = f"{error.filename}: " if error.filename else nameless
         text = f"{where}{error.strerror or error}"
         return _report_error(
@@ -232,7 +232,7 @@ def _version_text() -> str:
 
 
 def _folder_of(name: str) -> str:
-    """Return the folder that has the module of a verb."""
+    """Return the folder that contains the module of a verb."""
     return next(folder for folder, verbs in VERBS_BY_FOLDER.items() if name in verbs)
 
 
@@ -285,7 +285,7 @@ def _run_verb(name: str, words: list[str]) -> int:
         except NoSimulatorError as error:
             from handctl.cli.console.buses import (
                 simulator_command,
-            )  # pydantic, which a help text does not need
+            )  # this import loads pydantic, which a help text does not need
 
             raise NoSimulatorError(error.bus, error.why, simulator_command(args)) from None
         except ModuleNotFoundError as error:
@@ -302,7 +302,7 @@ def _start_recorder_early() -> AbstractContextManager[None]:
     """Start the recorder process early, so that it imports its modules while this process also imports modules."""
     from handctl.log.write.recorder_start import (
         recorder_process_ahead,
-    )  # a verb that records no run needs no subprocess
+    )  # a verb that records no run does not need the module subprocess
 
     return recorder_process_ahead()
 
@@ -318,7 +318,7 @@ def _import_verb(name: str) -> Any:
 
 @contextmanager
 def _pause_garbage_collection() -> Iterator[None]:
-    """Disable garbage collection in a block that imports modules.
+    """Disable garbage collection during a block that imports modules.
 
     Imports create many objects that are never freed. At the end of the block, ``gc.freeze``
     excludes these objects from later collections.
@@ -336,6 +336,6 @@ def _pause_garbage_collection() -> Iterator[None]:
 def _report_error(error: HandctlError | str, code: ExitCode) -> int:
     with suppress(
         OSError
-    ):  # if standard error cannot be written, the exit code still reports the error
+    ):  # even if standard error cannot be written, the exit code reports the error
         print(f"handctl: {one_line_message(str(error))}", file=sys.stderr)
     return code

@@ -1,4 +1,7 @@
-"""Python client that moves and observes a running hand, explained in ``docs/how-to/python.md``."""
+"""Python client that moves and observes a running hand.
+
+The guide ``docs/how-to/python.md`` explains it.
+"""
 
 from handctl.client.async_hand import AsyncHandClient, AsyncTargetStream, connect_async
 from handctl.client.fingertips import Fingertips, FingertipStream

@@ -27,10 +27,10 @@ During the pause, the event loop runs other tasks.
 class AsyncHandClient:
     """Client of one hand, for programs that use asyncio. Use the client with ``async with``.
 
-    Every method has the same effect and raises the same errors as the method of ``HandClient`` with
-    the same name. Each call runs in a thread, so that other tasks of the event loop continue.
-    ``observe`` is an ordinary method, because it returns at once. If a task is cancelled during a
-    call, the hand keeps its present goal. To bring such a hand to rest, call ``hold``.
+    Every method has the effect and raises the errors of the ``HandClient`` method with the same
+    name. Each call runs in a thread, so that other tasks of the event loop continue. ``observe`` is
+    an ordinary method, because it returns at once. If a task is cancelled during a call, the hand
+    keeps its present goal. To bring such a hand to rest, call ``hold``.
 
     Attributes:
         client: the ``HandClient`` whose methods are called.
@@ -53,8 +53,8 @@ class AsyncHandClient:
     async def open(self) -> Self:
         """Wait until the hand accepts goals, as ``async with`` does. Call ``close`` at the end.
 
-        If this wait is cancelled, the client is closed. Otherwise the thread would arm a hand that
-        no block of the program releases.
+        If this wait is cancelled, the client is closed. Without this, the thread would arm a hand
+        that no part of the program relaxes later.
         """
         try:
             await asyncio.to_thread(self.client.open)
@@ -71,8 +71,8 @@ class AsyncHandClient:
     ) -> None:
         """Close the client.
 
-        If the block ends with an exception or a cancellation, a fault of the run raises no second
-        exception.
+        If the block ends with an exception or a cancellation, a fault of the run does not raise a
+        second exception.
         """
         await asyncio.shield(asyncio.to_thread(self.client.__exit__, kind, error, trace))
 
@@ -82,9 +82,9 @@ class AsyncHandClient:
 
     @property
     def result(self) -> dict[str, Any]:
-        """Return the output of the run that this client has started.
+        """Return the output of the run. The run must have been started by this client.
 
-        The output is available after the run.
+        The output is available after the end of the run.
         """
         return self.client.result
 
@@ -109,7 +109,7 @@ class AsyncHandClient:
     ) -> None:
         """Hold tensions [N].
 
-        Without tensions, bring moving digits to rest. See ``HandClient.hold``.
+        If no tensions are given, bring moving digits to rest. See ``HandClient.hold``.
         """
         await asyncio.to_thread(self.client.hold, goals, rate_N_per_s, **tension_N)
 
@@ -150,7 +150,7 @@ class AsyncHandClient:
         """Yield the observations of all ticks from now until the run ends, in order.
 
         Args:
-            timeout_s: longest wait for the next tick [s].
+            timeout_s: longest time to wait for the next tick [s].
 
         Raises:
             BusError: the next tick of the controller does not arrive within this time.
@@ -172,7 +172,7 @@ class AsyncHandClient:
 
         Args:
             rate_Hz: rate of the targets in the time of the hand [Hz].
-            space: meaning of the values of a target, see ``HandClient.stream``.
+            space: kind of values in a target, see ``HandClient.stream``.
             names: joints, digits or tendons to which the values of a target belong, in order.
             options: further arguments of ``HandClient.stream``.
         """

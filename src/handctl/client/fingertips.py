@@ -1,6 +1,6 @@
-"""Conversion of goals for the fingertips, in the palm frame, to goals for the joints.
+"""Conversion of goal positions of the fingertips, in the palm frame, to goal angles of the joints.
 
-Inverse kinematics finds joint angles within the joint limits.
+The inverse kinematics finds joint angles within the joint limits.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,17 +24,18 @@ TipPositions = Mapping[str, Sequence[float] | NDArray[np.floating[Any]]] | NDArr
 class Fingertips:
     """Inverse kinematics of digits.
 
-    To reach given positions of the fingertips, a search varies the joint angles.
+    A search varies the joint angles until the fingertips are as close as possible to the given
+    positions.
 
-    For example, a digit with one tendon for three joints cannot bring its tip to every position.
-    The tip of such a digit comes as close to the target as the joint limits allow. Each search for
-    joint angles starts from the previous result, so that a continuous motion has no jumps.
+    Some digits cannot reach every position, for example a digit with one tendon for three joints.
+    The tip of such a digit comes as close to its goal as possible. Each search starts from the
+    joint angles of the previous result, so that a continuous motion has no jumps.
 
     Attributes:
         digits: names of the digits.
         joints: names of the joints of these digits, in order.
-        distances_m: (D,) distance between each fingertip and its target that remains after the
-            latest search. Before the first search, it is NaN.
+        distances_m: (D,) distance between each fingertip and its goal that remained after the
+            latest search. Before the first search, the distance is NaN.
     """
 
     def __init__(self, hand: Hand, digits: Sequence[str] | None = None) -> None:
@@ -42,7 +43,7 @@ class Fingertips:
 
         Args:
             hand: description of the hand.
-            digits: names of the digits. If this argument is None, all digits that are mounted on
+            digits: names of the digits. If this argument is None, all digits that are attached to
                 the palm are used.
 
         Raises:
@@ -79,8 +80,8 @@ class Fingertips:
         """Return the joint angles [deg] for positions of fingertips, by name of the joint, e.g. for ``hand.move``.
 
         Args:
-            positions: positions of the tips. If a mapping leaves out a digit, the result has no
-                angles for the joints of this digit.
+            positions: goal positions of the fingertips. If a mapping does not contain a digit, the
+                result has no angles for the joints of this digit.
 
         Raises:
             ConfigError: the positions have a wrong shape, a digit is unknown, or a position is not
@@ -97,7 +98,7 @@ class Fingertips:
         return angles
 
     def _positions_by_digit(self, positions: TipPositions) -> dict[int, NDArray[np.float64]]:
-        """Check positions of fingertips, and return them by index of the digit."""
+        """Check goal positions of fingertips, and return the positions by the index of the digit."""
         if isinstance(positions, Mapping):
             if unknown := [str(name) for name in positions if name not in self.digits]:
                 raise ConfigError(
@@ -123,7 +124,7 @@ class Fingertips:
 
 
 class FingertipStream(TargetStream):
-    """Open stream of fingertip positions, as ``HandClient.stream`` returns it.
+    """Open stream of fingertip positions. The method ``HandClient.stream`` returns it.
 
     The client computes joint angles from the positions. The controller receives joint angles, and
     limits them in the same way as in every stream.
@@ -137,7 +138,7 @@ class FingertipStream(TargetStream):
         self, hand: StreamOwner, sender: TargetSender, goal: Mapping[str, Any], fingertips: Fingertips,
         horizon_s: float, time_scale: float,
     ) -> None:  # fmt: skip
-        """Create the sending end of the stream.
+        """Create the client's end of the stream.
 
         Args:
             hand: client of the hand.
@@ -145,7 +146,8 @@ class FingertipStream(TargetStream):
             goal: request with which the stream was opened. The stream moves the joints of
                 ``fingertips``.
             fingertips: inverse kinematics of the digits.
-            horizon_s: time from the sending of a target until the hand should reach it [s].
+            horizon_s: time from the sending of a target until the hand should reach this target
+                [s].
             time_scale: time of the hand that passes in a second of real time [s].
         """
         super().__init__(hand, sender, goal, "deg", horizon_s, time_scale)

@@ -1,7 +1,8 @@
-"""Client that commands motions of a running hand, streams targets to it, and reads its observations.
+"""Client that moves a running hand, streams targets to the hand, and reads the hand's observations.
 
 The controller of the hand is a separate process. The client sends the same requests as the commands
-of ``handctl``. The controller checks, limits and logs the requests of both in the same way.
+of ``handctl``. The controller checks, limits and logs the requests of clients and commands in the
+same way.
 """
 
 import itertools
@@ -99,14 +100,14 @@ def connect(
     crashes. Before its end, the controller relaxes and disarms the hand. If another process has
     started the controller, a lease protects the hand.
 
-    When the program that commands the hand is killed or suspended, it no longer renews its lease.
-    After the time of the lease, moving digits come to rest. After twice this time, the hand
-    relaxes.
+    If the program that commands the hand is killed or suspended, it no longer renews the lease.
+    When the lease has expired, moving digits come to rest. After twice the time of the lease, the
+    hand relaxes.
 
     Args:
-        hand: packaged hand or hand file for a new controller. On a real bus, this argument is
-            required. On other buses the default is ``"jamia"``. A controller that already runs must control a
-            hand of this name.
+        hand: name of a packaged hand, or path of a hand file, for a new controller. On a real bus,
+            this argument is required. On other buses, the default is the packaged hand ``"jamia"``.
+            If a controller is already running, it must control a hand of this name.
         bus: bus as for the option ``--bus``. For a hand with several buses, give all buses. The
             first bus of the hand comes first.
         arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real
@@ -115,9 +116,10 @@ def connect(
         lease_s: longest time without a renewal of the lease, in the time of the hand [s], from 0.2
             to 3600. A thread of the client renews the lease. If it is None, the hand keeps its last
             goal without a time limit.
-        watchdog_s: longest time in which the program may neither call the client nor send a target
-            [s]. After this time, the thread no longer renews the lease. So a program that hangs
-            also loses its lease. If it is None, any time is allowed.
+        watchdog_s: longest time during which the program may neither call the client nor send a
+            target [s]. After this time, the client's thread no longer renews the lease. So a
+            program that hangs also loses its lease. If it is None, the program may be idle for any
+            time.
 
     Raises:
         ConfigError: the bus, the lease or the watchdog is invalid, or the bus is real and no hand
@@ -169,11 +171,11 @@ def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
 class HandClient:
     """Client of one hand.
 
-    Use it as a context manager. Several threads of a program may share a client.
+    Use the client as a context manager. Several threads of a program may share a client.
 
     At any time, only one client may move the hand. Any number of clients may observe the hand. The
-    first client that moves the hand keeps this right until it closes, or until another client calls
-    ``take_over``.
+    first client that moves the hand keeps this right until this client closes, or until another
+    client calls ``take_over``.
 
     If the client has started the controller, the hand is relaxed and disarmed when the client
     closes. If another process has started the controller, the hand stays armed. In this case, the
@@ -181,8 +183,8 @@ class HandClient:
 
     Attributes:
         bus: bus of the controller.
-        name: name of this client. Other clients see this name when the controller refuses their
-            commands.
+        name: name of this client, which the controller knows. Other clients see this name in error
+            messages when the controller refuses their commands.
         child: controller process, or None if another process has started the controller.
         result: output of ``handctl run --json``, e.g. ``log`` and ``failure``. The output is
             available after the end of a run that this client has started.
@@ -198,9 +200,9 @@ class HandClient:
     ) -> None:
         """Create the client.
 
-        If ``command`` is given, the client starts a controller with this command. If ``hand`` is given, the
-        controller must control a hand of this name. Programs call ``connect`` instead of this
-        constructor.
+        If ``command`` is given, the client starts a controller by executing this command. If
+        ``hand`` is given, the controller must control a hand of this name. Programs call
+        ``connect`` instead of this constructor.
         """
         self.bus = bus
         self._expected_hand = hand
@@ -214,7 +216,8 @@ class HandClient:
             self._is_hand_off
         ) = False
         self._lock = threading.RLock()  # at any time, only one call may wait for a status line
-        self._output_lock = threading.RLock()  # one call may read the output of the controller
+        # Only one call at a time may read the output of the controller.
+        self._output_lock = threading.RLock()
         self._observations: ObservationReader | None = None
         self._description: Hand | None = None
         self._watcher = StatusWatcher(bus)
@@ -225,7 +228,7 @@ class HandClient:
             pipe = subprocess.PIPE
             self.child = subprocess.Popen(
                 command, stdin=pipe, stdout=pipe, stderr=self._stderr, start_new_session=True
-            )  # Ctrl-C reaches only this program, which then ends the controller
+            )  # Ctrl-C reaches only this program, and this program then ends the controller
 
     def __enter__(self) -> Self:
         """Wait until the hand accepts goals, and return the client.
@@ -234,16 +237,16 @@ class HandClient:
 
         Raises:
             ConfigError: the running controller controls another hand than the program expects.
-            DriveError: the controller does not start or accepts no goals. The message comes from
-                the controller.
+            DriveError: the controller does not start or accepts no goals. The error message comes
+                from the controller.
         """
         return self.open()
 
     def open(self) -> Self:
-        """Wait until the hand accepts goals, as the ``with`` statement does.
+        """Wait until the hand accepts goals, as the start of a ``with`` block does.
 
-        Notebooks need this method. This method raises the same errors as the ``with`` statement.
-        Call ``close`` at the end.
+        Notebooks, which cannot use a `with` block over several cells, need this method. This method
+        raises the same errors as the ``with`` statement. Call ``close`` at the end.
         """
         with ExitStack() as undo:
             undo.callback(self._end_command, False)
@@ -277,14 +280,14 @@ class HandClient:
             duration_s: duration of the motion in the time of the hand [s].
             wait: True to return at the end of the motion, and False to return when the motion
                 begins.
-            angle_deg: angle of a joint, or one angle for all joints of a digit, by name of the
-                joint or digit [deg].
+            angle_deg: target angle [deg] of a joint, or of all joints of a digit, by the name of
+                the joint or digit.
 
         Raises:
             ConfigError: the controller has refused the goal, e.g. because of an unknown digit. The
                 previous goal stays valid.
             DriveError: the run has ended, or it ends during the motion, e.g. because of a fault, or
-                another client takes over during the motion. The message has the reason.
+                another client takes over during the motion. The error message contains the reason.
             BusError: the controller does not answer.
         """
         angles = _values_by_digit("move", goals, angle_deg)
@@ -307,14 +310,14 @@ class HandClient:
     ) -> None:
         """Hold a tension [N] in every tendon of a digit, as in ``hand.hold(index=12)``.
 
-        The method returns immediately. If no goals are given, all moving digits stop at their
-        present positions.
+        The method returns immediately, and does not wait until the tensions are reached. If no
+        goals are given, all moving digits stop where they are.
 
         Args:
             goals: goals as a mapping, e.g. ``hand.hold({"index": 12})``. Keyword arguments add
                 further goals.
             rate_N_per_s: rate at which each tension approaches its goal [N/s].
-            tension_N: tension of each digit, by name of the digit [N].
+            tension_N: tension of each digit [N], by the name of the digit.
 
         Raises:
             ConfigError, DriveError, BusError: see ``move``.
@@ -341,7 +344,9 @@ class HandClient:
         stiffness_N_m_per_rad: float | None = None,
         damping_ratio: float = 1.0,
     ) -> TargetStream:
-        """Open a stream of targets. Use the result as a context manager, see ``TargetStream``.
+        """Open a stream of targets.
+
+        Use the returned stream as a context manager, see ``TargetStream``.
 
         Args:
             rate_Hz: rate of the targets in the time of the hand [Hz], from 20 to the control rate.
@@ -353,15 +358,15 @@ class HandClient:
                 ``FingertipStream``.
             names: joints, digits or tendons to which the values of a target belong, in order. If it
                 is None, a target has values for all joints, digits or tendons.
-            interpolation: kind of motion between two successive target angles. ``"linear"`` has a
-                constant speed, and ``"minimum_jerk"`` is smooth.
-            unit: unit of the angles in a target. For prismatic joints, ``"deg"`` means mm, and
-                ``"rad"`` means m.
+            interpolation: motion between two successive target angles. With ``"linear"`` the speed
+                is constant, and with ``"minimum_jerk"`` the motion is smooth.
+            unit: unit of the target angles. For prismatic joints, ``"deg"`` means mm, and ``"rad"``
+                means m.
             stiffness_N_m_per_rad: stiffness of the streamed joints against a push, for impedance
-                control. If it is None, the gains determine the stiffness. The stiffness that the
-                gains determine is also the largest allowed value.
-            damping_ratio: damping ratio of the streamed joints, as a multiple of the damping ratio
-                with the gains, from 0.5 to 2.
+                control. If it is None, the gains determine the stiffness. A larger stiffness than
+                that of the gains is not allowed.
+            damping_ratio: damping ratio of the streamed joints, from 0.5 to 2, where 1 stands for
+                the damping ratio of the gains.
 
         Raises:
             ConfigError: the controller has refused the stream, e.g. because of a name or a rate, or
@@ -370,7 +375,8 @@ class HandClient:
         """
         if space not in get_args(StreamSpace):
             raise ConfigError(repr(space), "stream.space", " or ".join(get_args(StreamSpace)))
-        if isinstance(names, str):  # otherwise each letter would count as a name
+        # A single text is refused, because each letter would count as a name.
+        if isinstance(names, str):
             raise ConfigError(repr(names), "stream.names", f"a list, as in [{names!r}]")
         hand = self.description
         everything = {"joint": hand.joints, "tension": hand.tendon_names}.get(
@@ -412,8 +418,8 @@ class HandClient:
         Args:
             task: packaged task, e.g. ``"grasp"``, or a task file.
             wait: True to return when the hold phase begins, and False to return at once. If the
-                task has no hold phase, True waits for the end of the task.
-            timeout_s: longest wait [s].
+                task has no hold phase, the method waits for the end of the task.
+            timeout_s: longest time to wait [s].
 
         Raises:
             ConfigError: the task does not exist or does not suit the hand, or another client
@@ -443,7 +449,7 @@ class HandClient:
 
         Args:
             wait: True to return at the end of the task, and False to return at once.
-            timeout_s: longest wait [s].
+            timeout_s: longest time to wait [s].
 
         Raises:
             ConfigError: the hand is not in a hold phase, or another client commands the hand.
@@ -485,10 +491,10 @@ class HandClient:
 
         Args:
             wait: True to wait for a tick that this client has not observed yet.
-            timeout_s: longest wait [s].
+            timeout_s: longest time to wait [s].
 
         Raises:
-            DriveError: the run has ended. The message has the reason.
+            DriveError: the run has ended. The error message contains the reason.
             BusError: no tick of the controller arrives within this time, or this client is closed.
         """
         self._note_call()
@@ -509,10 +515,11 @@ class HandClient:
     def observations(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> Iterator[Observation]:
         """Yield the observations of all ticks from now until the run ends, in order.
 
-        A program that is more than a second late misses ticks. If ticks were missed, ``k`` jumps.
+        A program that falls more than a second behind misses ticks. If a program has missed ticks,
+        the tick number ``k`` increases by more than 1.
 
         Args:
-            timeout_s: longest wait for the next tick [s].
+            timeout_s: longest time to wait for the next tick [s].
 
         Raises:
             BusError: no tick of the controller arrives in this time.
@@ -524,7 +531,7 @@ class HandClient:
                 yield seen
 
     def poll_observations(self, timeout_s: float) -> Iterator[Observation | None]:
-        """Yield the observation of every tick, or None if there is no new observation.
+        """Yield the observation of each tick. If there is no new observation yet, yield None.
 
         The iterator never waits.
 
@@ -551,14 +558,15 @@ class HandClient:
         phase: str | None = None,
         timeout_s: float = 10.0,
     ) -> Observation:
-        """Wait until digits are in contact or the hand is in a phase, and return the observation of that tick.
+        """Wait until digits are in contact or the hand is in a phase, and return the observation at that time.
 
-        If both contacts and a phase are given, the wait ends at a tick in which both are present.
+        If contacts and a phase are both given, the wait ends at a tick in which both conditions are
+        true.
 
         Args:
             contact: a digit, or several digits that must all be in contact.
             phase: name of the phase.
-            timeout_s: longest wait [s].
+            timeout_s: longest time to wait [s].
 
         Raises:
             ConfigError: the hand has no such digit, or neither contacts nor a phase are given.
@@ -585,7 +593,7 @@ class HandClient:
     def _open_reader(self) -> ObservationReader:
         """Return the reader of the observations in shared memory.
 
-        The first call opens the reader, and must come before the run ends.
+        The first call opens the reader. So the first call must come before the run ends.
         """
         if self._observations is not None:
             if not self._observations.run_ended:
@@ -597,7 +605,7 @@ class HandClient:
         return self._observations
 
     def _check_run_and_timeout(self, reader: ObservationReader, end: float) -> None:
-        """Raise an error if the run has ended, or if the time ``end`` of a wait has passed."""
+        """Raise an error if the run has ended, or if the end time ``end`` of a wait has passed."""
         if reader.run_ended:
             self._collect_result()
             self._check_not_ended()
@@ -614,7 +622,7 @@ class HandClient:
         ``observe`` is faster and returns more values.
 
         Args:
-            timeout_s: longest wait [s].
+            timeout_s: longest time to wait [s].
 
         Returns:
             Lists in the order of the hand file, with None for unknown values: ``q_rad`` by joint
@@ -626,7 +634,7 @@ class HandClient:
             client may), and ``events`` of this tick.
 
         Raises:
-            DriveError: the run has ended. The message has the reason.
+            DriveError: the run has ended. The error message contains the reason.
             BusError: the controller sends no status line in this time.
         """
         self._note_call()
@@ -648,7 +656,7 @@ class HandClient:
 
         Args:
             phase: name of the phase. In the phase ``"live"``, the hand accepts goals.
-            timeout_s: longest wait [s].
+            timeout_s: longest time to wait [s].
 
         Raises:
             DriveError: the run has ended, or the timeout has passed.
@@ -672,8 +680,8 @@ class HandClient:
 
         Raises:
             UnconfirmedError: the controller has not confirmed the request.
-            PowerError: a drive did not confirm that it is disabled. In this case, remove the power
-                of the drive.
+            PowerError: a drive did not confirm that it is disabled. In this case, switch off the
+                power of the drive.
         """
         with self._lock:
             line, _ = send_with_confirmation(self._watcher, {"do": "stop"}, repeat=True)
@@ -683,7 +691,7 @@ class HandClient:
     def close(self) -> None:
         """Close the client, as the end of the ``with`` statement does.
 
-        Afterwards ``result`` is available.
+        The attribute ``result`` is available afterwards.
 
         Raises:
             DriveError: a fault ended the run.
@@ -720,19 +728,22 @@ class HandClient:
             if self._lease_s is None or self._heartbeat is not None or self._closed:
                 return
             time_scale = 1.0
-            with suppress(BusError, DriveError):  # the run may have ended
+            with suppress(BusError, DriveError):  # the run may have ended already
                 time_scale = self._open_reader().description["time_scale"]
             self._heartbeat = Heartbeat(
                 self.bus, self.name, self._lease_s / BEATS_PER_LEASE / time_scale, self._watchdog_s
             )
 
     def _note_call(self) -> None:
-        """Store the time of this call for the watchdog."""
+        """Store the time of this call. The watchdog uses it."""
         if self._heartbeat is not None:
             self._heartbeat.note_call()
 
     def _wait_until_following(self, timeout_s: float) -> dict[str, Any]:
-        """Return the state of the hand. Raise an error if the hand no longer follows goals."""
+        """Return the state of the hand while the hand follows goals.
+
+        If the hand no longer follows goals, raise an error.
+        """
         line = self.state(timeout_s)
         if line["mode"] in SHUTDOWN_MODE_NAMES:
             self._collect_result()
@@ -741,7 +752,10 @@ class HandClient:
         return line
 
     def _wait_as_commander(self) -> float:
-        """Return the time of the next status line [s]. Raise an error if another client commands the hand."""
+        """Return the time of the next status line [s], if this client may command the hand.
+
+        If another client commands the hand, raise an error.
+        """
         line = self._wait_until_following(CONFIRMATION_TIMEOUT_S)
         if line["commander"] != self.name:
             other = line["commander"] or "another client"
@@ -775,9 +789,9 @@ class HandClient:
         Later calls of this method have no effect.
 
         Args:
-            raise_error: True to raise the error that ended the run. The value is False while
-                another exception is handled. An error is then raised only if a drive may still make
-                torque.
+            raise_error: True to raise the error that ended the run. True to raise the error that
+                ended the run. While another exception is handled, it is False, and an error is
+                raised only if a drive may still make torque.
         """
         if self._closed:
             return
@@ -792,7 +806,7 @@ class HandClient:
                     )
         finally:
             # Another thread may still read the shared memory or wait for a status line. The memory
-            # is unmapped when its last reader ends.
+            # is unmapped after its last reader has ended.
             self._observations = None
             with self._lock:
                 self._watcher.close()
@@ -813,7 +827,7 @@ class HandClient:
                 return
             out, _ = self.child.communicate()
             self._print_new_messages()
-            # a process that was killed leaves no output, or incomplete output
+            # if the process was killed, it leaves no output or incomplete output
             with suppress(ValueError):
                 self.result = json.loads(out)
 
@@ -821,7 +835,8 @@ class HandClient:
         """Return the exception for the error that ended the run."""
         code = self.child.returncode if self.child else 0
         killed = f"killed by signal {-code}" if code < 0 else ""
-        # If no failure ended the run, its last message is a notice that explains nothing.
+        # If no failure ended the run, the last message of the controller is a notice that explains
+        # nothing.
         message = self._last_message if code else ""
         reason = self.result.get("failure") or killed or message or "it was stopped"
         if code == ExitCode.REMOVE_POWER:
@@ -859,7 +874,7 @@ def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[s
 
 
 def _with_float_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert all numbers among some values to float, whatever their type, and return all values.
+    """Convert all numbers among the given values to float, whatever their type, and return all values.
 
     Other values stay unchanged, so that the error message of a later check can show them.
     """

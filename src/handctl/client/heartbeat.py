@@ -1,6 +1,6 @@
 """Signs of life that a client sends to the controller.
 
-A thread of the client sends these signs as long as the program runs.
+A thread of the client sends these signs while the program runs.
 """
 
 import threading
@@ -20,8 +20,9 @@ The lease survives if three successive signs are late or lost.
 class Heartbeat:
     """Thread that renews the lease of a client.
 
-    With a watchdog, the thread sends signs of life only while the program uses the client often
-    enough. A program that hangs then loses its lease, even if its other threads continue.
+    If there is a watchdog time, the thread sends signs of life only while the program uses the
+    client often enough. A program that hangs then loses the lease, even if other threads of this
+    program continue.
     """
 
     def __init__(self, bus: str, client: str, period_s: float, watchdog_s: float | None) -> None:
@@ -32,7 +33,7 @@ class Heartbeat:
             client: name of the client.
             period_s: time between two signs of life [s].
             watchdog_s: longest time within which the program must call the client again [s]. If it
-                is None, any time is allowed.
+                is None, the program may be idle for any time.
         """
         self._bus = bus
         self._heartbeat_request = alive_request_text(client).encode()
@@ -62,6 +63,6 @@ class Heartbeat:
                     self._watchdog_s is None
                     or time.monotonic() - self._last_call_s <= self._watchdog_s
                 ):
-                    # If the mailbox of the controller is full, the next sign of life renews the
-                    # lease.
+                    # If the controller's mailbox is full, this sign of life is lost, and the next
+                    # one renews the lease.
                     sender.send(self._heartbeat_request)

@@ -1,4 +1,4 @@
-"""Observation of a hand in one tick: a numpy record with names and units for all fields, and the age of the values."""
+"""Observation of a hand in one tick: a numpy record whose fields have names and units, and the age of the values."""
 
 import time
 from typing import Any
@@ -18,33 +18,33 @@ AXIS_OF_FIELD = {PUBLISHED_NAMES[name]: axis for name, axis in TELEMETRY_AXES.it
 class Observation:
     """State of the hand at one tick. Unknown numbers are NaN.
 
-    Every field of ``record`` is an attribute. The name of an attribute ends with the unit. The
-    shapes use J joints, N tendons, M motors and D digits, in the order of the hand file. ``named``
-    returns the values of a field as a dict.
+    Every field of ``record`` is also an attribute of the observation. The name of an attribute ends
+    with the unit. The shapes use J joints, N tendons, M motors and D digits, in the order of the
+    hand file. The method ``named`` returns the values of a field as a dict.
 
     Attributes:
-        record: all values of the observation, a numpy record of shape ().
+        record: all values of the observation, as a numpy record of shape ().
         k: number of the tick.
         t_ns: time of the tick since the start of the run [ns].
         late_ns: lateness of the tick [ns].
         published_ns: reading of CLOCK_MONOTONIC after the commands of the tick were sent [ns].
-        q_rad: (J,) estimated joint angle.
-        q_sigma_rad: (J,) standard deviation of the joint angle.
-        dq_rad_s: (J,) estimated joint rate.
-        q_goal_rad: (J,) commanded joint angle. The value is NaN while the digit of the joint holds
-            a tension.
-        tension_N: (N,) estimated tension.
-        tension_sigma_N: (N,) standard deviation of the tension.
-        tension_goal_N: (N,) commanded tension.
-        tip_force_N: (D,) contact force at the tip, normal to the last link.
-        tip_force_sigma_N: (D,) standard deviation of the contact force.
-        contact: (D,) 1 if the digit is in contact, and 0 if not.
+        q_rad: (J,) estimated joint angles.
+        q_sigma_rad: (J,) standard deviations of the joint angles.
+        dq_rad_s: (J,) estimated joint rates.
+        q_goal_rad: (J,) commanded joint angles. The value is NaN for a joint whose digit holds a
+            tension instead of an angle.
+        tension_N: (N,) estimated tendon tensions.
+        tension_sigma_N: (N,) standard deviations of the tendon tensions.
+        tension_goal_N: (N,) commanded tendon tensions.
+        tip_force_N: (D,) contact forces on the tips of the digits, normal to the last links.
+        tip_force_sigma_N: (D,) standard deviations of the contact forces.
+        contact: (D,) 1 for each digit in contact, and 0 for each other digit.
         motor_position_rad: (M,) measured position at the spool. The value is NaN if the motor did
             not reply in this tick.
-        motor_velocity_rad_s: (M,) measured velocity at the spool.
-        motor_torque_N_m: (M,) measured torque at the spool.
-        motor_temperature_degC: (M,) temperature of the hottest sensor of the drive.
-        motor_age_s: (M,) age of the latest feedback of the motor.
+        motor_velocity_rad_s: (M,) measured motor velocities, converted to the spool.
+        motor_torque_N_m: (M,) measured motor torques, converted to the spool.
+        motor_temperature_degC: (M,) temperature of the hottest sensor in each drive.
+        motor_age_s: (M,) age of the latest feedback of each motor.
     """
 
     k: int
@@ -82,7 +82,7 @@ class Observation:
 
     def __getattr__(self, name: str) -> Any:
         """Return a field of the record."""
-        # While an observation is copied or unpickled, it has no record yet.
+        # An observation that is being copied or unpickled has no record yet.
         if name == "record":
             raise AttributeError(name)
         try:
@@ -102,7 +102,7 @@ class Observation:
 
     @property
     def age_s(self) -> float:
-        """Return the real time that has passed since the tick sent its commands [s]."""
+        """Return the real time that has passed since the controller sent the commands of this tick [s]."""
         return (time.monotonic_ns() - int(self.record["published_ns"])) / 1e9
 
     @property
@@ -117,7 +117,7 @@ class Observation:
 
     @property
     def q_deg(self) -> Vector:
-        """Return the (J,) estimated joint angle [deg], in mm for a prismatic joint."""
+        """Return the estimated joint angles (J,) [deg], or positions [mm] for prismatic joints."""
         return self._hand.display_units.displayed(self.q_rad)
 
     @property
@@ -127,7 +127,9 @@ class Observation:
         return StreamStatus(*[self.record[f"stream_{field}"].item() for field in fields])
 
     def names(self, field: str) -> tuple[str, ...]:
-        """Return the name of each value in a field, e.g. the names of the joints for ``"q_rad"``.
+        """Return the name of each value in a field.
+
+        For ``"q_rad"``, for example, these are the names of the joints.
 
         Raises:
             KeyError: the observation has no array with this name.

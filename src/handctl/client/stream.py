@@ -28,7 +28,7 @@ has one.
 
 
 class StreamOwner(Protocol):
-    """Methods of a ``HandClient`` that a stream uses."""
+    """Methods of a ``HandClient`` that a target stream uses."""
 
     bus: str
 
@@ -54,35 +54,37 @@ class StreamOwner(Protocol):
 
 
 class TargetStream:
-    """Open stream of targets to a hand. Use it as a context manager.
+    """Open stream of targets to a hand. Use the stream as a context manager.
 
     The hand reaches a target ``horizon_s`` after the target was sent, and then continues to the
     next target. A program with a known trajectory should send the point ``horizon_s`` ahead. The
     hand then follows the trajectory without delay.
 
-    If no more targets arrive, the hand stays at the last target. After ``hold_after_ms`` without a
-    target it holds its position, and after ``relax_after_ms`` it relaxes. The section ``[stream]``
-    of the hand file contains both times.
+    If no more targets arrive, the hand stays at the last target that has arrived. After the time
+    ``hold_after_ms`` without a target, the hand holds its position. After the time
+    ``relax_after_ms``, the hand relaxes. The section ``[stream]`` of the hand file contains both
+    times.
 
     The controller clips targets outside the range of a joint, and limits the speed and the
-    acceleration of the motion. ``status`` reports how many targets the controller has clipped.
+    acceleration of the motion. The method ``status`` reports how many targets the controller has
+    clipped.
 
     Attributes:
         name: name of the stream.
-        space: meaning of the values of a target, see ``HandClient.stream``.
+        space: kind of values in a target, see ``HandClient.stream``.
         names: joints, digits or tendons to which the values of a target belong, in order.
         rate_Hz: rate of the targets in the time of the hand [Hz].
-        horizon_s: time from the sending of a target until the hand should reach it [s].
+        horizon_s: time from the sending of a target until the hand should reach this target [s].
         sent: number of targets sent.
-        skipped: number of targets that were not sent, because the controller had not yet read the
-            targets before them.
+        skipped: number of targets that were not sent, because the controller had not yet read
+            earlier targets.
     """
 
     def __init__(
         self, hand: StreamOwner, sender: TargetSender, goal: Mapping[str, Any], unit: str, horizon_s: float,
         time_scale: float,
     ) -> None:  # fmt: skip
-        """Create the sending end of a stream.
+        """Create the client's end of a stream.
 
         Programs call ``HandClient.stream`` instead of this constructor.
         """
@@ -115,14 +117,15 @@ class TargetStream:
         self.close()
 
     def send(self, values: TargetValues) -> None:
-        """Send a target, without waiting.
+        """Send a target to the hand, without waiting for the motion.
 
         Args:
-            values: (V,) values in the order of ``names``, or by name.
+            values: (V,) values in the order of ``names``, or a mapping with a value for each name.
 
         Raises:
             ConfigError: the number of values is wrong, a name is unknown, or a value is not finite.
-            DriveError: the stream is closed, or the run has ended. The message has the reason.
+            DriveError: the stream is closed, or the run has ended. The error message contains the
+                reason.
         """
         if self._closed:
             raise DriveError("this stream is closed", self.name, "another hand.stream")
@@ -139,8 +142,8 @@ class TargetStream:
     def sleep(self) -> None:
         """Sleep until the next target is due.
 
-        If the program is late, the next target is due at once. Later targets follow at the rate of
-        the stream. The targets of missed times are not sent all at once.
+        If the program is late, the method returns at once. The targets after that are due at the
+        rate of the stream. The program does not catch up on targets whose time has passed.
         """
         time.sleep(max(0.0, self.next_due_s() - time.monotonic()))
 
@@ -166,7 +169,9 @@ class TargetStream:
         self._hand.end_stream(self.name)
 
     def _ordered_values(self, values: TargetValues) -> NDArray[np.float64]:
-        """Return the values of a target in the order of the stream's names, in the unit that the program uses.
+        """Return the values of a target in the order of the stream's names.
+
+        The unit is the one that the program uses.
 
         Raises:
             ConfigError: as for ``send``.
@@ -194,16 +199,16 @@ class TargetStream:
         return target
 
     def _displayed_per_si(self) -> NDArray[np.float64]:
-        """Return the factor (V,) that converts each value from SI units to displayed units [deg/rad or mm/m]."""
+        """Return the factors (V,) that convert a target from SI units to displayed units [deg/rad or mm/m]."""
         hand = self._hand.description
         factors = dict(zip(hand.joints, hand.display_units.factor.tolist(), strict=True))
         factors |= {name: hand.displayed_mean(name).factor[0] for name in hand.digit_names}
         return np.array([factors[name] for name in self.names])
 
     def _present_values(self) -> NDArray[np.float64]:
-        """Return the present values of the hand.
+        """Return the values that the hand has now.
 
-        These values are used for values that the first target of a stream leaves out.
+        If the first target of a stream leaves out a value, the value of the hand replaces it.
         """
         seen = self._hand.observe()
         if TARGET_UNIT_BY_SPACE[self.space] != "deg":
@@ -218,10 +223,12 @@ class TargetStream:
 
 
 def _number_array(values: object) -> NDArray[np.float64]:
-    """Return a copy of values that a program gives. The program may change its own array later.
+    """Return a copy of the values that a program passes to the stream.
+
+    The copy is necessary because the program may change its own array later.
 
     Raises:
-        ConfigError: the values are no numbers.
+        ConfigError: the values are not numbers.
     """
     try:
         return np.array(values, dtype=np.float64)

@@ -1,1 +1,1 @@
-"""The controller of a hand, as pure functions: tick, modes, state, requests, change of gains, and shutdown."""
+"""The controller of a hand, as pure functions: tick, modes, state, requests, change of gains, shutdown."""

@@ -1,6 +1,6 @@
 """Application of requests to the state of the controller.
 
-Operators and programs send the requests.
+Requests come from operators and from programs.
 """
 
 from dataclasses import replace
@@ -68,12 +68,12 @@ def apply_requests(
 
     Args:
         model: model of the hand.
-        program: program that sets the goals of the digits.
+        program: program that determines the goals of the digits.
         state: state of the tick, modified in place.
         requests: requests as JSON texts.
 
     Returns:
-        The stop and cut requests among them, and the events of all requests.
+        The stop and cut requests among the given requests, and the events that the requests cause.
     """
     operator = OperatorRequests()
     events = list[TickEvent]()
@@ -101,7 +101,7 @@ def apply_requests(
 def _apply_other(
     model: HandModel, program: Program, state: ControllerState, request: Request
 ) -> tuple[TickEvent, ...]:
-    """Apply one request: a change of gains, a client's sign of life, or a motion command."""
+    """Apply one request: a change of gains, a sign of life from a client, or a motion command."""
     if isinstance(request, SetGains):
         return _set_gains(model, program, state, request)
     if isinstance(request, AliveRequest):
@@ -114,7 +114,7 @@ def _apply_other(
 def _set_gains(
     model: HandModel, program: Program, state: ControllerState, request: SetGains
 ) -> tuple[TickEvent, ...]:
-    """Begin the design of the controller for the gains that a request demands."""
+    """Begin to design the controller for the gains that a request demands."""
     if isinstance(program, CommissionProgram):
         return (TickEvent("warn", "request", "", "refused: the hand is being commissioned"),)
     pending = state.decisions.pending
@@ -128,7 +128,7 @@ def _set_gains(
 def _apply_command(
     model: HandModel, program: Program, state: ControllerState, request: CommandBase
 ) -> tuple[TickEvent, ...]:
-    """Execute a motion command if the run accepts commands from this client."""
+    """Execute a motion command of a client, if the run accepts commands from this client."""
     if refusal := _refusal_reason(program, state, request):
         return (refusal,)
     if state.decisions.commander not in (None, request.client):
@@ -199,7 +199,7 @@ def _set_goal(
 ) -> tuple[TickEvent, ...]:
     """Set the goal of a request for the digits that the request names.
 
-    If a stream moves one of these digits, the stream ends.
+    If a stream moves one of these digits, end the stream.
     """
     reference = present_references(model, state)
     progress, events = apply_goal(
@@ -222,11 +222,11 @@ def _set_goal(
 def clear_latched_faults(state: ControllerState) -> None:
     """Clear all latched faults at the request of the operator.
 
-    A fault that is still present is detected again in this tick, and latches again.
+    A fault that is still present is detected in this tick, and is latched again.
     """
     ticks = state.view("fault_ticks")[: len(DEBOUNCE_TICKS)]
-    # The function sets the count of each fault to one tick below the debounce. So a fault that is
-    # still present becomes active again in this tick, and any other fault is reset.
+    # The function sets the tick count of each fault to one below the debounce. So a fault that is
+    # still present becomes active again in this tick. The count of any other fault returns to zero.
     np.minimum(ticks, DEBOUNCE_TICKS[:, None] - 1, out=ticks)
     reported_faults = [
         one._replace(ticks=min(one.ticks, FAULT_BY_ID[one.id].debounce - 1))

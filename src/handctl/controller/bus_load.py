@@ -1,4 +1,4 @@
-"""Load of each bus of a hand, under the assumption that every frame takes its longest duration."""
+"""Load of each bus of a hand, if every frame takes the longest time that it can take."""
 
 from dataclasses import dataclass, replace
 
@@ -18,10 +18,11 @@ class BusLoadRow:
 
     Attributes:
         what: name of the motor, or of the part of the sensor node, that sends the frames.
-        size: payload [bytes].
-        fd: True for CAN FD.
-        per_tick: number of frames in every tick.
-        per_second: number of frames per second whose rate does not depend on the control rate.
+        size: payload of each frame [bytes].
+        fd: True for CAN FD frames.
+        per_tick: number of these frames in every tick.
+        per_second: number of these frames per second, for frames whose rate does not depend on the
+            control rate.
         frame_s: longest duration of one frame [s].
     """
 
@@ -49,12 +50,12 @@ class BusLoad:
 
     @property
     def tick_s(self) -> float:
-        """Return the bus time that the frames of one tick take [s]."""
+        """Return the time that all frames of one tick take on the bus [s]."""
         return sum(row.per_tick * row.frame_s for row in self.rows)
 
     @property
     def timed_fraction(self) -> float:
-        """Return the fraction of the bus time that frames take whose rate does not depend on the control rate."""
+        """Return the fraction of time that is taken by frames whose rate does not depend on the control rate."""
         return sum(row.per_second * row.frame_s for row in self.rows)
 
     def load_at(self, rate_hz: float) -> float:
@@ -64,7 +65,7 @@ class BusLoad:
     def highest_rate_hz(self, load_limit: float) -> float:
         """Return the control rate [Hz] at which the bus load reaches ``load_limit``.
 
-        Return infinity if no tick has frames.
+        If no frame is sent in every tick, return infinity.
         """
         return (
             max(0.0, load_limit - self.timed_fraction) / self.tick_s
@@ -77,7 +78,7 @@ def bus_loads(hand: Hand) -> tuple[BusLoad, ...]:
     """Return the load of each bus of a hand.
 
     Raises:
-        ConfigError: a motor is set to CAN FD, but its bus has no data bit rate.
+        ConfigError: a motor is set to CAN FD, although its bus has no data bit rate.
     """
     drives = make_drives(hand)
     return tuple(_load_of_bus(hand, index, bus, drives) for index, bus in enumerate(hand.bus))
@@ -87,7 +88,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[BusLoadRow, ...]:
     """Return the rows of the bus-load table for the frames of a motor.
 
     Raises:
-        ConfigError: the motor uses CAN FD, but its bus does not.
+        ConfigError: the motor uses CAN FD, although its bus does not.
     """
     kinds = [(size, fd, 1.0, 0.0) for size, fd in drive.frames_per_tick]
     kinds += [(size, fd, 0.0, number) for size, fd, number in drive.background_frames]
@@ -109,7 +110,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[BusLoadRow, ...]:
 
 
 def sensor_rows(hand: Hand, bus: Bus) -> tuple[BusLoadRow, ...]:
-    """Return the rows of the bus-load table for the frames of the sensor node and for SYNC."""
+    """Return the rows of the bus-load table for the frames of the sensor node and for SYNC frames."""
     node = make_sensors(hand)
     if not node.ids:
         return ()
@@ -138,19 +139,21 @@ def _load_of_bus(hand: Hand, bus_index: int, bus: Bus, drives: tuple[Drive, ...]
 
 
 def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
-    """Distribute the motors over the smallest sufficient number of buses at a control rate [Hz].
+    """Distribute the motors over as few buses as possible at a control rate [Hz].
 
-    All buses get the bit rates of the first bus in the hand file. The load cells stay on the first
-    bus.
+    All buses have the bit rates of the first bus in the hand file. The load cells stay on the first
+    bus of the hand.
 
     Returns:
-        The names of the motors on each bus. The list is empty if a single motor overloads a bus.
+        The names of the motors on each bus. If a single motor already overloads a bus, the list is
+        empty.
     """
     first = hand.bus[0]
-    # The first bus also carries SYNC and the load-cell frames, so it has less capacity for motors.
+    # The first bus also carries the SYNC frame and the load-cell frames. So it has less capacity
+    # for motors.
     capacity = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).load_at(rate_hz)
-    # CiA 402 drives reply to a SYNC frame. A bus without the SYNC frame of the sensor node
-    # therefore needs another SYNC frame.
+    # A CiA 402 drive sends its reply after a SYNC frame. Therefore each bus without the sensor
+    # node's SYNC frame needs a SYNC frame of its own.
     has_sync = SYNC in make_sensors(hand).host_ids
     sync_load = rate_hz * frame_time_s(0, False, first.bitrate)
     buses = list[list[str]]([[]])
@@ -174,10 +177,10 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
 
 
 def with_more_buses(hand: Hand, rate_hz: float) -> Hand:
-    """Return a hand whose motors are distributed over as many buses as a control rate [Hz] needs.
+    """Return a hand whose motors are distributed over as many buses as a control rate [Hz] requires.
 
-    The load cells stay on the first bus. All buses get the bit rates of the first bus. If one motor
-    alone overloads a bus, the hand is returned unchanged.
+    The load cells stay on the first bus of the hand. All buses have the bit rates of the first bus.
+    If a single motor already overloads a bus, the hand is returned unchanged.
     """
     groups = split_motors_over_buses(hand, rate_hz)
     if not groups:

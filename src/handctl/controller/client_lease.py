@@ -1,9 +1,9 @@
-"""Reaction to the loss of the client that commands the hand: first the digits come to rest, then the hand relaxes.
+"""Reaction to the loss of the client that commands a hand: first the digits come to rest, later the hand relaxes.
 
-A client that hangs or dies sends no further goal. The last goal of such a client would therefore
-apply without a time limit. Therefore a client with a lease sends signs of life regularly. Commands,
-signs of life and targets enter the tick as requests, so that a log is re-executed with the same
-leases.
+A client that hangs or has been killed sends no more goals. Without a reaction, the last goal of
+this client would apply without a time limit. Therefore a client can have a lease, which it renews
+by regular signs of life. Commands, signs of life and targets reach the tick as requests. So a log
+is re-executed with the same leases.
 """
 
 from dataclasses import replace
@@ -20,9 +20,9 @@ RELAX_FACTOR = 2
 
 
 def begin_lease(state: ControllerState, request: CommandBase) -> None:
-    """Start the lease of the client that sent a command.
+    """Start the lease of the client that has sent a command.
 
-    If the command has no lease, end the present lease.
+    If the command contains no lease, end the present lease.
     """
     lease = None
     if request.lease_s is not None and not isinstance(request, LeaveRequest):
@@ -31,10 +31,10 @@ def begin_lease(state: ControllerState, request: CommandBase) -> None:
 
 
 def renew_lease(state: ControllerState, client: str) -> tuple[TickEvent, ...]:
-    """Renew the lease after a sign of life of a client.
+    """Renew the lease of a client that has sent a sign of life.
 
     Returns:
-        An event if the client had been silent for too long.
+        An event if the client had been silent for longer than its lease allows.
     """
     lease = state.decisions.lease
     if lease is None or lease.client != client:
@@ -54,7 +54,7 @@ def expire_lease(model: HandModel, state: ControllerState) -> tuple[TickEvent, .
         state: state of the tick, modified in place.
 
     Returns:
-        One event when the digits come to rest, and one when the run ends.
+        One event when the digits come to rest, and another event when the run ends.
     """
     lease = state.decisions.lease
     if lease is None:

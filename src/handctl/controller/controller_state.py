@@ -29,10 +29,11 @@ class ClientLease(NamedTuple):
 
     Attributes:
         client: client that commands the hand.
-        duration_ns: longest silence before moving digits come to rest [ns]. After twice this time
-            the hand relaxes.
-        renewed_ns: time of the last command or sign of life [ns].
-        resting: True if the controller has brought the digits to rest since ``renewed_ns``.
+        duration_ns: longest silence of the client until moving digits come to rest [ns]. If the
+            silence lasts twice as long, the hand relaxes.
+        renewed_ns: time of the client's last command or sign of life [ns].
+        resting: True if the digits have come to rest because of the silence that began at
+            ``renewed_ns``.
     """
 
     client: str
@@ -42,25 +43,26 @@ class ClientLease(NamedTuple):
 
 
 class ControllerDecisions(NamedTuple):
-    """Part of the state that is not in the state block, because only events change it.
+    """Part of the controller's state that only events change, and that is therefore not in the state block.
 
     Attributes:
-        drives: state of each drive without its values. The values of the drives are in the state
-            block. In this field, they are NaN or 0.
-        progress: progress of the program.
-        latched: latched faults.
-        reported_faults: faults that buses and host report, each with the number of consecutive
-            ticks with a report.
+        drives: state of each drive, without the numbers. The numbers of the drives are in the state
+            block. In this field, these numbers are NaN or 0.
+        progress: point that the program has reached.
+        latched: faults that stay latched until an operator clears them.
+        reported_faults: faults that buses and the host report, each with the number of consecutive
+            ticks in which it was reported.
         refusals: ticks within the last second that contained a malformed request.
-        failure: reason why the run ended early, in one line. The value is empty without a failure.
+        failure: reason why the run has ended early, in one line. The text is empty if the run has
+            not failed.
         unconfirmed: names of motors whose drives have not confirmed that they are disabled.
         gains: gains that have replaced the gains of the start of the run. None before the first
             change.
         pending: requested gains whose controller design is in progress.
-        commander: client that may send commands, see ``requests.CommandBase``. None if any
-            client may send commands.
+        commander: client that may send commands, or None if any client may, see
+            ``requests.CommandBase``.
         stream: open stream of targets.
-        lease: lease of the commanding client, None for a client without a lease.
+        lease: lease of the commanding client, or None for a client without a lease.
         amplifiers: state of each CiA 404 amplifier. The value is empty if the load cells have no
             such amplifiers.
     """
@@ -90,8 +92,8 @@ def _part_bytes(part: object) -> bytes:
     return plain_bytes(part)
 
 
-# The serialized form of each part is cached by the identity of the part, because most decisions are
-# the same objects in many ticks.
+# Most decisions are the same objects in many ticks. So the serialized form of each part is cached
+# by the identity of the object.
 _field_bytes_cache = IdentityCache[Any](plain_bytes)
 _plain_bytes_cache = IdentityCache[Any](_part_bytes)
 _drives_cache, _goals_cache, _rest_cache = (
@@ -140,7 +142,7 @@ def layout_of_state(model: HandModel, groups: int) -> BlockLayout:
 def drive_values(
     tendon: NDArray[np.float64], tendon_int: NDArray[np.int64], n: int
 ) -> tuple[float, float, float, float, int, int, RecheckCursor]:
-    """Return the values of a drive from the state block, as arguments of ``DriveState.with_values``."""
+    """Return the numbers of a drive from the state block, as arguments for ``DriveState.with_values``."""
     position, velocity, torque, temperature = tendon[s.POSITION : s.POSITION + 4, n].tolist()
     return (
         position,
@@ -156,13 +158,13 @@ def drive_values(
 class ControllerState:
     """State of the controller between ticks.
 
-    A tick works on a copy. The block of numbers is copied as a whole. The decisions are immutable,
-    so both states share them.
+    A tick works on a copy of this state. In a copy, the whole block of numbers is copied. The
+    decisions cannot be changed, so both states share the same object.
 
     Attributes:
-        layout: layout of the block.
+        layout: layout of the state block.
         block: numbers of the state, see ``core.state_block``.
-        decisions: see ``ControllerDecisions``.
+        decisions: decisions of the controller, see ``ControllerDecisions``.
         tendon: (rows, N) table of the real numbers per tendon in the block.
         tendon_int: (rows, N) table of the integers per tendon in the block.
     """
@@ -172,19 +174,20 @@ class ControllerState:
     def __init__(
         self, layout: BlockLayout, block: BlockArray, decisions: ControllerDecisions
     ) -> None:
-        """Use a block of numbers without copying it, and make views of its tables.
+        """Use a block of numbers without copying it, and create the views of its tables.
 
         Args:
-            layout: layout of the block.
+            layout: layout of the state block.
             block: numbers of the state, not copied.
-            decisions: see ``ControllerDecisions``.
+            decisions: decisions of the controller, see ``ControllerDecisions``.
         """
         self.layout = layout
         self.block = block
         self.decisions = decisions
         self.tendon: NDArray[np.float64] = layout.table(block, "tendon")
         self.tendon_int: NDArray[np.int64] = layout.table(block, "tendon_int")
-        # The table "run" has one column, so the row number of a field is its position in the table.
+        # The table "run" has a single column. So the row number of a field is also its position in
+        # the table.
         self._run = block[layout.start("run") :]
         self._run_int = block[layout.start("run_int") :].view(np.int64)
 
@@ -193,7 +196,7 @@ class ControllerState:
         return ControllerState(self.layout, self.block.copy(), self.decisions)
 
     def decide(self, **changes: Any) -> None:
-        """Replace the given fields of the decisions in this state."""
+        """Replace some fields of the decisions in this state."""
         self.decisions = self.decisions._replace(**changes)
 
     def digest(self) -> bytes:
@@ -205,7 +208,7 @@ class ControllerState:
     # Tables and single numbers of the block.
 
     def view(self, name: str) -> NDArray[Any]:
-        """Return a field of the state block by its name."""
+        """Return the table or number of the state block that has the given name."""
         return self.layout.view(self.block, name)
 
     def run_number(self, row: int) -> float:
@@ -226,7 +229,7 @@ class ControllerState:
 
     @property
     def k(self) -> int:
-        """Return the number of the last tick, -1 before the first."""
+        """Return the number of the last tick, or -1 before the first tick."""
         return self.run_integer(s.K)
 
     @property
@@ -249,9 +252,9 @@ class ControllerState:
 
     @property
     def goal_time(self) -> float:
-        """Return the time of the program [s].
+        """Return the time that has passed for the program [s].
 
-        The time stops while the safety monitor holds the hand.
+        This time stops while the safety monitor makes the hand hold its position.
         """
         return self.run_number(s.GOAL_TIME)
 
@@ -261,7 +264,7 @@ class ControllerState:
 
     @property
     def armed(self) -> bool:
-        """Return True if arming is requested."""
+        """Return True if the arming of the drives is requested."""
         return bool(self.run_integer(s.ARMING_REQUESTED))
 
     @armed.setter
@@ -270,7 +273,7 @@ class ControllerState:
 
     @property
     def clearing(self) -> bool:
-        """Return True while latched errors of the drives are being cleared, before arming."""
+        """Return True if the drives are clearing their latched errors before arming."""
         return bool(self.run_integer(s.CLEARING))
 
     @clearing.setter
@@ -298,14 +301,14 @@ class ControllerState:
 
     @property
     def sensor_counts(self) -> tuple[int, int, int]:
-        """Return three numbers of frames: SYNC sent, tension frames accepted, and answers to an older SYNC."""
+        """Return the numbers of SYNC frames sent, tension frames accepted, and answers to an earlier SYNC."""
         return (
             self.run_integer(s.SYNCS),
             self.run_integer(s.TENSION_FRAMES),
             self.run_integer(s.STALE_FRAMES),
         )
 
-    # Decisions by their names.
+    # The decisions, each by its name.
 
     @property
     def progress(self) -> ProgramProgress:
@@ -319,9 +322,9 @@ class ControllerState:
 
     @property
     def failure(self) -> str:
-        """Return the reason why the run ended early, in one line.
+        """Return the reason why the run has ended early, in one line.
 
-        The text is empty without a failure.
+        The text is empty if the run has not failed.
         """
         return self.decisions.failure
 
@@ -330,7 +333,8 @@ class ControllerState:
         """Return the names of motors whose drives have not confirmed that they are disabled."""
         return self.decisions.unconfirmed
 
-    # States of the drives: their set-up is in the decisions, and their values are in the block.
+    # States of the drives. Their set-up is in the decisions, and their numbers are in the state
+    # block.
 
     def drive(self, motor_index: int) -> DriveState:
         """Return the state of one drive."""

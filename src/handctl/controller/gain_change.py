@@ -1,9 +1,10 @@
-"""Change of gains while the controller runs: step-by-step design, and a takeover without a torque step.
+"""Change of gains while the controller runs: a design in small steps, and a switch without a jump in torque.
 
-The design of one control loop takes about a millisecond. A running controller therefore designs one
-loop per tick, and switches all loops to the new design in the same tick. When the new design takes
-over, the difference between the motor forces of old and new gains becomes an offset that fades out
-(bumpless transfer). The integrals of the loops are forces in newtons, so they need no rescaling.
+The design of one control loop takes about a millisecond. Therefore a running controller designs one
+loop in each tick. When all loops are designed, it switches all of them in the same tick. At the
+switch, the motor forces of the old and the new gains differ. This difference becomes an offset that
+fades out (bumpless transfer). The integrals of the control loops are forces in newtons. So they
+need no conversion at the switch.
 """
 
 from dataclasses import dataclass, field, replace
@@ -26,11 +27,12 @@ CACHE_SIZE = 8
 
 
 class DesignProgress(NamedTuple):
-    """Result of a design step after which the design is not complete.
+    """Result of a design step after which the design is still incomplete.
 
     Attributes:
-        pending: progress of the design. None if no stabilising gains exist for these weights.
-        events: events that report a failure of the design.
+        pending: state of the design, or None if no stabilising gains exist for the requested
+            values.
+        events: events which report that the design has failed.
     """
 
     pending: PendingGains | None
@@ -39,14 +41,14 @@ class DesignProgress(NamedTuple):
 
 @dataclass(slots=True)
 class DesignCache:
-    """Cache of controller designs, with the gains as keys.
+    """Cache of controller designs, where the gains are the keys.
 
-    If a design was dropped from the cache, it is computed again when it is needed.
+    If the cache has dropped a design, the design is computed again when it is needed.
 
     Attributes:
-        designed_pieces: control loops designed so far, for each of the last ``CACHE_SIZE``
-            requested gains.
-        controllers: controllers with complete designs.
+        designed_pieces: control loops that are designed so far, for each of the last ``CACHE_SIZE``
+            sets of requested gains.
+        controllers: controllers whose design is complete.
         used: gains of the controller that was returned last.
     """
 
@@ -57,7 +59,7 @@ class DesignCache:
     def advance(self, model: HandModel, pending: PendingGains) -> DesignProgress | None:
         """Design one more control loop for pending gains.
 
-        Return None when the design is complete.
+        When the design is complete, return None.
         """
         try:
             check_tendon_names(pending.gains, model.space.names)
@@ -71,7 +73,7 @@ class DesignCache:
         return DesignProgress(replace(pending, step=pending.step + 1))
 
     def controller(self, controller: ControllerT, gains: Gains) -> ControllerT:
-        """Return a copy of a controller with other gains, and keep the design of these gains in the cache."""
+        """Return a copy of a controller with other gains, and keep the design for these gains in the cache."""
         self.used = gains
         if gains not in self.controllers:
             old: Any = controller
@@ -88,8 +90,8 @@ class DesignCache:
         """Return at least the first ``piece_count`` control loops of a design, after designing the missing loops."""
         designed_pieces = self.designed_pieces.setdefault(gains, [])
         if len(self.designed_pieces) > CACHE_SIZE:
-            # Dictionaries keep insertion order, so the first entry is the oldest. The gains in use
-            # are kept.
+            # A dictionary keeps the order of insertion, so the first entry is the oldest one. The
+            # entry of the gains in use is kept.
             oldest = next(one for one in self.designed_pieces if one != self.used)
             self.controllers.pop(oldest, None)
             del self.designed_pieces[oldest]
@@ -107,10 +109,11 @@ def begin_design(
 
     Args:
         present: present gains.
-        values: requested values by key.
+        values: requested values, by the key of the gain.
 
     Returns:
-        The pending gains. If no design can begin, None and an event with the reason.
+        The requested gains with the state of their design. If no design can begin, None and an
+        event with the reason.
     """
     try:
         return PendingGains(with_values(present, values, "gains", live=True)), ()
@@ -119,7 +122,7 @@ def begin_design(
 
 
 def gain_change_events(old_gains: Gains, new_gains: Gains) -> tuple[TickEvent, ...]:
-    """Return one event for each changed gain, and then one event for the takeover."""
+    """Return one event for each gain that has changed, and one last event for the switch to the new gains."""
     different = different_values(old_gains, new_gains)
     changed = tuple(
         TickEvent("info", GAIN_EVENT, key, repr(value)) for key, (_, value) in different.items()

@@ -1,8 +1,8 @@
-"""State machine of the modes of the hand, from silence before the first frame to the confirmed disarm at the end.
+"""State machine for the mode of a hand, from the silence before the first frame to the confirmed disarming at the end.
 
-SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE. The mode CUT can be
-reached from every mode with torque. Each mode has one function. The function returns the next mode,
-and the reason if the run has failed.
+SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE. From every mode with
+torque, the hand can change to the mode CUT. One function belongs to each mode. This function
+returns the next mode and, if the run has failed, the reason.
 """
 
 import math
@@ -64,13 +64,13 @@ class ModeInputs(NamedTuple):
     Attributes:
         model: model of the hand.
         drives: drives of all motors.
-        elapsed: time in the present mode [s].
+        elapsed: time since the present mode began [s].
         action: reaction that the safety monitor demands.
         operator: stop and cut requests from the operator.
-        foreign: signs of a second controller. These are frames that only a host sends, and replies
-            of motors to which this host has sent no request.
-        identities: identities of the drives when the hand was calibrated, see ``Drive.identity``.
-            An unknown identity is empty.
+        foreign: signs that a second controller uses the bus. Signs are frames that only a host
+            sends, and replies of motors to which this host has sent no request.
+        identities: identities that the drives had when the hand was calibrated, see
+            ``Drive.identity``. The identity of a drive is empty if it is not known.
     """
 
     model: HandModel
@@ -88,7 +88,7 @@ class ModeInputs(NamedTuple):
 
     @property
     def no_override(self) -> bool:
-        """Return True if neither the safety monitor nor the operator determines the next mode."""
+        """Return True if the next mode is determined neither by the safety monitor nor by the operator."""
         return self.action < RELAX and not (self.foreign or self.operator.stop or self.operator.cut)
 
 
@@ -98,7 +98,7 @@ NextMode = tuple[HandMode, str]
 
 
 def drive_target(mode: HandMode) -> DriveTarget:
-    """Return the state that is requested from every drive in a mode of the hand."""
+    """Return the state into which every drive should go in a given mode of the hand."""
     return _DRIVE_TARGETS[mode]
 
 
@@ -116,9 +116,9 @@ _DRIVE_TARGETS = {
 
 
 def shutdown_frames(drives: tuple[Drive, ...], state: ControllerState) -> tuple[Frame, ...]:
-    """Return the frames that release the drives at the end of a run.
+    """Return the frames that make the drives free for other programs at the end of a run.
 
-    After a failure, the function returns no frames, and the drives stay as they are.
+    If the run has failed, there are no such frames, and the drives stay as they are.
     """
     if state.mode != HandMode.DONE or state.failure:
         return ()
@@ -139,7 +139,7 @@ def next_mode(
     time_s: float,
     identities: tuple[str, ...] = (),
 ) -> tuple[TickEvent, ...]:
-    """Determine the next mode and write it into the state.
+    """Determine the next mode of the hand, and write it into the state.
 
     Args:
         model: model of the hand.
@@ -147,7 +147,7 @@ def next_mode(
         state: state with the drive and filter values of the tick, modified in place.
         action: reaction that the safety monitor demands.
         operator: stop and cut requests from the operator.
-        other_host_frames: texts that describe signs of a second controller.
+        other_host_frames: texts that describe signs of a second controller on the bus.
         time_s: time of the tick [s].
         identities: identities of the drives in the calibration. May be empty.
 
@@ -166,14 +166,14 @@ def next_mode(
         return ()
     failure = failure or (
         "" if state.failure else _latched_faults(state)
-    )  # this includes a fault during the move home
+    )  # this also applies to a fault during the move to the home position
     names = inputs.names
     level = "error" if failure else "info"
     unconfirmed = _motors_possibly_on(model, state, names) if mode == HandMode.DONE else ()
     text = f"{before.name} -> {mode.name}" + (f": {failure}" if failure else "")
     if (
         unconfirmed and REMOVE_POWER not in text
-    ):  # the operator who has stopped the run reads only this line
+    ):  # an operator who has stopped the run reads only this line
         text += f"; {REMOVE_POWER}: not confirmed disabled: {', '.join(unconfirmed)}"
     reason = (
         f"{state.failure}; {failure}" if state.failure and unconfirmed else state.failure or failure
@@ -223,7 +223,7 @@ In ARMING no tension has been commanded and no further drive may be enabled, so 
 def _latched_faults(state: ControllerState) -> str:
     """Return the latched faults as text, for the reason of a failure.
 
-    The text is empty without faults.
+    The text is empty if no fault is latched.
     """
     if not state.latched:
         return ""
@@ -271,7 +271,7 @@ def _after_inventory(state: ControllerState, inputs: ModeInputs) -> NextMode:
 
 
 def _wrong_amplifiers(state: ControllerState) -> list[str]:
-    """Return the amplifiers whose set-up has failed, each with the reason."""
+    """Return the names of the amplifiers whose set-up has failed, each with the reason."""
     return [
         f"{one.name}: {one.error_text}"
         for one in state.decisions.amplifiers
@@ -280,7 +280,7 @@ def _wrong_amplifiers(state: ControllerState) -> list[str]:
 
 
 def _silent_sensors(state: ControllerState) -> list[str]:
-    """Return the names of silent sensors: each amplifier whose set-up is not complete.
+    """Return the name of each amplifier whose set-up is not complete.
 
     If there is none, one name stands for all sensors.
     """
@@ -291,9 +291,9 @@ def _silent_sensors(state: ControllerState) -> list[str]:
 
 
 def _missing_inputs(state: ControllerState, inputs: ModeInputs) -> list[str]:
-    """Return the motors whose drives are ready but have sent no position.
+    """Return the motors whose drives are ready but have not sent a position yet.
 
-    The tension filter needs the position.
+    The tension filter needs the position of every motor.
     """
     drives = _named_drives(state, inputs)
     blind = [
@@ -318,11 +318,11 @@ def _after_ready(state: ControllerState, inputs: ModeInputs) -> NextMode:
 
 
 def _other_drives(state: ControllerState, inputs: ModeInputs) -> str:
-    """Return the drives whose identity differs from the calibration.
+    """Return the drives whose identity differs from the identity in the calibration.
 
     Returns:
-        The result has one phrase per drive. The value is empty if all are equal or the calibration
-        has no identities.
+        The result has one phrase per drive. The text is empty if all identities are equal, or if
+        the calibration contains none.
     """
     there = [
         drive.identity(drive_state)
@@ -351,8 +351,8 @@ def _after_active(state: ControllerState, inputs: ModeInputs) -> NextMode:
 
 
 def _after_relax(state: ControllerState, inputs: ModeInputs) -> NextMode:
-    # A load cell may read too little. The commanded forces must therefore also have fallen before
-    # the torque is removed.
+    # A load cell may read less than the true tension. Therefore the torque is removed only when the
+    # commanded forces have also fallen.
     relaxed = are_tensions_relaxed(inputs.model, state) and are_commands_relaxed(
         inputs.model, state
     )
@@ -365,7 +365,7 @@ def _after_disarm(state: ControllerState, inputs: ModeInputs) -> NextMode:
         return HandMode.DONE, f"{REMOVE_POWER}: still pulling after the cut: {', '.join(pulling)}"
     enabled = motors_not_confirmed_off(state, inputs.names)
     if not enabled:
-        # A drive may report that it is disabled, and nevertheless pull.
+        # A drive may report that it is disabled although its motor still pulls.
         ticks_without_torque = state.run_integer(s.CUT_TICKS) - RELEASE_CHECK_TICKS
         checked = ticks_without_torque * inputs.model.period >= STILL_PULLING_S
         return (HandMode.DONE if checked else HandMode.DISARM), ""
@@ -400,11 +400,11 @@ def _named_drives(state: ControllerState, inputs: ModeInputs) -> Iterator[tuple[
 
 
 def motors_not_confirmed_off(state: ControllerState, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of motors that may still be enabled, because their drives have confirmed nothing else.
+    """Return the names of motors that may still be enabled, because their drives have not confirmed otherwise.
 
-    Before arming, handctl has enabled no motor, so a drive without a confirmation does not count.
-    After the end of a run, a drive counts only if it had not confirmed at the end. A drive that
-    reports the state enabled always counts.
+    Before arming, handctl has not enabled any motor. So a drive without a confirmation is not
+    listed. After the end of a run, a drive is listed only if it had not confirmed at the end of the
+    run. A drive which reports that it is enabled is always listed.
     """
     in_doubt = names
     if state.mode in BEFORE_ARMING:
@@ -435,9 +435,9 @@ def _pulling_motors(
 def _motors_possibly_on(
     model: HandModel, state: ControllerState, names: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the names of motors that may make torque at the end of a run.
+    """Return the names of motors that may still make torque at the end of a run.
 
-    If the run ends before arming, a tendon may have tension although its motor makes no torque.
+    If the run ends before arming, a tendon may have tension although the motor makes no torque.
     """
     pulling = () if state.mode in BEFORE_ARMING else _pulling_motors(model, state, names)
     return tuple(dict.fromkeys((*motors_not_confirmed_off(state, names), *pulling)))

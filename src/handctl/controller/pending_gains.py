@@ -7,7 +7,7 @@ from handctl.core.gains.gains import Gains
 
 @dataclass(frozen=True, slots=True)
 class PendingGains:
-    """Requested gains with the progress of their design.
+    """Requested gains, with the state of the design.
 
     Attributes:
         gains: all gains of the hand, including the requested changes.

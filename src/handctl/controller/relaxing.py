@@ -1,18 +1,18 @@
-"""Relaxing of the hand: lower every tension to the floor, without increasing any motor command.
+"""Relaxing of the hand: lower every tension to the floor, and increase no motor command.
 
-The tension loop itself may be the cause of the fault (crossed feedback, late motor replies, a wrong
-encoder). Therefore an envelope bounds the motor force of each tendon. No measurement can raise the
-envelope:
+The tension loop itself may be the cause of the fault, for example with crossed feedback, late motor
+replies or a wrong encoder. Therefore an upper bound, called the envelope, limits the motor force of
+each tendon. No measurement can raise this envelope:
 
     e[k] = max(min(u[k-1], floor), u[k-1] - rate T)      0 <= u[k] <= e[k]
 
-where u is the commanded motor force at the tendon [N], and T is the control period. For a spool
-pair, u is the absolute value of the force, and the direction of the force does not change. The
-envelope begins at the last command, or at the present tension if the tension is smaller. If a load
-cell may be wrong, the envelope of a tendon in the tension loop begins at the setpoint instead of
-the tension. The tension loop may command less than the envelope, but not more. After a fault of the
-tension loop (``RelaxMethod.OPEN_LOOP``), the command u[k] equals e[k]. If a motor brakes when
-relaxing begins, its command goes to zero.
+Here, u is the commanded motor force at the tendon [N], and T is the control period. For a spool
+pair, u is the absolute value of the force, and the force keeps its direction. The envelope begins
+at the last motor command, or at the present tension if the tension is smaller. If the load cell of
+a tendon in the tension loop may be wrong, the envelope begins at the setpoint and not at the
+tension. The tension loop may command less force than the envelope, but not more. After a fault of
+the tension loop (``RelaxMethod.OPEN_LOOP``), the command u[k] equals e[k]. If a motor is braking
+when the relaxing begins, its command goes to zero.
 """
 
 from dataclasses import replace
@@ -53,11 +53,12 @@ def begin_relaxing(model: HandModel, state: ControllerState) -> None:
     in_tension_loop = np.array(
         [state.progress.goals[d].kind == GoalKind.TENSION for d in model.digit_of]
     )
-    # A spool pair may pull in both directions. All values are in the direction of the last command.
+    # A spool pair may pull in either direction. So all values are given in the direction of the
+    # last command.
     sign = np.where(model.is_pair & (table[s.COMMANDED_FORCE] < 0.0), -1.0, 1.0)
     present = np.maximum(sign * table[s.TENSION], model.relaxed) + SETPOINT_MARGIN_N
     setpoint = sign * table[s.SETPOINT]
-    # A digit with a position goal has no tension setpoint.
+    # A digit that follows a position goal has no tension setpoint.
     setpoint = np.where(in_tension_loop, np.minimum(setpoint, present), setpoint)
     start = np.minimum(setpoint, np.maximum(sign * table[s.FILTER_FORCE], 0.0) + START_MARGIN_N)
     goals = tuple(
@@ -70,11 +71,12 @@ def begin_relaxing(model: HandModel, state: ControllerState) -> None:
     )
     state.decide(progress=replace(state.progress, goals=goals))
     table[s.SETPOINT] = sign * start
-    # COMMANDED_FORCE is the commanded motor force, from which the envelope starts in the next tick.
+    # COMMANDED_FORCE is the commanded motor force. The envelope starts from this force in the next
+    # tick.
     explained = present
     if any(FAULT_BY_ID[mark.id].makes_tension_unreliable for mark in state.latched):
-        # If the load cell may be wrong, the true tension may be as large as the setpoint. A digit
-        # with a position goal has no tension setpoint.
+        # If the load cell may be wrong, the true tension may be as large as the tension setpoint. A
+        # digit that follows a position goal has no tension setpoint.
         explained = np.where(in_tension_loop, np.maximum(present, start), present)
     table[s.COMMANDED_FORCE] = _envelope_start(model, state, sign, explained)
     whole[s.GOAL_KIND] = int(GoalKind.TENSION)
@@ -88,24 +90,24 @@ def _relaxed_goal(model: HandModel, start: Vector) -> Vector:
 def _envelope_start(
     model: HandModel, state: ControllerState, sign: Vector, explained_force: Vector
 ) -> Vector:
-    """Return the motor forces (N,) at which the envelopes start [N]: the last commands, or smaller forces.
+    """Return the motor forces (N,) at which the envelopes start [N]: the last commands or smaller forces.
 
-    An unstable loop may have commanded 100 N for a tendon with a tension of 10 N. The envelope then
-    begins at the present tension plus the friction of the motor.
+    An unstable control loop may have commanded 100 N for a tendon whose tension is 10 N. In this
+    case, the envelope starts at the present tension plus the friction of the motor.
 
     Args:
         model: model of the hand.
-        state: state at the start of relaxing.
+        state: state when relaxing starts.
         sign: (N,) direction of the commanded force.
-        explained_force: (N,) largest tension in this direction that the measurement or the setpoint
-            explains [N].
+        explained_force: (N,) largest tension in this direction that agrees with the measurement or
+            the setpoint [N].
     """
     commanded = np.nan_to_num(state.tendon[s.COMMANDED_FORCE], nan=0.0)
     return sign * np.minimum(sign * commanded, explained_force + model.space.coulomb)
 
 
 def are_commands_relaxed(model: HandModel, state: ControllerState) -> bool:
-    """Return True if every motor command is close to the tension of a relaxed tendon, or below this tension."""
+    """Return True if every motor command is at most slightly above the tension of a relaxed tendon."""
     return not np.any(
         _force_sizes(model, state.tendon[s.COMMANDED_FORCE]) > model.relaxed + RELAXED_WITHIN_N
     )
@@ -119,9 +121,9 @@ def are_tensions_relaxed(model: HandModel, state: ControllerState) -> bool:
 
 
 def _force_sizes(model: HandModel, values: Vector) -> Vector:
-    """Return the magnitudes (N,) of forces or tensions [N].
+    """Return the absolute values (N,) of forces or tensions [N].
 
-    Only the forces of spool pairs can be negative.
+    A force can be negative only at a spool pair.
     """
     return np.where(model.is_pair, np.abs(values), values)
 
@@ -135,7 +137,7 @@ def update_relax_rate(state: ControllerState) -> None:
 
 
 def present_relax_rate(state: ControllerState) -> float:
-    """Return the rate at which the envelope of the motor forces falls [N/s]."""
+    """Return the rate at which the envelope, the upper bound of the motor forces, falls [N/s]."""
     return (
         OVER_TENSION_RATE_N_PER_S
         if RelaxMethod.FAST_LOOP in _release_methods(state)
@@ -144,10 +146,10 @@ def present_relax_rate(state: ControllerState) -> float:
 
 
 def is_open_loop(state: ControllerState) -> bool:
-    """Return True if the envelope is commanded directly, without measurements."""
+    """Return True if the motors are commanded with the envelope itself, without measurements."""
     return RelaxMethod.OPEN_LOOP in _release_methods(state)
 
 
 def _release_methods(state: ControllerState) -> set[RelaxMethod]:
-    """Return the methods of relaxing that the latched faults demand."""
+    """Return the methods of relaxing that the reactions to the latched faults require."""
     return {FAULT_BY_ID[mark.id].relax_method for mark in state.latched}

@@ -1,6 +1,6 @@
-"""Construction of a controller from plain data.
+"""Construction of a controller from plain data, such as numbers and texts.
 
-A log contains these data, so the same controller can be constructed again.
+A log contains these data. So the same controller can be constructed again from a log.
 """
 
 from collections.abc import Iterable
@@ -47,20 +47,20 @@ SETUP_ATTACHMENT = "setup.json"
 
 
 class TaskSetup(Document):
-    """Setup of a program that executes a task file."""
+    """Set-up of a program that executes a task file."""
 
     program: Literal["task"] = "task"
     task: Task
 
 
 class LiveSetup(Document):
-    """Setup of a program that waits for requests."""
+    """Set-up of a program that waits for requests."""
 
     program: Literal["live"] = "live"
 
 
 class JogSetup(Document):
-    """Setup of a program that pursues a single goal for a given duration."""
+    """Set-up of a program that pursues a single goal for a given time."""
 
     program: Literal["jog"] = "jog"
     request: Annotated[MoveDigits | HoldTension, Field(discriminator="do")]
@@ -68,15 +68,15 @@ class JogSetup(Document):
 
 
 class CommissionSetup(Document):
-    """Setup of the program that commissions the hand."""
+    """Set-up of the program that commissions the hand."""
 
     program: Literal["commission"] = "commission"
 
 
 class PlaybackSetup(Document):
-    """Setup of a program that repeats a recorded run.
+    """Set-up of a program that repeats a recorded run.
 
-    ``rows`` is the recording as text, see ``RecordedGoals.to_text``.
+    The field ``rows`` contains the recording as text, see ``RecordedGoals.to_text``.
     """
 
     program: Literal["playback"] = "playback"
@@ -105,9 +105,9 @@ ProgramSetup = Annotated[AnySetup, Field(discriminator="program")]
 
 
 class RunSetup(Document):
-    """Data from which a controller is constructed, in addition to the hand and the gains.
+    """Data from which a controller is constructed, together with the hand and the gains.
 
-    Floats are stored without rounding.
+    Floating-point numbers are stored without rounding.
     """
 
     schema_: int = Field(1, alias="schema", ge=1, le=1)
@@ -132,7 +132,7 @@ class RunSetup(Document):
 
     @staticmethod
     def from_controller(controller: Controller, rate_hz: float) -> "RunSetup":
-        """Return the setup of a controller with control rate ``rate_hz`` [Hz]."""
+        """Return the set-up of a controller with the control rate ``rate_hz`` [Hz]."""
         return RunSetup(
             rate_hz=rate_hz,
             arm_at_once=controller.arm_at_once,
@@ -149,7 +149,10 @@ class RunSetup(Document):
         )
 
     def controller(self, hand: Hand, gains: Gains) -> Controller:
-        """Construct the controller that the setup describes, including the design of all gains."""
+        """Construct the controller that this set-up describes.
+
+        The construction includes the design of all gains.
+        """
         identified = parse_toml(self.identified_hand, SETUP_ATTACHMENT)
         known = hand_from_content(identified, SETUP_ATTACHMENT) if identified else hand
         model = HandModel.from_hand(
@@ -172,32 +175,34 @@ class RunSetup(Document):
 
 
 def unverified_protections(drives: Iterable[Drive]) -> tuple[str, ...]:
-    """Return one line for each protection setting of a drive that the host cannot read back."""
+    """Return one line for each protective setting of a drive that the host cannot read back."""
     return tuple(
         f"{drive.name}: {text}" for drive in drives for text in drive.unverified_protections
     )
 
 
 def caution_lines(drives: Iterable[Drive]) -> tuple[str, ...]:
-    """Return the lines of ``unverified_protections``. Drives with the same text share one line.
+    """Return the lines of ``unverified_protections`` in a shorter form.
 
-    The lines about the watchdog come first. A drive without a watchdog keeps its torque when the
-    host dies.
+    Drives with the same text are named in one line.
+
+    The lines about the watchdog come first. A drive without a watchdog keeps its torque if the host
+    fails.
     """
     named = [(drive.name, text) for drive in drives for text in drive.unverified_protections]
     return lines_by_text(sorted(named, key=lambda one: not one[1].startswith("watchdog")))
 
 
 def make_drives(hand: Hand) -> tuple[Drive, ...]:
-    """Return the drive of each tendon, in the order of the tendons.
+    """Return the drive that pulls each tendon, in the order of the tendons.
 
     A CiA 402 drive replies to a SYNC frame, and supervises the heartbeat of the host. The host
-    sends the heartbeat after the command of one drive on each bus. On a bus without another SYNC
+    sends the heartbeat after the command of one drive on each bus. If a bus has no other SYNC
     frame, the host also sends SYNC after this command.
 
     Raises:
-        ConfigError: a drive does not have an option in the hand file, or two nodes share an
-            identifier.
+        ConfigError: the drive does not support an option in the hand file, or two nodes use the
+            same identifier.
     """
     buses = hand.bus_names
     motors = [hand.motor_of(name) for name in hand.tendon_names]
@@ -212,7 +217,7 @@ def make_drives(hand: Hand) -> tuple[Drive, ...]:
 
 
 def _check_position_loop(motor: Motor, drive: Drive) -> None:
-    """Check that the commands of a motor's drive can carry a position loop and its gains.
+    """Check that the commands of a motor's drive can contain a position setpoint and the gains of a position loop.
 
     Raises:
         ConfigError: the commands cannot carry a position loop.
@@ -239,12 +244,12 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
 def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
     """Return the drives, and let one CiA 402 drive per bus make the host send SYNC and its heartbeat.
 
-    All CiA 402 drives on a bus receive the same heartbeat and the same SYNC. The last of these
-    drives is chosen, so that the SYNC frame comes after all commands. The host sends the heartbeat
-    at the shortest period that a drive of the bus needs.
+    All CiA 402 drives on a bus receive the same heartbeat and the same SYNC frames. The last of
+    these drives is chosen, so that the SYNC frame comes after all commands. The host sends the
+    heartbeat at the shortest period that a drive of the bus needs.
 
-    A bus already has SYNC frames if the sensor node uses the identifier 0x080, or if a drive has
-    the option ``sync`` in the hand file.
+    A bus already has SYNC frames if the sensor node uses the identifier 0x080, or if the hand file
+    sets the option ``sync`` for a drive.
     """
     completed = list(drives)
     of_bus = dict[int, dict[int, Cia402Drive]]()
@@ -268,7 +273,7 @@ def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tu
 
 
 def make_sensors(hand: Hand) -> SensorInterface:
-    """Return the drivers of the hand's load cells and joint encoders."""
+    """Return the protocol drivers of the hand's load cells and joint encoders."""
     node = hand.sensor_node
     bus = hand.bus_names.index(node.bus)
     if node.is_cia404:
@@ -285,12 +290,12 @@ def make_controller(
     calibration: Calibration | None,
     arm_at_once: bool,
 ) -> Controller:
-    """Construct a controller, including the design of the gains.
+    """Construct a controller. The construction includes the design of the gains.
 
     Without a calibration, all tares and motor zeros are 0.
 
     Identified parameters in the calibration replace the values of the hand file. The drives and the
-    limits are always those of the hand file.
+    limits always come from the hand file.
     """
     n = len(hand.tendon)
     tare = calibration.tare(hand) if calibration else np.zeros(n)
@@ -310,7 +315,7 @@ def make_controller(
 
 
 def _setup_of_program(program: Program) -> AnySetup:
-    """Return the setup from which a program can be constructed again."""
+    """Return the set-up from which a program can be constructed again."""
     match program:
         case TaskProgram(task):
             return TaskSetup(task=task)
@@ -330,7 +335,7 @@ def _setup_of_program(program: Program) -> AnySetup:
 
 
 def _program_of_setup(setup: AnySetup, hand: Hand) -> Program:
-    """Return the program that a setup describes."""
+    """Return the program that a set-up describes."""
     match setup:
         case TaskSetup():
             return TaskProgram(setup.task)

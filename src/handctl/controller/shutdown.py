@@ -33,7 +33,7 @@ def shutdown_step(
     The host continues to send SYNC frames, because some drives reply to them.
 
     Args:
-        controller: controller with the drives.
+        controller: controller whose drives are disabled.
         state: state of the last complete tick, or of the last shutdown step.
         t_ns: time of the step [ns].
         received: frames received since the last step.
@@ -48,8 +48,7 @@ def shutdown_step(
         drive_state = after.drive(n)
         for frame in received:
             drive_state = drive.receive(drive_state, frame)
-        # The function repeats the disable command until it is confirmed, because a frame may be
-        # lost.
+        # A frame may be lost. So the disable command is repeated until it is confirmed.
         drive_state, new_frames = drive.advance(drive_state, t_ns, DriveTarget.DISABLE, 0.0)
         controller.store_drive_state(after, n, drive_state)
         frames += new_frames

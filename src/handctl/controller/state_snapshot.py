@@ -1,7 +1,7 @@
-"""Conversion of the controller's state to bytes and back, so that a log can be executed again from the middle.
+"""Conversion of the controller's state to bytes and back, so that a log can be re-executed from its middle.
 
-A snapshot consists of the identity of the layout (8 bytes), the state block, and the decisions as
-JSON. Only code with the same schema of the state block can read a snapshot.
+A snapshot consists of the identity of the state block's layout (8 bytes), the state block, and the
+decisions as JSON. Only code whose state block has the same schema can read the snapshot.
 """
 
 import json
@@ -54,13 +54,13 @@ IDENTITY_BYTES = 8
 
 
 def snapshot_bytes(state: ControllerState) -> bytes:
-    """Return the snapshot of a state as bytes."""
+    """Return the snapshot of a controller's state as bytes."""
     decisions = json.dumps(to_plain(state.decisions), separators=(",", ":"), default=_mark_bytes)
     return state.layout.identity + state.block.tobytes() + decisions.encode()
 
 
 def _mark_bytes(value: object) -> tuple[str, str]:
-    """Return bytes as a hexadecimal text with a mark, because JSON has no bytes."""
+    """Return bytes as a hexadecimal text with a mark, because JSON has no type for bytes."""
     assert isinstance(value, bytes)
     return BYTES_MARK, value.hex()
 
@@ -69,13 +69,13 @@ def restore_state(layout: BlockLayout, data: bytes) -> ControllerState:
     """Return the state stored in a snapshot.
 
     Args:
-        layout: layout of the state block of the controller that wrote the snapshot.
+        layout: layout of the state block of the controller that has written the snapshot.
         data: bytes of the snapshot.
 
     Raises:
-        ValueError: the data are not a snapshot of such a controller.
+        ValueError: the data are not a snapshot of a controller with this layout.
     """
-    # The state block consists of 8-byte numbers.
+    # All numbers of the state block have 8 bytes.
     end = IDENTITY_BYTES + 8 * layout.size
     if data[:IDENTITY_BYTES] != layout.identity or len(data) < end:
         raise ValueError(f"a snapshot of {len(data)} bytes of another schema or hand")

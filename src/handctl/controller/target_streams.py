@@ -1,4 +1,4 @@
-"""Application of a stream of targets to the controller's state: open it, apply each target, close it."""
+"""Streams of targets in the controller's state: open a stream, apply each of its targets, close it."""
 
 import math
 
@@ -41,7 +41,7 @@ Setpoints also keep this margin below the largest tension, because the tension m
 
 
 def present_references(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
-    """Return the present motion reference of each digit, (3, n): position, rate, and acceleration."""
+    """Return the present motion reference of each digit, (3, n): position, rate and acceleration."""
     rows = state.layout.table(state.block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3]
     return tuple(rows[:, places] for places in model.digit_coordinates)
 
@@ -54,7 +54,7 @@ def present_setpoints(model: HandModel, state: ControllerState) -> tuple[Vector,
 def open_stream(model: HandModel, state: ControllerState, request: OpenStream) -> TickEvent:
     """Open a stream.
 
-    Until the first target, the digits of the stream keep their present reference.
+    Until the first target arrives, the digits of the stream keep their present reference.
     """
     stream = plan_of_request(model, request)
     if isinstance(stream, str):
@@ -82,12 +82,12 @@ def open_stream(model: HandModel, state: ControllerState, request: OpenStream) -
 
 
 def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int, ...]) -> None:
-    """Start a stream of joint angles at the present reference of its digits."""
+    """Start a stream of joint angles at the present motion reference of its digits."""
     rows = state.layout.table(state.block, "coordinate")
     reference = present_references(model, state)
     for d in digits:
         if state.progress.goals[d].kind != GoalKind.MOTION:
-            # If a digit has no reference, its motion starts at rest at the present angles.
+            # If a digit has no reference, its motion starts at rest from the present angles.
             reference[d][0] = coordinates_by_excursion(model.digits[d], state.estimate)
             reference[d][1:] = 0.0
     rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.reach)
@@ -109,7 +109,7 @@ def close_stream(model: HandModel, state: ControllerState) -> None:
 def bring_to_rest(
     model: HandModel, state: ControllerState, only_streamed: bool = False
 ) -> ProgramProgress:
-    """Return the progress of the program with new goals that bring moving digits to rest."""
+    """Return the progress of the program with new goals, by which moving digits come to rest."""
     reach = tuple(digit.reach for digit in model.digits)
     setpoints = present_setpoints(model, state)
     return progress_at_rest(
@@ -130,12 +130,12 @@ def apply_target(
     Args:
         model: model of the hand.
         state: state of the tick, modified in place.
-        target: parsed target. None if the target is malformed.
+        target: parsed target, or None if the target has a wrong form.
         t_ns: time of the tick [ns].
 
     Returns:
-        An event for the first target of a stream that is clipped, ignored or refused. The state
-        counts all clipped, ignored and refused targets.
+        An event when a stream's first clipped, ignored or refused target occurs. Later targets of
+        this kind are only counted in the state.
     """
     stream = state.decisions.stream
     if (
@@ -143,7 +143,7 @@ def apply_target(
         or state.mode != HandMode.ACTIVE
         or (target is not None and target.stream != stream.name)
     ):
-        return ()  # the target belongs to a stream that has ended, or to another client
+        return ()  # the target belongs to another client, or to a stream that has ended
     if target is None or not is_plausible(stream, target.values):
         right = f"{len(stream.names)} finite numbers of {TARGET_UNIT_BY_SPACE[stream.space]}"
         return _count_target(
@@ -151,7 +151,7 @@ def apply_target(
         )
     sent_ns = min(target.sent_ns, t_ns)
     running = state.run_integer(s.STREAMING) == s.RUNNING_STREAM
-    # If several targets arrive in one tick, each of them may have the time of the tick.
+    # If several targets arrive in one tick, the time of the tick may be assigned to each of them.
     overtaken = target.number <= state.run_integer(
         s.STREAM_SEQUENCE
     ) or sent_ns < state.run_integer(s.STREAM_SENT_NS)
@@ -185,9 +185,9 @@ def _begin_ramp(
     sent_ns: int,
     t_ns: int,
 ) -> bool:
-    """Begin a ramp from the present tension setpoints to a target.
+    """Begin a linear change from the present tension setpoints to the values of a target.
 
-    Returns True if the target was clipped.
+    Return True if the values were clipped.
 
     Arguments: see ``_begin_segment``.
     """
@@ -218,9 +218,9 @@ def _begin_segment(
     sent_ns: int,
     t_ns: int,
 ) -> bool:
-    """Begin the motion from the present reference to a target.
+    """Begin the motion from the present reference to the values of a target.
 
-    Returns True if the target was clipped.
+    Return True if the values were clipped.
 
     Args:
         model: model of the hand.
@@ -240,8 +240,8 @@ def _begin_segment(
             digit = model.digits[d]
             places = model.digit_coordinates[d]
             held[places] = nearest_holdable_posture(digit, held[places], model.floor[digit.tendons])
-    # The segment of motion starts at the reference of the last tick, so the reference already moves
-    # in this tick.
+    # The motion starts at the reference of the last tick. So the reference already moves in this
+    # tick.
     since = t_ns / 1e9 - model.period * (1 + state.run_integer(s.MISSED_TICKS))
     duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
     apart = (sent_ns - state.run_integer(s.STREAM_SENT_NS)) / 1e9
@@ -249,8 +249,8 @@ def _begin_segment(
         state.run_integer(s.STREAMING) == s.RUNNING_STREAM
         and apart <= MAX_TARGET_GAP_PERIODS * stream.period
     )
-    # Two targets that arrive together do not show the rate of the stream. The time between them
-    # therefore counts as at least half a period.
+    # The time between two targets that arrive together says nothing about the rate of the stream.
+    # Therefore this time counts as at least half a period of the stream.
     apart = max(apart, 0.5 * stream.period) if steady else math.inf
     return begin_segments(
         state.block, state.layout.places, aim, held, since, duration, apart,
@@ -261,9 +261,9 @@ def _begin_segment(
 def _count_target(
     state: ControllerState, counter_row: int, event_text: str = ""
 ) -> tuple[TickEvent, ...]:
-    """Count a target in one counter of the state.
+    """Add one to a counter of targets in the state.
 
-    For the first such target of a stream, return an event with the text.
+    If this is the first such target of the stream, return an event with the given text.
     """
     count = state.run_integer(counter_row) + 1
     state.set_run_integer(counter_row, count)

@@ -18,16 +18,16 @@ STATE_FIELD_OF = {
 
 
 class TelemetryGatherer:
-    """Function object that copies the telemetry of a hand from the state block."""
+    """Callable object that copies the telemetry of a hand from the state block."""
 
     def __init__(self, layout: BlockLayout) -> None:
-        """Compute the index of each telemetry number in the state block.
+        """Compute the place of each telemetry number in the state block.
 
         Args:
             layout: layout of the state block.
         """
-        # In this block, each element is its own index. The view of a field therefore contains the
-        # indices of the field.
+        # In this block, the value of each element is the index of the element. So the view of a
+        # field contains the indices of the field's elements.
         numbered = np.arange(layout.size, dtype=np.float64)
         parts = [layout.view(numbered, STATE_FIELD_OF.get(name, name)) for name in TELEMETRY_FIELDS]
         ends = np.cumsum([0, *map(len, parts)]).tolist()

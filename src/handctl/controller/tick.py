@@ -1,10 +1,11 @@
-"""One tick of the controller, as a pure function from received frames to frames to send.
+"""One tick of the controller, as a pure function: from the received frames to the frames to send.
 
-``TickIn`` contains all inputs, so that a logged tick can be executed again. The loop calls the
-four steps of a tick one by one: ``begin`` processes the received frames, ``decide`` applies requests
-and chooses the goals, ``command`` turns streamed targets and goals into frames, ``conclude``
-completes the output. In this way the loop reads requests and streamed targets as late as possible,
-and sends the commands as early as possible. The function ``tick`` executes all four steps.
+A ``TickIn`` contains all inputs of a tick, so that a tick from a log can be executed again. The
+control loop calls the four steps of a tick one by one. The step ``begin`` processes the received
+frames, ``decide`` applies requests and chooses the goals, ``command`` turns streamed targets and
+goals into frames, and ``conclude`` completes the output. So the loop can read requests and streamed
+targets as late as possible, and send the commands as early as possible. The function ``tick``
+executes all four steps.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact
@@ -13,8 +14,9 @@ decide    requests, safety, mode, program -> goals
 command   streamed targets, goals -> tension -> motor torque
 encode    motor torque -> frames
 
-Compiled stages (``core.tick_stages``) compute the numbers in the state block. ``tick`` makes the
-decisions and calls the stages in order. A tick works on a copy of the state.
+Compiled functions (``core.tick_stages``) compute the numbers in the state block. The function
+``tick`` makes the decisions, and calls the compiled functions in order. A tick works on a copy of
+the controller's state.
 """
 
 from dataclasses import dataclass, field, replace
@@ -85,7 +87,7 @@ SILENT = HandMode.SILENT
 
 @dataclass(frozen=True, slots=True)
 class DerivedConstants:
-    """Constants of a run that follow from the configuration of its controller.
+    """Constants of a run that follow from the configuration of the controller.
 
     Attributes:
         limits: thresholds of the safety monitor for the hand.
@@ -94,10 +96,10 @@ class DerivedConstants:
         constant_args: block and places of ``constants``, the arguments of compiled functions.
         wire: signal tables of the drives' cyclic frames.
         gather: function that copies the telemetry from the state block.
-        owners: index of the drive that owns an identifier, by bus and identifier.
+        owners: index of the drive to which an identifier belongs, by bus and identifier.
         amplifier_of: index of the CiA 404 amplifier, by bus and identifier.
-        sends_sync: True if the sensor node needs SYNC. On a bus without this SYNC frame, the host
-            sends SYNC after the command of a CiA 402 drive.
+        sends_sync: True if the sensor node needs SYNC frames. On a bus without such SYNC frames,
+            the host sends SYNC after the command of a CiA 402 drive.
         sync_row: SYNC frame of the sensor node as a record.
     """
 
@@ -125,7 +127,7 @@ class DerivedConstants:
         limits: SafetyLimits,
         constants: HandConstants,
     ) -> "DerivedConstants":
-        """Return the constants for a hand, its drives and sensors, and its thresholds."""
+        """Return the constants for a hand, the drives and sensors of the hand, and the safety thresholds."""
         layout = layout_of_state(model, len(sensors.ids))
         closes_position_loop = constants.layout.view(constants.block, "servo").astype(bool).tolist()
         return DerivedConstants(
@@ -152,20 +154,23 @@ class DerivedConstants:
 
 @dataclass(frozen=True, slots=True)
 class Controller:
-    """Constants of a run. ``tick`` is a pure function of controller, state, and ``TickIn``.
+    """Constants of a run, from which ``tick`` computes each new state.
+
+    ``tick`` is a pure function of the controller, the state, and a ``TickIn``.
 
     Attributes:
         model: model of the hand, with gains and their designs.
         drives: the motor of each tendon, in the order of the tendons.
-        sensors: the sensor node.
+        sensors: sensor node of the hand.
         program: program that sets the goals of the digits.
-        tare: (N,) load-cell tare [N].
-        zero: (N,) motor zero [rad].
-        arm_at_once: True to arm the hand as soon as every node has replied, without a request.
-        identities: identities of the drives in the calibration. It is empty if they are unknown.
-        other_limits: thresholds of the safety monitor that replace those of the hand. If it is
-            None, those of the hand apply.
-        designs: cache of the designs for gains set during a run.
+        tare: (N,) tare of each load cell [N].
+        zero: (N,) zero angle of each motor [rad].
+        arm_at_once: True to arm the hand without a request, as soon as every node has replied.
+        identities: identities of the drives in the calibration, or an empty tuple if they are
+            unknown.
+        other_limits: thresholds of the safety monitor that replace the thresholds of the hand. If
+            it is None, the thresholds of the hand apply.
+        designs: cache of the controller designs for gains that are set during a run.
         similar: constants of a controller that differs from this one only in its gains. If it is
             None, all tables are computed. The tables of ``similar`` are used again, because gains
             change during a run.
@@ -205,7 +210,7 @@ class Controller:
         object.__setattr__(self, "derived", derived)
 
     def initial_state(self) -> ControllerState:
-        """Return the state before the first tick, which follows from the configuration alone."""
+        """Return the state before the first tick. It follows from the configuration alone."""
         drives = tuple(drive.initial_state() for drive in self.drives)
         decisions = ControllerDecisions(
             tuple(drive.with_values() for drive in drives),
@@ -239,7 +244,7 @@ class Controller:
             The state after the tick, and the output of the tick.
 
         Raises:
-            ValueError: a command cannot be encoded. In this case, no command is sent.
+            ValueError: a command cannot be encoded. In this case, the tick sends no command.
         """
         step = self.begin_tick(last_state, tick_input)
         step.decide(tick_input.requests)
@@ -334,9 +339,9 @@ class Controller:
         tick_input: TickIn,
         frames: Frames,
     ) -> tuple[str, ...]:
-        """Process received frames, and correct and predict the tension filter.
+        """Process received frames, and correct and predict the filter that estimates tensions.
 
-        Return the signs of a second controller.
+        Return the signs that a second controller uses the bus.
         """
         block = state.block
         places = self.derived.layout.places
@@ -360,15 +365,14 @@ class Controller:
     def _receive_frames(
         self, state: ControllerState, frames: Frames, fresh_ns: int
     ) -> tuple[str, ...]:
-        """Process received frames.
+        """Process the received frames of a tick.
 
         Args:
             state: state of the tick, modified in place.
             frames: received frames.
             fresh_ns: earliest arrival of an answer to the latest SYNC [ns].
 
-        Return the identifiers of received frames that only this host may send, each identifier
-        once.
+        Return, without repetition, the identifiers of received frames that only this host may send.
         """
         tables = self.derived.wire
         signs = list[str]()
@@ -384,7 +388,8 @@ class Controller:
             )  # fmt: skip
             if at >= len(rows):
                 return tuple(dict.fromkeys(signs))
-            # ``receive_frames`` counts error frames, so this frame has no error flag.
+            # The kernel ``receive_frames`` has already counted error frames. So this frame is no
+            # error frame.
             frame = frames[at]
             owner = self.derived.owners.get((frame.bus, frame.can_id))
             if owner is not None:
@@ -418,7 +423,7 @@ class Controller:
     def _advance_amplifiers(
         self, state: ControllerState, target: DriveTarget, t_ns: int
     ) -> tuple[Frame, ...]:
-        """Continue the set-up of the amplifiers, and return the frames to send."""
+        """Continue the set-up of the load-cell amplifiers, and return the frames to send."""
         states = list[AmplifierState]()
         out = list[Frame]()
         for amplifier, before in zip(
@@ -441,7 +446,7 @@ class Controller:
             int(drive.fault_cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
             drive.steady_status(drive_state), drive.due_ns(drive_state), int(drive_state.misread != before.misread),
         )  # fmt: skip
-        stripped = drive_state.with_values()  # the values of the drive are in the state block
+        stripped = drive_state.with_values()  # the numbers of the drive are in the state block
         if stripped != before:
             drives = state.decisions.drives
             state.decide(drives=(*drives[:n], stripped, *drives[n + 1 :]))
@@ -451,10 +456,10 @@ class Controller:
     def _count_refusals(
         self, state: ControllerState, request_events: tuple[TickEvent, ...]
     ) -> None:
-        """Count the refused requests, and the malformed requests within the last second.
+        """Count the refused requests, and the requests of wrong form within the last second.
 
-        A program may send a request only to test whether a value is in range, so a refused request
-        is no fault. Only malformed requests show that a client is faulty.
+        A program may send a request only to find out whether a value is in range. So a refused
+        request is no fault. Only requests of wrong form show that a client is faulty.
         """
         recent = state.decisions.refusals
         if request_events or recent:
@@ -473,10 +478,10 @@ class Controller:
         tick_input: TickIn,
         second_controller_signs: tuple[str, ...],
     ) -> tuple[SafetyAction, tuple[FaultFinding, ...]]:
-        """Detect faults, latch them, and choose the reaction."""
+        """Detect the faults of the tick, latch them, and choose the reaction."""
         state.set_run_integer(
             s.TARED, state.progress.phase != TARE_PHASE
-        )  # before its tare, a load cell may read any value
+        )  # before a load cell has been tared, it may read any value
         demanded, found = tick_stages.find_faults(
             state.block,
             self.derived.layout.places,
@@ -512,7 +517,7 @@ class Controller:
         return verdict.action, verdict.findings
 
     def _any_node_seen(self, state: ControllerState) -> bool:
-        """Return True if any node has ever answered, or if a motor may make torque."""
+        """Return True if any node has ever answered, or if some motor may make torque."""
         heard = any(phase != DrivePhase.SILENT for phase in state.phases) or bool(
             state.view("group_frames").any()
         )
@@ -579,14 +584,14 @@ class Controller:
     def _design_pending_gains(
         self, unchanged: ControllerState, state: ControllerState, action: SafetyAction, ticks: int
     ) -> tuple[TickEvent, ...]:
-        """Design the next loop of the pending gains.
+        """Design the next control loop for the requested gains.
 
         A complete design is used from the next tick on.
 
         Args:
             unchanged: state before the motor torques were computed.
             state: state after the motor torques were computed.
-            action: reaction that safety demands.
+            action: reaction that the safety monitor demands.
             ticks: number of control periods since the last tick.
         """
         pending = state.decisions.pending
@@ -611,14 +616,14 @@ class Controller:
         if mode in (SILENT, DONE):
             return frames_as_records(hand_modes.shutdown_frames(self.drives, state))
         out = np.empty((self.derived.wire.max_frames, WORDS_PER_RECORD), dtype=np.uint64)
-        # A hand without sensors has no SYNC, so row 0 is not sent.
+        # A hand without sensors needs no SYNC frame. So row 0 is not sent.
         start = 0 if self.derived.sends_sync else 1
         if self.derived.sends_sync:
             counter = self.sensors.counter(state.k)
             out[0] = self.derived.sync_row
             out[0, PAYLOAD_WORD] = counter
             state.set_run_integer(s.SYNC_COUNTER, counter & 0xF)
-            # Until the set-up of an amplifier is complete, its answers are not used, and missing
+            # Before the set-up of an amplifier is complete, its answers are not used, and missing
             # answers do not count as lost.
             amplifiers = state.decisions.amplifiers
             if not amplifiers or all(one.phase == DrivePhase.READY for one in amplifiers):
@@ -645,13 +650,13 @@ class Controller:
         torque: Vector,
         t_ns: int,
     ) -> Frames:
-        """Write the commands into ``frame_words``, after the SYNC frame.
+        """Write the commands of the drives into ``frame_words``, after the SYNC frame.
 
-        A drive that is not steady runs its state machine.
+        If a drive is not in its steady state, the state machine of the drive runs.
 
         Args:
             state: state of the tick, modified in place.
-            frame_words: memory for the frames, with SYNC in row 0.
+            frame_words: memory for the frames, where row 0 is the SYNC frame.
             start: first row to send: 0 with SYNC, 1 without.
             target: requested state of the drives.
             torque: (N,) commanded torque [N m].
@@ -692,20 +697,20 @@ class Controller:
 
 @dataclass(slots=True)
 class TickInProgress:
-    """A tick in progress, between its steps.
+    """A tick between its three steps.
 
     Attributes:
         controller: controller with the gains of the tick.
         before: state after the previous tick.
-        state: state of the tick. Each step modifies it.
+        state: state of the tick. Each step modifies this state.
         entry: inputs of the tick, without requests.
         signs: signs of a second controller.
         targets: targets of streams among the requests, which ``command`` applies.
         sent: frames to send, which ``command`` has computed.
         action: reaction that the safety monitor demands, which ``decide`` has determined.
         events: events of the tick so far.
-        unchanged: state before the motor torques were computed. It is kept only while other gains
-            are pending.
+        unchanged: state before the motor torques were computed. It is kept only while the design of
+            other gains is in progress.
     """
 
     controller: Controller
@@ -742,12 +747,12 @@ class TickInProgress:
         return self.sent
 
     def conclude(self) -> tuple[ControllerState, TickOut]:
-        """Return the state after the tick and the output of the tick."""
+        """Return the state after the tick, and the output of the tick."""
         return self.controller._conclude_tick(self)
 
 
 def send_torque_only(state: ControllerState, n: int) -> None:
-    """Note in the state that the state machine of a drive has sent a torque command instead of a position command."""
+    """Store that the state machine of a drive has sent a torque command in place of a position command."""
     servo = state.layout.table(state.block, "servo")
     servo[[s.SERVO_KP, s.SERVO_KD], n] = 0.0
     servo[s.SERVO_TORQUE, n] = state.tendon[s.TORQUE, n]
@@ -757,7 +762,7 @@ _ACTION_BY_NUMBER = {int(action): action for action in SafetyAction}
 
 
 def _fault_event(finding: FaultFinding) -> TickEvent:
-    """Return the event that reports a fault that the safety monitor has found."""
+    """Return the event which reports a fault that has just become active."""
     fault = finding.fault
     level = "error" if fault.action >= SafetyAction.RELAX else "warn"
     text = f"{fault.id} {fault.title}: {finding.instance} ({finding.value:g}): {fault.action.name}"

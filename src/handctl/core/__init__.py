@@ -1,1 +1,1 @@
-"""Computations of a control tick: model of the hand, estimation of its state, fault detectors and control law."""
+"""Computations of a control tick: model of the hand, state estimation, fault detectors, and control law."""

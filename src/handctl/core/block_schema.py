@@ -8,9 +8,10 @@ returns the index of the field's first row. Compiled code and the controller use
     x.tendon[TENSION, n]
 
 All tables of a schema share one array of float64, the block. An integer table is a part of the
-block that is viewed as int64. The name of an integer table ends with ``_int``. For one hand, a
-layout contains the lengths of the axes and the places of the tables in a block. Since a block is
-one array, it can be copied at once and stored as bytes. Two blocks can be compared field by field.
+block whose bits are read as int64. The name of an integer table ends with ``_int``. For a given
+hand, a layout contains the lengths of the axes and the positions of the tables in a block. Because
+a block is one array, it can be copied by one operation and stored as bytes. Two blocks can be
+compared field by field.
 """
 
 import hashlib
@@ -34,10 +35,10 @@ class BlockField(NamedTuple):
 
     Attributes:
         name: name of the quantity.
-        table: name of the table.
-        first: first row in the table.
-        rows: number of rows.
-        unit: SI unit of the quantity. The value is empty if the quantity has no unit.
+        table: name of the table that contains the quantity.
+        first: index of the first row in the table.
+        rows: number of rows of the quantity.
+        unit: SI unit of the quantity, or an empty text if it has no unit.
         meaning: description of the quantity.
         initial: value of the quantity before the first tick.
     """
@@ -55,8 +56,9 @@ class BlockSchema:
     """Declarations of the tables and fields of a block.
 
     Attributes:
-        tables: names of the tables in memory order. A name is an axis, or several axes joined by
-            ``*``. The name of an integer table ends with ``_int``.
+        tables: names of the tables, in the order of the memory. A name is the name of an axis, or
+            the names of several axes joined by ``*``. The name of an integer table ends with
+            ``_int``.
         optional: name of the only axis that may have the length 0. The value is empty if no axis
             may have it. If this axis has the length 0, it has no effect on
             ``BlockLayout.identity``.
@@ -78,7 +80,7 @@ class BlockSchema:
     def real_field(
         self, name: str, axis: str, unit: str, meaning: str, rows: int = 1, initial: float = 0.0
     ) -> int:
-        """Declare a field of float64 and return its first row."""
+        """Declare a field of float64 numbers, and return the index of its first row."""
         return self._declare_field(
             BlockField(name, axis, self._rows[axis], rows, unit, meaning, initial)
         )
@@ -86,7 +88,7 @@ class BlockSchema:
     def integer_field(
         self, name: str, axis: str, unit: str, meaning: str, rows: int = 1, initial: int = 0
     ) -> int:
-        """Declare a field of int64 and return its first row."""
+        """Declare a field of int64 numbers, and return the index of its first row."""
         table = axis + INTEGER_TABLE_SUFFIX
         return self._declare_field(
             BlockField(name, table, self._rows[table], rows, unit, meaning, initial)
@@ -98,7 +100,7 @@ class BlockSchema:
         return field.first
 
     def layout(self, axes: Mapping[str, int]) -> "BlockLayout":
-        """Return the layout of this schema's tables for given lengths of the axes."""
+        """Return the layout of the tables of this schema, for given lengths of the axes."""
         return BlockLayout(self, axes)
 
     def rows(self, table: str) -> int:
@@ -107,15 +109,15 @@ class BlockSchema:
 
 
 class BlockLayout:
-    """Positions of the tables of a schema in a block, for axes of given lengths.
+    """Positions of the tables of a schema in a block, for given lengths of the axes.
 
     Attributes:
         schema: schema with the tables and fields.
         axes: length of each axis.
-        places: lengths of the axes, first element of each table, and end of the last table.
-            Compiled code reads this array.
+        places: lengths of the axes, position of the first element of each table, and end of the
+            last table. Compiled code reads this array.
         size: number of elements of a block.
-        identity: 8-byte hash of all fields and all axis lengths.
+        identity: 8-byte hash of all fields and of the lengths of all axes.
         initial: block before the first tick, read-only.
     """
 
@@ -165,7 +167,7 @@ class BlockLayout:
         return int(np.prod([self.axes[axis] for axis in _axes_of_table(table)], dtype=np.int64))
 
     def _field_span(self, field: BlockField) -> tuple[int, int, tuple[int, ...], bool]:
-        """Return the place of a field in a block: first element, end, shape, and True if its numbers are integers."""
+        """Return the place of a field in a block: first element, end, shape, and True for integers."""
         start, _, width, whole = self._tables[field.table]
         shape = tuple(self.axes[axis] for axis in _axes_of_table(field.table))
         first = start + field.first * width
@@ -179,14 +181,17 @@ class BlockLayout:
     def view(self, block: BlockArray, name: str) -> NDArray[Any]:
         """Return a view of a field in a block.
 
-        The view has the shape (rows, ...), or (...) for a field of one row.
+        The view has the shape (rows, ...). If the field has a single row, the shape is (...).
         """
         first, end, shape, whole = self._fields[name]
         part = block[first:end]
         return (part.view(np.int64) if whole else part).reshape(shape)
 
     def axis_of(self, name: str) -> str:
-        """Return the axis of a field by name. For a field over two axes, the name is ``a*b``."""
+        """Return the axis of the field with the given name.
+
+        If the field has two axes, the result is ``a*b``.
+        """
         return next(field.table for field in self.schema.fields if field.name == name).removesuffix(
             INTEGER_TABLE_SUFFIX
         )
@@ -200,17 +205,16 @@ class BlockLayout:
         shape, kind, offset = self._shapes[name]
         return np.ndarray(
             shape, kind, block, offset
-        )  # one call for all views, because every tick makes several of them
+        )  # a single call creates all views, because every tick creates several of them
 
     def difference(
         self, block: BlockArray, other_block: BlockArray
     ) -> tuple[str, int, float, float] | None:
-        """Return the first difference of two blocks, in schema order: name of the field, element, both values.
+        """Return the first difference between two blocks: name of the field, element, and both values.
 
-        None if the blocks are equal. Values are compared bit by bit, so NaN equals
-        NaN.
+        If the blocks are equal, return None. Values are compared bit by bit. So a NaN equals a NaN.
         """
-        # Numbers are compared as integers, so that NaN equals NaN, and 0.0 differs from -0.0.
+        # The numbers are compared as integers. So NaN equals NaN, and 0.0 differs from -0.0.
         apart = np.flatnonzero(block.view(np.int64) != other_block.view(np.int64))
         if not len(apart):
             return None

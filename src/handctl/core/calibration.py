@@ -1,4 +1,4 @@
-"""Calibration of a hand: tares, motor zeros, the responses of all tendons to a pull, and identified parameters."""
+"""Calibration of a hand: tares, motor zero angles, the response of each tendon to a pull, and identified parameters."""
 
 import datetime
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from handctl.hand.file.quantities import MAX_POSITION_RANGE_RAD
 
 
 class TendonCalibration(Document):
-    """Calibration of a tendon, and its response to a pull during commissioning."""
+    """Calibration of a tendon, with its response to the pull during commissioning."""
 
     tare_N: float
     """Tare of the load cell: its reading without tension."""
@@ -65,11 +65,11 @@ class Calibration(Document):
         return made
 
     def tare(self, hand: Hand) -> Vector:
-        """Return the load-cell tares (N,) [N]."""
+        """Return the tares (N,) of all load cells [N]."""
         return np.array([self.tendon[name].tare_N for name in hand.tendon_names])
 
     def zero(self, hand: Hand) -> Vector:
-        """Return the motor zeros (N,) [rad]."""
+        """Return the zero angles (N,) of all motors [rad]."""
         return np.array([self.tendon[name].zero_rad for name in hand.tendon_names])
 
 
@@ -77,13 +77,13 @@ def calibration_from(content: Mapping[str, Any], hand: Hand, source: str) -> Cal
     """Check the content of a calibration file for a hand, and return the calibration.
 
     Args:
-        content: parsed file.
+        content: content of the file, as parsed from TOML.
         hand: hand of the calibration.
-        source: name of the file, for messages.
+        source: name of the file, for error messages.
 
     Raises:
-        ConfigError: the content is no calibration, is for another hand or another version of its
-            description, or lacks a tendon.
+        ConfigError: the content is not a calibration, belongs to another hand or another version of
+            the hand's description, or lacks a tendon.
     """
     calibration = validate_content(content, Calibration, source)
     if calibration.identity != hand.identity:

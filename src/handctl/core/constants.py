@@ -1,6 +1,6 @@
 """Constants of a hand for compiled code.
 
-These constants have a block of their own, separate from the state block.
+The constants are in a block of their own, separate from the state block.
 
 ``HandConstants`` fills the block from a ``HandModel``, from drives and from sensors.
 ``constant_tables`` returns the tables by name, for compiled code. A change of gains needs a new
@@ -29,7 +29,7 @@ CONSTANT_SCHEMA = BlockSchema(*CONSTANT_TABLES)
 _real = CONSTANT_SCHEMA.real_field
 _whole = CONSTANT_SCHEMA.integer_field
 
-# Tendons and motors. Quantities of the motors are converted to forces and lengths at the spool.
+# Tendons and motors. Quantities of motors are converted to forces and lengths at the spool.
 MOTOR_MASS = _real("motor_mass", "tendon", "kg", "reflected rotor inertia")
 MOTOR_DAMPING = _real("motor_damping", "tendon", "N s/m", "viscous friction of the motor")
 MOTOR_COULOMB = _real("coulomb", "tendon", "N", "Coulomb friction of the motor")
@@ -144,7 +144,7 @@ COORDINATES_FIRST = _whole("coordinates_first", "digit", "",
 COORDINATES_END = _whole("coordinates_end", "digit", "",
     "index of the coordinate after the digit's last")  # fmt: skip
 
-# Structure of the hand: relations between joints, tendons and reduced coordinates.
+# Structure of the hand: relations between joints, tendons and coordinates of the digits.
 EXCURSION_TO_JOINTS = _real("excursion_to_joints", "joint*tendon", "rad/m",
     "joint angles per excursion")  # fmt: skip
 POSTURE_TORQUE = _real("posture_torque", "joint*tendon", "m",
@@ -163,8 +163,8 @@ PULLEY_WEIGHTS = _real("pulley_weight", "tendon*joint", "",
 COUPLING = _real("coupling", "joint*coordinate", "", "joint angles per coordinate")
 REDUCED_ARMS = _real("reduced_arms", "tendon*coordinate", "m", "moment arms about the coordinates")
 
-# Moment arms that depend on the joint angle. If a digit has such arms, each table above that is
-# computed from the moment arms R contains the values at the present joint angles.
+# Moment arms that depend on the joint angle. If a digit has such moment arms, each table above that
+# is computed from R contains the values for the present joint angles.
 HAS_VARYING_ARM = _whole("varying", "tendon", "",
     "1 if a moment arm of the tendon depends on the joint angle")  # fmt: skip
 DIGIT_VARYING = _whole("digit_varying", "digit", "",
@@ -179,7 +179,8 @@ EXPLAINED_OFFSET = _real("explained_offset", "tendon", "m",
     "excursion less R R^+ s, by the linear relation at the present angles")  # fmt: skip
 MEAN_BALANCE = _real("mean_balance", "tendon", "N", "balance tension with the mean moment arms")
 
-# Null space of the moment arms: those changes of a digit's posture that change no tendon excursion.
+# Null space of the moment arms: all changes of a digit's posture that do not change any tendon
+# excursion.
 COMPLIANCE = _real("compliance", "joint*joint", "rad/(N m)",
     "joint angles per joint torque at constant excursion")  # fmt: skip
 COORDINATE_PROJECTION = _real("spread", "joint*joint", "",
@@ -198,8 +199,9 @@ HAS_FUSED_JOINTS = _whole("joints_fused", "run", "",
 POSTURE_TICKS = _whole("posture_ticks", "run", "",
     "ticks from one estimate in the null space to the next")  # fmt: skip
 
-# Tension filter: the elements of each filter design. A tendon has six designs. The index of a
-# design is the number of the tendon's regime, plus 3 for the design with added process noise.
+# Tension filter: the numbers of each filter design. There are six designs for each tendon. The
+# index of a design is the number of the tendon's regime. For a design with added process noise, it
+# is larger by 3.
 DESIGN = _real("design", "tendon*kind*element", "", "blocks of the filter, see the elements below")
 F_AT = 0
 B_AT = 49
@@ -225,8 +227,8 @@ squared), and four single numbers. ``filter_stack.FilterBlock`` explains the par
 """
 FILTER_DESIGN_COUNT = 6
 
-# Filters of contact and grip: the fraction of the distance to its input that each low-pass filter
-# covers in a tick.
+# Filters of contact and grip. Each number is the fraction of the distance to its input that a
+# low-pass filter covers in one tick.
 TIP_FORCE_FRACTION = _real("felt_fraction", "run", "",
     "update fraction of the smoothed force at the tip")  # fmt: skip
 TIP_FORCE_MEAN_FRACTION = _real("usual_fraction", "run", "",
@@ -238,7 +240,7 @@ GRIP_FAST_FRACTION = _real("fast_fraction", "run", "",
 GRIP_SLOW_FRACTION = _real("slow_fraction", "run", "",
     "update fraction of the slow average of a grip")  # fmt: skip
 
-# Detection of touch, and the limits of the fault detectors.
+# Detection of contact, and the limits of the fault detectors.
 TOUCH_DECAY = _real("touch_kept", "run", "",
     "fraction of the smoothed unexplained tension that remains after a tick")  # fmt: skip
 STEP_LIMIT = _real("step_limit", "tendon", "rad", "largest step of a motor position in a period")
@@ -290,10 +292,10 @@ TENSION_GROUPS = _whole("tension_groups", "run", "", "frame groups that carry te
 
 
 class ConstantTables(NamedTuple):
-    """Tables of a block of constants.
+    """Tables in a block of constants.
 
-    A table has the shape (rows, lengths of its axes). Only ``design`` has the shape (N, kind,
-    element).
+    The shape of a table is (rows, lengths of its axes). Only the table ``design`` has the shape (N,
+    kind, element).
     """
 
     tendon: NDArray[np.float64]
@@ -318,7 +320,7 @@ def constant_tables(block: BlockArray, at: TablePlaces) -> ConstantTables:
 
     Args:
         block: block of constants.
-        at: ``BlockLayout.places`` of the layout of the block.
+        at: positions of the tables, from ``BlockLayout.places`` of the block's layout.
     """
     n = at[0]
     j = at[1]

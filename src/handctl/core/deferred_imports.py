@@ -1,9 +1,10 @@
-"""Fast import of the packages scipy, filterpy and control, without those of their modules that handctl does not use.
+"""Fast import of the packages scipy, filterpy and control, without modules that handctl does not use.
 
 The import of ``scipy.stats``, ``scipy.ndimage`` and the plots of control takes longer than the
 import of all other modules of a run. Half of the import time of ``scipy.linalg`` is spent on
-modules for Fortran compilers and for tests. A stand-in replaces each module in ``UNUSED_MODULES``.
-The stand-in imports the real module when one of its functions is used for the first time.
+modules for Fortran compilers and for tests. Each module in ``UNUSED_MODULES`` is replaced by a
+stand-in object. The stand-in imports the real module when one of the module's functions is used for
+the first time.
 """
 
 import importlib
@@ -38,9 +39,9 @@ class _DeferredAttribute:
         return self._apply_to_real_object(lambda real: real(*given, **named))
 
     def _apply_to_real_object(self, use: Callable[[Any], Any]) -> Any:
-        """Apply a function to the real object.
+        """Apply ``use`` to the real function or distribution, after the import of its module.
 
-        During its import, filterpy makes one trial call, for which this function returns None.
+        During its import, filterpy makes one trial call, for which the method returns None.
         """
         module: Any = importlib.import_module(self._module)
         real = getattr(module, self._name)
@@ -51,7 +52,7 @@ class _StandIn(ModuleType):
     """Stand-in for a module. The first use of a function imports the real module."""
 
     def __getattr__(self, name: str) -> _DeferredAttribute:
-        # the import system looks for __path__ and similar names in a module
+        # the import system looks for ``__path__`` and similar names in every module
         if name.startswith("__"):
             raise AttributeError(name)
         return _DeferredAttribute(self.__name__, name)
@@ -79,10 +80,10 @@ def deferred_imports() -> Iterator[None]:
 
 
 def import_without_package(name: str) -> ModuleType:
-    """Import a module of a package without executing the ``__init__`` of the package.
+    """Import a module of a package without executing the file ``__init__`` of the package.
 
-    A later import of the whole package works as usual. If the folder of the user's program has a
-    file with the name of the package, such as ``control.py``, this file is ignored.
+    A later import of the whole package works as usual. If the folder of the user's program contains
+    a file with the name of the package, such as ``control.py``, this file is ignored.
 
     Args:
         name: full name of the module, for example ``control.mateqn``.

@@ -1,4 +1,4 @@
-"""Block of constants of a hand, filled from its model, drives, sensors and limits."""
+"""Block with the constants of a hand, filled from its model, drives, sensors and limits."""
 
 import functools
 import math
@@ -37,7 +37,7 @@ Smaller entries are rounding errors.
 
 
 def layout_of_constants(model: HandModel) -> BlockLayout:
-    """Return the layout of the block of constants for a hand."""
+    """Return the layout of the block with the constants of a hand."""
     return BlockLayout(CONSTANT_SCHEMA, {
         "tendon": model.tendon_count,
         "joint": len(model.hand.joints),
@@ -55,11 +55,12 @@ class HandConstants:
 
     Attributes:
         layout: layout of the block.
-        block: block of constants. The block is read-only, unless a moment arm of the hand varies.
+        block: array with all constants. The array is read-only, unless a moment arm of the hand
+            varies with the joint angle.
     """
 
     def __init__(self, model: HandModel, other_constants: Mapping[str, object]) -> None:
-        """Fill the block of constants.
+        """Fill the block with the constants of a hand.
 
         Args:
             model: model of the hand.
@@ -156,11 +157,12 @@ def _law_constants(model: HandModel) -> dict[str, object]:
 
 
 def servo_constants(model: HandModel) -> dict[str, Vector]:
-    """Return which drives close a position loop themselves, and the stiffness and damping of these loops.
+    """Return which drives close a position loop, and the stiffness and damping of these loops.
 
-    If the hand file gives no values, these loops have the gains of the motion loop. If the hand
-    file gives only the stiffness, the loops have the damping ratio of the motion loop. At low
-    control rates, the stiffness is smaller than in the hand file, see ``servo_commands.MAX_PHASE_RAD``.
+    If the hand file gives no values, the position loops have the gains of the motion loop. If the
+    hand file gives only the stiffness, the position loops have the damping ratio of the motion
+    loop. At low control rates, the stiffness is less than in the hand file, see
+    ``servo_commands.MAX_PHASE_RAD``.
     """
     space = model.space
     motors = [model.hand.motor_of(name) for name in model.hand.tendon_names]
@@ -182,7 +184,7 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
 def _has_exact_solution(digit: DigitModel) -> list[bool]:
     """Return True for each tendon of a digit that has as many tendons as coordinates.
 
-    In such a digit, the joint torques determine the tensions.
+    In a digit with as many tendons as coordinates, the joint torques determine the tensions.
     """
     tendons, coordinates = digit.reduced_moment_arms.shape
     return [tendons == coordinates] * tendons
@@ -272,7 +274,7 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
 
 
 def _joint_compliance(digit: DigitModel) -> Vector:
-    """Return the turn of joints per torque at constant excursions, N (N^T K N)^-1 N^T, (n, n) [rad/(N m)]."""
+    """Return the turn of joints per torque without a change of excursion, N (N^T K N)^-1 N^T (n, n) [rad/(N m)]."""
     free = null_space(digit.moment_arms)
     if not free.shape[1]:
         return np.zeros((digit.joint_count, digit.joint_count))
@@ -282,10 +284,10 @@ def _joint_compliance(digit: DigitModel) -> Vector:
 
 
 def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
-    """Return the assumed probability of each place of contact, for each joint of a digit, (places, n).
+    """Return the assumed probability of each place of contact for each joint of a digit (places, n).
 
-    The places are the middle of each link, the tip, and a torque on all joints alike, see
-    ``posture``.
+    The places of contact are the middle of each link, the tip, and a torque on all joints alike,
+    see ``posture``.
     """
     n = digit.joint_count
     weight = np.zeros((max(one.joint_count for one in digits) + 2, n))
@@ -295,7 +297,7 @@ def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
 
 @functools.lru_cache(maxsize=16)
 def filter_design_array(model: HandModel) -> NDArray[np.float64]:
-    """Return the elements of all filter designs of a hand, (N, KINDS, ELEMENTS)."""
+    """Return all numbers of the filter designs of a hand (N, KINDS, ELEMENTS)."""
     return np.array(
         [[_block_elements(block) for block in tendon] for tendon in model.filter.blocks]
     )

@@ -1,4 +1,7 @@
-"""Estimate and measurements of a tick, for programs. Both are views of the state block."""
+"""Estimate and measurements of a tick, in a form for programs.
+
+The estimate and the measurements are views of the state block.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +16,7 @@ QuantityTable = NDArray[np.float64]
 class HandEstimate:
     """Estimate of the hand's state at the present time.
 
-    Each property has the shape (N,) unless its docstring gives another shape.
+    Each property has the shape (N,), unless its docstring gives another shape.
 
     Attributes:
         tendon: table ``tendon`` of the state block.
@@ -48,7 +51,7 @@ class HandEstimate:
     def tension(self) -> Vector:
         """Return the tension of each tendon at its load cell [N].
 
-        The value is 0 for a slack tendon.
+        The tension of a slack tendon is 0.
         """
         return self.tendon[s.TENSION]
 
@@ -59,7 +62,7 @@ class HandEstimate:
 
     @property
     def travel(self) -> Vector:
-        """Return the length of each tendon that is wound on its spool [m]."""
+        """Return the tendon length that each spool has wound [m]."""
         return self.tendon[s.TRAVEL]
 
     @property
@@ -86,7 +89,8 @@ class HandEstimate:
     def external_tension(self) -> Vector:
         """Return the load force on each tendon that the model does not explain [N].
 
-        A force that resists closing is positive. Contact with an object causes such a force.
+        A force that resists the closing of the digit is positive. Contact with an object causes a
+        positive force.
         """
         return self.tendon[s.EXTERNAL_TENSION]
 
@@ -97,23 +101,23 @@ class HandEstimate:
 
     @property
     def innovation(self) -> Vector:
-        """Return the load-cell reading minus its prediction [N].
+        """Return the load-cell reading of each tendon minus the expected reading [N].
 
-        The value is NaN if the reading is missing.
+        If the reading is missing, the result is NaN.
         """
         return self.tendon[s.INNOVATION]
 
     @property
     def nis(self) -> Vector:
-        """Return the normalised innovation squared of encoder and load cell.
+        """Return the normalised innovation squared (NIS) of the encoder and the load cell of each tendon.
 
-        The value is NaN if a reading is missing.
+        If a reading is missing, the NIS is NaN.
         """
         return self.tendon[s.NIS]
 
     @property
     def is_slack(self) -> NDArray[np.bool_]:
-        """Return for each tendon True if it is slack."""
+        """Return True for each tendon that is slack."""
         return np.asarray(self.regimes == SLACK_REGIME)
 
     @property
@@ -135,7 +139,8 @@ class HandEstimate:
     def contact_force(self) -> Vector:
         """Return the contact forces at the tips of closing digits (D,) [N].
 
-        Errors that were found before the contact are subtracted."""
+        Errors of the force that were found before the contact are subtracted.
+        """
         return self.digit[s.CONTACT_FORCE]
 
     @property
@@ -145,14 +150,14 @@ class HandEstimate:
 
     @property
     def grip_travel(self) -> Vector:
-        """Return the length wound on each spool minus the stretch of the tendon, averaged over 0.2 s [m]."""
+        """Return the length on each spool minus the stretch of the tendon, averaged over 0.2 s [m]."""
         return self.tendon[s.GRIP_TRAVEL_SLOW]
 
 
 class TickMeasurements:
     """Measurements of a tick. A missing measurement is NaN.
 
-    Each property is (N,) unless its docstring gives another shape.
+    Each property has the shape (N,), unless its docstring gives another shape.
     """
 
     __slots__ = ("joint", "tendon")
@@ -169,12 +174,12 @@ class TickMeasurements:
 
     @property
     def travel(self) -> Vector:
-        """Return the tendon length wound on each spool, as the motor encoders measure it [m]."""
+        """Return the tendon length on each spool, as the motor encoders measure it [m]."""
         return self.tendon[s.MEASURED_TRAVEL]
 
     @property
     def motor_position(self) -> Vector:
-        """Return the positions that the motor encoders measure, converted to the spool [rad]."""
+        """Return the motor positions that the encoders measure, converted to the spool [rad]."""
         return self.tendon[s.MEASURED_POSITION]
 
     @property
@@ -184,7 +189,7 @@ class TickMeasurements:
 
     @property
     def excursion(self) -> Vector:
-        """Return the tendon excursions, computed from the readings of the joint encoders [m]."""
+        """Return the excursion of each tendon, computed from the readings of the joint encoders [m]."""
         return self.tendon[s.MEASURED_EXCURSION]
 
     @property

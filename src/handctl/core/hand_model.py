@@ -31,34 +31,35 @@ InverseDynamics = Callable[[DigitModel, JointValues, JointValues, JointValues], 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandModel:
-    """A hand, its gains, and all quantities that follow from both.
+    """A hand, its gains, and all constants that follow from both.
 
     Attributes:
         hand: description of the hand.
         gains: gains of the controller.
         period: control period [s].
         digits: digit models, in file order.
-        coupling: (J, C) joint angles per unit of each coordinate of the digits.
-        digit_tendons: for each digit, the slice of its tendons among all tendons.
-        digit_coordinates: for each digit, the slice of its coordinates among all coordinates.
+        coupling: (J, C) change of each joint angle per unit of each coordinate of the digits.
+        digit_tendons: for each digit, the slice of its tendons among all tendons of the hand.
+        digit_coordinates: for each digit, the slice of its coordinates among all coordinates of the
+            hand.
         reach: (2, C) lowest and highest value of each coordinate [rad].
         space: constants of the hand along the tendons.
-        filter: steady-state filter of each tendon.
-        motion: feedback gains of each tendon.
+        filter: constant Kalman filter of each tendon.
+        motion: feedback gains of the motion loop and the tension loop of each tendon.
         digit_of: for each tendon, the index of its digit.
-        excursion_to_joints: (J, N) joint angles per excursion of each tendon [rad/m].
+        excursion_to_joints: (J, N) change of each joint angle per excursion of each tendon [rad/m].
         torque_to_tension: (N, J) smallest tensions per torque of each joint [1/m].
         pulleys: (N, J) 1 if a tendon passes the pulley of a joint, 0 if not.
-        pulley_weights: (N, J) moment arm at each pulley, as a fraction of the sum over all pulleys
-            of the tendon.
+        pulley_weights: (N, J) moment arm at each pulley, divided by the sum of all moment arms of
+            the tendon.
         friction: (N,) friction coefficient of the pulleys.
-        wrap: (N,) wrap angle before the first joint pulley [rad].
-        floor: (N,) smallest tension at the load cell [N]. For a spool pair, it is the negative
-            ceiling.
-        ceiling: (N,) largest tension at the load cell [N]. For a spool pair, it is the largest net
-            tension.
+        wrap: (N,) wrap angle of each tendon before its first joint pulley [rad].
+        floor: (N,) smallest allowed tension at the load cell [N]. For a spool pair, the smallest
+            value is the negative of the largest net tension.
+        ceiling: (N,) largest allowed tension at the load cell [N]. For a spool pair, the value is
+            the largest net tension.
         torque_limit: (N,) largest motor torque that the host may command [N m].
-        redundancy: directions of the tendons, and tensions that are in balance.
+        redundancy: directions of the tendons, and tensions that balance each other.
         tree: tree of all links of the hand.
         blind_margin: (N,) margin by which the tension limits of a tendon without a load cell are
             stricter [N]. The value is 0 for a tendon with a load cell.
@@ -98,14 +99,14 @@ class HandModel:
     def from_hand(
         hand: Hand, gains: Gains, rate_hz: float, torque_gain: Vector | None = None
     ) -> "HandModel":
-        """Derive the model of a hand, and design all its gains, which takes about 0.1 s.
+        """Derive the model of a hand, and design all gains of the controller, which takes about 0.1 s.
 
         Args:
             hand: description of the hand.
             gains: gains of the controller.
             rate_hz: control rate [Hz].
-            torque_gain: (N,) identified torque at the spool per commanded torque. None if no
-                run has identified it.
+            torque_gain: (N,) torque at the spool divided by the commanded torque, or None if no run
+                has identified this ratio.
         """
         digits = tuple(DigitModel.from_hand(hand, digit.name) for digit in hand.digit)
         space = tendon_space(hand, digits)
@@ -114,8 +115,8 @@ class HandModel:
         period = 1.0 / rate_hz
         filters = design_filter(space, gains.filter, period, _joint_period(hand, period))
         margin = np.where(hand.has_cell, 0.0, BLIND_SIGMAS * filters.held_sigma)
-        # The margin raises the floor only in digits with surplus tendons. In any other digit, a
-        # higher floor would close the digit.
+        # The margin raises the tension floor only in digits with surplus tendons. In any other
+        # digit, a higher tension floor would close the digit.
         held = np.array(
             [
                 len(digit.moment_arms) > digit.coupling.shape[1]
@@ -162,21 +163,22 @@ class HandModel:
 
     @property
     def tendon_count(self) -> int:
-        """Return N, the number of tendons."""
+        """Return N, the number of tendons of the hand."""
         return len(self.floor)
 
     @property
     def relaxed(self) -> Vector:
-        """Return the tensions (N,) of a relaxed hand [N].
+        """Return the tensions of all tendons of a relaxed hand (N,) [N].
 
-        Surplus tendons keep their balance tensions. A spool pair has no net tension.
+        In a relaxed hand, surplus tendons keep their balance tensions. A spool pair has no net
+        tension in a relaxed hand.
         """
         single = np.where(self.redundancy.balance > 0.0, self.redundancy.balance, RELAX_FLOOR_N)
         return np.where(self.is_pair, 0.0, single)
 
     @property
     def is_pair(self) -> NDArray[np.bool_]:
-        """Return for each tendon True if it is a spool pair, (N,)."""
+        """Return True for each tendon that is a spool pair (N,)."""
         return self.hand.is_pair
 
     @property
@@ -193,12 +195,13 @@ def _coordinate_slices(digits: tuple[DigitModel, ...]) -> tuple[slice, ...]:
 
 
 def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
-    """Return the largest torque (N,) at the spool [N m] that the hand file and the drive allow.
+    """Return the largest torque of each drive (N,) at the spool [N m], from the hand file and the drive.
 
-    A drive that makes less torque than commanded needs a larger command. The limit of such a drive
-    is therefore lower. The limit has a margin of 1e-12 of its value, because drives refuse commands
-    that exceed their limit even by the last bit. Torques are divided or multiplied by the spool
-    radius and the torque gain. Without this margin, rounding could then cause such an excess.
+    A drive that makes less torque than commanded needs larger commands. The largest torque of such
+    a drive at the spool is therefore lower. The result is reduced by 1e-12 of its value, because
+    drives refuse commands that exceed their limit even by the last bit. Torques are divided or
+    multiplied by the spool radius and the torque gain. Without the small reduction, rounding errors
+    could exceed the limit.
     """
     largest = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (
         1.0 - 1e-12
@@ -209,6 +212,6 @@ def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
 def _joint_period(hand: Hand, period: float) -> Vector:
     """Return the time (N,) between two readings of all joints of a tendon [s].
 
-    The value is inf if a joint has no encoder.
+    The time is inf if a joint has no encoder.
     """
     return np.where(hand.tendons_with_encoders, hand.sensor_node.joint_decimation * period, np.inf)

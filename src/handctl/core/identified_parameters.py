@@ -1,4 +1,4 @@
-"""Parameters that were identified from runs, and a hand description for the controller that contains them."""
+"""Parameters that were identified from runs, and a hand description that contains them."""
 
 import copy
 from collections.abc import Mapping
@@ -94,14 +94,14 @@ class IdentifiedParameters(Document):
         return self
 
     def get(self, name: str, default: float) -> float:
-        """Return the value of a parameter, or ``default`` if this parameter was not identified."""
+        """Return the value of a parameter, or ``default`` if the parameter was not identified."""
         return self.values[self.names.index(name)] if name in self.names else default
 
     def beside(self, older: "IdentifiedParameters | None") -> "IdentifiedParameters":
-        """Return these parameters, and add parameters that only an older identification contains.
+        """Return these parameters, with the parameters that only an older identification contains.
 
         A run that identifies only a few parameters therefore does not remove the other parameters.
-        Parameters of different runs count as uncorrelated.
+        Parameters from different runs are assumed to be uncorrelated.
         """
         others = (
             [i for i, name in enumerate(older.names) if name not in self.names] if older else []
@@ -125,11 +125,11 @@ class IdentifiedParameters(Document):
 
 
 def identified_hand(hand: Hand, identified: dict[str, IdentifiedParameters]) -> Hand:
-    """Return a hand description in which identified parameters replace the values of the hand file.
+    """Return a hand description in which identified parameters replace values of the hand file.
 
     Args:
         hand: description from the hand file.
-        identified: identified parameters by tendon.
+        identified: identified parameters of each tendon.
 
     Raises:
         ConfigError: an identified value is not allowed in a hand file.
@@ -152,9 +152,9 @@ def identified_hand(hand: Hand, identified: dict[str, IdentifiedParameters]) -> 
 
 
 def torque_gain(hand: Hand, identified: dict[str, IdentifiedParameters]) -> Vector:
-    """Return the torque at the spool per commanded torque of each drive (N,).
+    """Return for each drive the torque at the spool divided by the commanded torque (N,).
 
-    The value is 1 if it was not identified.
+    The ratio is 1 if no run has identified it.
     """
     return np.array(
         [
@@ -197,9 +197,9 @@ def _replace_values(
 
 
 def _scale_arms(tendon: dict[str, Any], factor: float) -> None:
-    """Scale the moment arms of a tendon.
+    """Multiply the moment arms of a tendon by a factor.
 
-    The moment arms are numbers, polynomials, or tables of angles and moment arms.
+    The moment arms may be numbers, polynomials, or tables of angles and moment arms.
     """
     if factor == 1.0:
         return

@@ -1,6 +1,6 @@
-"""Caches for the values of a function.
+"""Caches for the results of a function.
 
-The caches find the value that belongs to an immutable object by the identity of this object.
+The caches find the result for an immutable object by the identity of this object.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,24 +12,24 @@ MAX_ENTRIES = 256
 
 
 class SequenceCache(Generic[T]):
-    """Values of a function for each item of a sequence.
+    """Results of a function for each item of a sequence.
 
-    From one sequence to the next, most items are the same objects. For these objects, the cache
-    returns the values of the last call.
+    In successive sequences, most items are the same objects. For an item that was already in the
+    last sequence, the cache returns the earlier result.
     """
 
     def __init__(self, function: Callable[[T], bytes]) -> None:
         """Create an empty cache.
 
         Args:
-            function: function that computes the value of an item.
+            function: function that computes the result for an item.
         """
         self._function = function
         self._items: Sequence[T] = ()
         self._values: list[bytes] = []
 
     def __call__(self, items: Sequence[T]) -> list[bytes]:
-        """Return the value of the function for each item of a sequence."""
+        """Return the results of the function for all items of a sequence."""
         function = self._function
         if len(items) == len(self._items):
             known = zip(items, self._items, self._values, strict=True)
@@ -52,15 +52,15 @@ class IdentityCache(Generic[T]):
         """Create an empty cache.
 
         Args:
-            function: function whose values are cached.
+            function: function whose results are cached.
         """
         self._function = function
         self._entries: dict[int, tuple[T, bytes]] = {}
 
     def __call__(self, key: T) -> bytes:
-        """Return the value of the function for an object.
+        """Return the result of the function for an object.
 
-        The value is computed only if the cache does not contain the object.
+        The result is computed only if the cache does not contain the object.
         """
         entry = self._entries.get(id(key))
         if entry is not None and entry[0] is key:

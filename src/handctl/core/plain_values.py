@@ -1,8 +1,8 @@
-"""Conversion of the controller's objects to plain values and back, for the hash of the state and for snapshots.
+"""Conversion of the controller's objects to plain values and back, for the state hash and for snapshots.
 
 Plain values consist of numbers, strings, bytes and tuples only. A named tuple or dataclass becomes
-a tuple that begins with the name of the type. Equal values have equal bytes, even if one of them
-contains the same object several times. ``from_plain`` creates only objects of registered types, so
+a tuple that begins with the name of the type. Equal objects have equal bytes, even if one of them
+contains the same part several times. ``from_plain`` creates only objects of registered types, so
 that no log can create objects of other types.
 """
 
@@ -61,7 +61,7 @@ _PLAIN_TYPES = frozenset((type(None), bool, int, float, str, bytes))
 
 @functools.cache
 def plain_name(type_: type) -> str:
-    """Return the name that a type has in plain values: the module and class name that it had at first."""
+    """Return the name of a type in plain values: the module and the class name when the type was introduced."""
     name = f"{type_.__module__.removeprefix('handctl.')}.{type_.__qualname__}"
     return ":" + NAMES_IN_LOGS.get(name, name)
 
@@ -82,8 +82,8 @@ def to_plain(value: Any) -> Any:
     if kind in _PLAIN_TYPES:
         return value
     if isinstance(value, tuple):
-        # This code runs in those ticks in which settings of drives are read. For speed, it makes no
-        # call for a plain item.
+        # This code runs in the ticks in which settings of drives are read. For speed, no function
+        # is called for an item that is already plain.
         items = [item if type(item) in _PLAIN_TYPES else to_plain(item) for item in value]
         return (plain_name(kind), *items) if hasattr(value, "_fields") else tuple(items)
     if isinstance(value, enum.IntEnum):
@@ -129,7 +129,7 @@ def join_field_bytes(value: Any, bytes_of_field: Callable[[Any], bytes]) -> byte
 def from_plain(value: Any) -> Any:
     """Return the object that a plain value represents.
 
-    In place of tuples, lists from JSON are also accepted.
+    The function also accepts lists from JSON in place of tuples.
 
     Raises:
         ValueError: a type is not registered, or the value does not fit the type.

@@ -2,21 +2,23 @@
 
 Each tick passes the block to the next tick.
 
-A tick copies the block of the last tick and writes into the copy. The block contains the results of
-a tick (measurements, estimates, the command) as well as the memory for the next tick. The log, the
-viewer and the next tick therefore read the same numbers. ``state_tables`` returns the tables by
-name, for compiled code. The module ``block_schema`` explains how code addresses a row of a table.
+Each tick copies the block of the last tick and writes into the copy. The block contains the results
+of a tick (measurements, estimates, commands), and the memory for the next tick. The log, the viewer
+and the next tick therefore read the same numbers. ``state_tables`` returns the tables of the block
+by name, for compiled code. The module ``block_schema`` explains how code addresses a row of a
+table.
 
-The tables have these axes. The capital letter or number after a name is the length of the axis:
+The following list contains the axes of the tables. The capital letter or number after the name of
+an axis is the length of the axis:
 
 - tendon, N. A motor has the same index as its tendon.
 - joint, J.
 - digit, D.
 - coordinate, C: the reduced coordinates of all digits.
-- node, N + 1: the motors, and then the load cells as one node.
+- node, N + 1: the motors first, and then all load cells as one node.
 - group, G: the frames in which the sensor node sends its readings.
 - instance: the places in which a fault can occur: motors, tendons, joints or nodes. The length of
-  this axis is the largest of these four numbers.
+  this axis is the largest number of motors, tendons, joints or nodes.
 - run, 1: numbers that exist once for the whole hand.
 - servo: N if any drive of the hand closes a position loop by itself, and 0 otherwise.
 """
@@ -455,7 +457,7 @@ CLEARING = _whole("clearing", "run", "",
 class StateTables(NamedTuple):
     """Tables of a state block, each with the shape (rows, length of the axis).
 
-    Only ``run`` and ``run_int`` have the shape (rows,).
+    Only the tables ``run`` and ``run_int`` have the shape (rows,).
     """
 
     tendon: NDArray[np.float64]

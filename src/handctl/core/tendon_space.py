@@ -2,10 +2,10 @@
 
 Each tendon is an elastic connection of a motor mass and a load mass.
 
-Along a tendon, the motor is a mass J_m / r_a^2 at the travel x = r_a theta_m, with the spool radius
-r_a. The digit is a mass at the excursion s = R q. The tension between both masses is f = k (x - s -
-o) + c (x' - s'), with the stretch offset o. Source: one-tendon finger in reduced coordinates (Tsai,
-structure matrix), virtual work.
+The motor is a mass J_m / r_a^2 at the travel x = r_a theta_m, with the spool radius r_a. The digit
+is a mass at the excursion s = R q. The tension between both masses is f = k (x - s - o) + c (x' -
+s'), with the stretch offset o. Source: one-tendon finger in reduced coordinates (Tsai, structure
+matrix), virtual work.
 """
 
 from dataclasses import dataclass, fields
@@ -26,17 +26,17 @@ class TendonSpace:
 
     Attributes:
         names: names of the tendons.
-        motor_mass: reflected rotor inertia J_m / r_a^2 [kg].
+        motor_mass: rotor inertia J_m / r_a^2, converted to a mass at the tendon [kg].
         motor_damping: viscous friction of the motor b_m / r_a^2 [N s/m].
         coulomb: Coulomb friction of the motor tau_c / r_a [N].
         stiffness: stiffness of the tendon [N/m].
         damping: damping of the tendon [N s/m].
-        load_mass: effective mass of the half-closed digit along the tendon [kg].
-        load_stiffness: effective stiffness of the return springs along the tendon [N/m].
-        load_damping: effective damping of the joints along the tendon [N s/m].
+        load_mass: mass of the half-closed digit, converted to the tendon [kg].
+        load_stiffness: stiffness of the return springs, converted to the tendon [N/m].
+        load_damping: damping of the joints, converted to the tendon [N s/m].
         spool: radius of the spool [m].
-        encoder_step: resolution of the motor position along the tendon [m].
-        tension_noise: standard deviation of a load-cell sample [N].
+        encoder_step: smallest measurable change of the motor position, converted to the tendon [m].
+        tension_noise: standard deviation of a load-cell reading [N].
         has_cell: 1 for a tendon with a load cell, 0 without.
     """
 
@@ -57,7 +57,7 @@ class TendonSpace:
     def numbers_of(self, i: int) -> tuple[float, ...]:
         """Return all constants of tendon i.
 
-        Tendons with equal constants share the design of filters and control loops.
+        Tendons with equal constants get the same design of filters and control loops.
         """
         return tuple(
             float(getattr(self, each.name)[i]) for each in fields(self) if each.name != "names"
@@ -65,7 +65,7 @@ class TendonSpace:
 
 
 def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
-    """Collect the constants of every tendon.
+    """Collect the constants of all tendons of a hand.
 
     Args:
         hand: description of the hand.
@@ -75,7 +75,8 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
     tendons = hand.tendon
     spool = np.array([motors[tendon.motor].spool_radius_m for tendon in tendons])
     inertia = np.array([motors[tendon.motor].inertia_kg_m2 for tendon in tendons])
-    # The mass matrix of the whole hand is used, because it includes the fingers that a wrist moves.
+    # The mass matrix of the whole hand is used here, because it includes the fingers that a wrist
+    # moves.
     mass = HandTree.from_hand(hand, digits).mass_matrix(np.full(len(hand.joints), np.pi / 4))
     load = np.concatenate(
         [_load_along_tendons(digit, mass[digit.joints, digit.joints]) for digit in digits], axis=1
@@ -86,7 +87,7 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
         motor_damping=np.array([motors[tendon.motor].viscous_N_m_s_per_rad for tendon in tendons])
         / spool**2,
         coulomb=np.array([motors[tendon.motor].coulomb_N_m for tendon in tendons]) / spool,
-        # While both tendons of a spool pair are taut, both resist a stretch.
+        # While both tendons of a spool pair are taut, both tendons resist a stretch.
         stiffness=np.array([tendon.stiffness_N_per_m for tendon in tendons])
         * np.where(hand.is_pair, 2.0, 1.0),
         damping=np.array([tendon.damping_N_s_per_m for tendon in tendons])
@@ -104,8 +105,8 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
 def _position_step(motor: Motor) -> float:
     """Return the resolution of a motor's reported position [rad].
 
-    The result is the resolution of the protocol. The value is at least 1/65536 of the position
-    range. Smaller steps would be below the noise.
+    The step follows from the protocol of the drive. The result is at least 1/65536 of the range of
+    the position. Smaller steps would be below the noise of the position.
     """
     return max(2 * motor.position_range_rad / 0xFFFF, make_drive(motor, 0).position_step)
 
@@ -115,8 +116,8 @@ def _load_along_tendons(digit: DigitModel, mass: Vector) -> Vector:
 
     Args:
         digit: model of the digit.
-        mass: (n, n) mass matrix of the joints of the half-closed digit, with all links that it
-            carries [kg m2].
+        mass: (n, n) mass matrix of the joints, with the digit half closed and with all links that
+            it carries [kg m2].
     """
     coupling = digit.coupling
     joint_space = (

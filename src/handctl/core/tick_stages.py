@@ -1,6 +1,9 @@
-"""Compiled stages of a tick. Between these stages, ``controller.tick`` makes decisions in Python.
+"""Compiled stages of a tick.
 
-The list contains the stages in the order of their execution, each with its input and its result:
+Between these compiled stages, ``controller.tick`` makes decisions in Python.
+
+The following list contains the stages in the order of their execution, each with its input and its
+result:
 
 begin      number and time of the tick -> state block, with the flags of received data reset
 receive    frames -> values of drives and sensors, see ``wire.cyclic_frames``
@@ -55,7 +58,7 @@ def begin_tick(
         at: ``BlockLayout.places`` of the state block.
         k: number of the tick.
         t_ns: time of the tick [ns].
-        late_ns: delay of the tick's start [ns].
+        late_ns: delay of the start of the tick [ns].
         missed: ticks missed before the present tick.
         frames: number of received frames.
     """
@@ -99,7 +102,7 @@ def store_drive(
     due_ns: int,
     misread: int,
 ) -> None:
-    """Store the values of a drive after its state machine has run.
+    """Store the values of a drive after the state machine of the drive has run.
 
     Args:
         block: state block.
@@ -110,14 +113,14 @@ def store_drive(
         torque: torque that the drive reports [N m].
         temperature: temperature of the hottest sensor of the drive [degC].
         feedback_t_ns: reception time of the latest feedback [ns].
-        feedback_count: number of feedback frames since the start.
-        recheck_step: index of the setting that is read again next.
-        recheck_due_ns: time at which this setting is requested [ns].
-        recheck_tries: number of requests for this setting without an answer.
+        feedback_count: number of feedback frames since the start of the run.
+        recheck_step: index of the setting of the drive that is read again next.
+        recheck_due_ns: time at which the next setting is requested [ns].
+        recheck_tries: number of requests for the next setting that the drive has not answered.
         phase: ``drives.contract.DrivePhase`` of the drive.
         fault_code: error code of the drive.
         fault_cause: ``drives.contract.DriveFaultCause`` of the error code, -1 without a fault.
-        steady_status: status of the drive at which its state machine has nothing to do.
+        steady_status: status that the drive reports while its state machine has nothing to do.
         due_ns: time at which the state machine of the drive must run next [ns].
         misread: 1 if a frame of the drive in this tick had a wrong shape.
     """
@@ -145,7 +148,7 @@ def store_drive(
 def observe_tick(
     block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
 ) -> None:
-    """Convert the values received in this tick into measurements."""
+    """Convert the values that were received in the present tick into measurements."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     measurements.write_measurements(x, c)
@@ -177,9 +180,9 @@ def correct_estimate(
 def conclude_estimate(
     block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
 ) -> bool:
-    """Derive the estimate from the predicted states.
+    """Compute the estimate of the tick from the predicted states of the tension filter.
 
-    Return True if a node sent more replies than it received requests.
+    Return True if a node sent more replies than the host sent requests to it.
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
@@ -250,7 +253,7 @@ def joint_motion(
 def write_loads(
     block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
 ) -> int:
-    """Convert required joint torques into tensions, see ``digit_reference.write_required_tensions``."""
+    """Convert the required joint torques into tensions, see ``digit_reference.write_required_tensions``."""
     return digit_reference.write_required_tensions(
         state_tables(block, at), constant_tables(constants, constants_at)
     )
@@ -266,9 +269,9 @@ def compute_motor_torques(
     open_loop: int,
     ticks: int,
 ) -> None:
-    """Compute the motor torques, see ``computed_torque``.
+    """Compute the motor torques of the tick, see ``computed_torque``.
 
-    The torques are 0 unless the hand is active or relaxing.
+    The motor torques are 0 unless the hand is active or relaxing.
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
@@ -284,7 +287,7 @@ def compute_motor_torques(
 def store_commands(
     block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
 ) -> None:
-    """Store the commands and requests of this tick for the next tick, and complete the numbers for the log."""
+    """Store the commands and requests of the tick for the next tick, and complete the numbers for the log."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     mode = x.run_int[s.MODE]

@@ -1,4 +1,4 @@
-"""Inputs and outputs of a tick: ``TickIn`` has all information for the decisions, ``TickOut`` all decisions."""
+"""Inputs and outputs of a tick: ``TickIn`` has all data for the decisions, ``TickOut`` all decisions."""
 
 import enum
 from collections.abc import Iterator, Sequence
@@ -60,7 +60,7 @@ class IoEvent(NamedTuple):
     """An event of a bus, of the host or of the recorder, as an input of a tick.
 
     Attributes:
-        kind: type of the event, for example enobufs, bus_off, dropped, recorder, suspended.
+        kind: type of the event, for example enobufs, bus_off, dropped, recorder or suspended.
         where: bus or part of the host in which the event occurred.
         number: count that belongs to the event, for example the number of dropped records.
     """
@@ -95,13 +95,13 @@ class TickIn(NamedTuple):
     """Inputs of a tick.
 
     Attributes:
-        k: tick number. If this number jumps, ticks were missed.
-        t_ns: scheduled time of the tick on the clock of the run [ns]: k times the period, from 0.
-        late_ns: time from the scheduled to the real start of the tick [ns].
+        k: tick number. If the tick number increases by more than 1, ticks were missed.
+        t_ns: scheduled time of the tick on the clock of the run [ns], which is k times the period.
+        late_ns: delay of the real start of the tick after the scheduled time [ns].
         frames: frames received since the last tick, in the order of reception.
         io_events: events of buses, host and recorder since the last tick.
-        requests: requests of operators and programs since the last tick, in the order of arrival. A
-            log contains all requests as JSON texts.
+        requests: requests of operators and programs since the last tick, in the order of arrival.
+            In the log, all requests are JSON texts.
     """
 
     k: int
@@ -136,11 +136,11 @@ class TickEvent(NamedTuple):
 
 
 class Telemetry(NamedTuple):
-    """Numbers of a tick for log and viewers, float64.
+    """Numbers of a tick for the log and the viewers, as float64.
 
     An unknown number is NaN. A value of an older tick is never repeated.
 
-    Shapes: J joints, N tendons, M motors, D digits, in the order of the hand file.
+    Shapes: J joints, N tendons, M motors and D digits, in the order of the hand file.
     """
 
     q: Vector
@@ -204,9 +204,9 @@ class Telemetry(NamedTuple):
 
 
 class PackedTelemetry:
-    """Telemetry of a tick as one array, in the form of the log.
+    """Telemetry of a tick as one array, in the same form as in the log.
 
-    Each field is an attribute, which returns a slice of the array.
+    Each telemetry field is an attribute, which returns a slice of the array.
 
     Attributes:
         numbers: array of all fields in order.
@@ -262,7 +262,7 @@ TELEMETRY_AXES = {
 
 
 class TickOut(NamedTuple):
-    """Decisions of a tick.
+    """Results of a tick: frames to send, events, and numbers for log and viewers.
 
     Attributes:
         frames: frames to send, in order.

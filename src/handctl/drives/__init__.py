@@ -1,1 +1,1 @@
-"""Motor drives and load cells on CAN: frames, codecs, and a state machine for each protocol."""
+"""Motor drives and load cells on CAN: their frames, and a state machine for each protocol."""

@@ -1,6 +1,6 @@
 """Interface of every motor drive protocol: codec and state machine.
 
-Functions get the time as an argument.
+All functions of the interface get the time as an argument.
 
 Each protocol is one class. Each object of the class is the immutable description of one motor on
 one bus. All changing values are in an immutable ``DriveState``. In each tick the controller calls
@@ -35,7 +35,7 @@ FIRST_RECHECK = RecheckCursor()
 class DriveTarget(enum.IntEnum):
     """Drive state that the controller requests.
 
-    In each tick, the drive goes one step towards this state.
+    In each tick, the drive goes one step towards the requested state.
     """
 
     LISTEN = 0
@@ -73,7 +73,7 @@ class DrivePhase(enum.IntEnum):
 
 
 class DriveFaultCause(enum.IntEnum):
-    """Cause of a drive fault. Each protocol maps its own error codes to these eight causes."""
+    """Cause of a drive fault. Each protocol converts its own error codes to these eight causes."""
 
     OTHER = 0
     """The protocol documents the error, but none of the other causes fits."""
@@ -105,7 +105,7 @@ class DriveProperty(enum.Enum):
 
 
 class DriveState(NamedTuple):
-    """State of one drive. Values are at the spool, with the hand's sign: positive values wind the tendon.
+    """State of one drive. All values refer to the spool, and positive values wind the tendon.
 
     Attributes:
         phase: progress from silence to torque.
@@ -116,12 +116,12 @@ class DriveState(NamedTuple):
             a sensor.
         feedback_t_ns: reception time of the latest feedback [ns], -1 before the first.
         feedback_count: number of feedback frames since the start.
-        recheck: position in the repeated read-back of the enabled drive.
-        error: error code of the drive, 0 without an error.
-        error_text: the error of the drive in words, empty without an error.
-        misread: number of frames that had one of the drive's identifiers but an invalid payload.
-        private: internal state of the protocol, such as an open request, deadlines, or ranges.
-            Callers do not read it.
+        recheck: position in the list of settings that are read again while the drive is enabled.
+        error: error code of the drive, or 0 without an error.
+        error_text: error of the drive in words, or an empty text without an error.
+        misread: number of frames that had an identifier of the drive but an invalid payload.
+        private: internal values of the protocol, such as an open request or the end of a waiting
+            time. Code outside the protocol does not read these internal values.
     """
 
     phase: DrivePhase = DrivePhase.SILENT
@@ -162,9 +162,9 @@ class DriveState(NamedTuple):
 def is_confirmed_off(state: DriveState) -> bool:
     """Return True if a drive with target DISABLE has reported that it makes no torque.
 
-    SILENT and CONFIGURING are no confirmation, because no report of the drive led to these phases.
-    The phase FAULT is a confirmation only after a call of ``advance`` with DISABLE. This call
-    changes the phase of a drive in fault that may still make torque to ENABLED.
+    The phases SILENT and CONFIGURING confirm nothing, because no report of the drive led to these
+    phases. The phase FAULT is a confirmation only after a call of ``advance`` with the target
+    DISABLE. If a drive in fault may still make torque, this call changes its phase to ENABLED.
     """
     return state.phase in (DrivePhase.READY, DrivePhase.FAULT)
 
@@ -174,18 +174,18 @@ class Drive(Protocol):
 
     Attributes:
         name: name of the motor in the hand file.
-        bus: index of the bus of the drive.
-        command_limit: largest command at the spool, in the unit of the drive's mode: a torque [N m], or
-            in the modes of ``drive_modes`` a position [rad] or velocity [rad/s].
-        frames_per_tick: all frames that one tick can have at most, in both directions, as (payload
-            bytes, CAN FD?). The bus load is computed from them.
+        bus: index of the bus to which the drive is connected.
+        command_limit: largest command at the spool: a torque [N m], or in the modes of
+            ``drive_modes`` a position [rad] or velocity [rad/s].
+        frames_per_tick: largest number of frames in one tick, in both directions, as (payload
+            bytes, CAN FD?). The bus load is computed from these frames.
         background_frames: frames whose rate is not the control rate, as (payload bytes, CAN FD?,
             frames per second).
-        has_extended_ids: True if the frames have 29-bit identifiers. Such frames take longer on the
-            bus.
-        host_ids: identifiers of frames from a host to the drive. If such a frame is received,
-            another host has sent it.
-        node_ids: identifiers of frames from the drive.
+        has_extended_ids: True if the frames have 29-bit identifiers. Frames with 29-bit identifiers
+            take longer on the bus.
+        host_ids: identifiers of frames that a host sends to the drive. If the controller receives a
+            frame with such an identifier, another host has sent the frame.
+        node_ids: identifiers of frames that the drive sends.
         unverified_protections: protections of the drive that handctl cannot verify, shown to the
             operator before arming.
         unchecked_properties: reason for each property that handctl cannot check on this drive. The
@@ -194,8 +194,8 @@ class Drive(Protocol):
             additional frame is then a duplicate, or comes from a second drive with the same number.
         position_step: resolution of the measured position [rad at the spool], 0 if unknown.
         cyclic_messages: signal tables of the frames that a tick exchanges with the enabled drive.
-        rechecks: settings that are read again while the drive is enabled, each with one request
-            and one reply. Empty if the state machine itself does the repeated read-back.
+        rechecks: settings that are read again while the drive is enabled, each with one request and
+            one reply. The tuple is empty if the state machine itself reads the settings again.
         feedback_period_s: period of the drive's unrequested feedback [s], 0 if every tick requests
             feedback.
     """
@@ -276,17 +276,17 @@ class Drive(Protocol):
         ...
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status in the feedback at which the state machine has nothing to do, or NO_STEADY_STATUS.
+        """Return the status of the feedback while the state machine has nothing to do, or NO_STEADY_STATUS.
 
-        As long as the feedback has this status, only its values change, and torque commands may
-        continue.
+        As long as the feedback has this status, only its measured values change, and torque
+        commands may continue.
         """
         ...
 
     def due_ns(self, state: DriveState) -> int:
         """Return the time at which ``advance`` must be called even if the status does not change [ns].
 
-        The repeated read-back of ``rechecks`` does not count, because compiled code does it.
+        The time ignores the requests of ``rechecks``, because compiled code sends these requests.
         """
         ...
 
@@ -344,7 +344,7 @@ class Drive(Protocol):
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return the frames to send to the drive at the regular end of a run.
 
-        After these frames the drive accepts that the host sends nothing more.
+        After these frames, the drive accepts that the host sends nothing more.
 
         The result is empty if the drive may still make torque.
         """

@@ -1,10 +1,10 @@
-"""Export of a DBC file with the cyclic frames of a bus, from the signal tables that the controller itself uses.
+"""Export of the cyclic frames of a bus as a DBC file, from the signal tables of the controller.
 
-The values in the DBC are those that the controller uses: at the spool, with the hand's sign. A DBC
+The values in the DBC file are the values at the spool, and positive values wind the tendon. A DBC
 can have only one message per identifier. A command is left out if its answer has the same
-identifier (CubeMars), or if the identifier contains one of its values (RobStride). Frames without
-values are left out too: remote frames, and a SYNC without payload. Settings, heartbeats, register
-replies and SDO replies are not in the signal tables, and therefore not in the DBC.
+identifier (CubeMars), or if the identifier of the command contains a value (RobStride). Frames
+without values are left out too: remote frames, and a SYNC without payload. Settings, heartbeats,
+register replies and SDO replies are not in the signal tables, and therefore not in the DBC.
 """
 
 from collections.abc import Iterable, Sequence

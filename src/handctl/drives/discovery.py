@@ -30,9 +30,10 @@ class DiscoveredNode:
         serial: serial number, empty if not reported.
         state: state of the node in words, empty if not reported.
         error: error of the node in words, empty if not reported.
-        settings: values for the keys of a ``[[motor]]`` section, by key. Most are read from the
-            drive.
-        options: values for the keys of ``[motor.options]``, by key. Most are read from the drive.
+        settings: values for the keys of a ``[[motor]]`` section, by key. Most of these values are
+            read from the drive.
+        options: values for the keys of ``[motor.options]``, by key. Most of these values are read
+            from the drive.
         notes: warnings for the operator.
         origins: source of each value in ``settings`` and ``options`` that was not read from the
             drive, by key.
@@ -65,17 +66,17 @@ def have_two_drives_answered(answers: Mapping[int, Sequence[bytes]], serial: int
     requests twice by mistake.
 
     Args:
-        answers: received answers to each request, by request (for example by register number). Each
-            request was sent once.
-        serial: key in ``answers`` of the request for the serial number. Two drives never give equal
-            answers to this request.
+        answers: received answers to each request of the scan, by request, for example by register
+            number. The scan sends each of these requests once.
+        serial: key in ``answers`` of the request for the serial number. Two drives never answer the
+            request for the serial number equally.
     """
     serials = set(answers.get(serial, ()))
     return len(serials) > 1 or sum(len(payloads) > 1 for payloads in answers.values()) > 1
 
 
 def unchanged_node(node: DiscoveredNode) -> DiscoveredNode:
-    """Return the node unchanged, for protocols that draw no conclusion from a missing answer."""
+    """Return the node unchanged, for protocols in which a missing answer has no meaning."""
     return node
 
 
@@ -93,10 +94,10 @@ class ProtocolDiscovery(NamedTuple):
         command_ids: function returning the identifiers of frames that a node obeys as commands.
         other_host_frames: function returning those received frames that only another host can have
             sent.
-        ping: function returning a request to one node. The request causes no motion.
+        ping: function returning a request to one node. The request does not move the motor.
         is_ping_reply: function returning True if a frame is the answer of a node to ``ping``.
-        unasked: function that corrects a node if the scan has only listened. A missing answer then
-            means nothing.
+        unasked: function that corrects the data of a node if the scan has only listened, without
+            requests. Without requests, a missing answer has no meaning.
     """
 
     probe_frames: Callable[[int, ReceivedFrames], tuple[Frame, ...]]

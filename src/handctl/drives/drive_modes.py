@@ -1,8 +1,8 @@
 """Drive modes in which the drive itself controls its position or velocity: controlled quantity and limits.
 
 A drive in such a mode is a ``contract.Drive`` whose command is a position [rad] or a velocity
-[rad/s] at the spool instead of a torque. Its ``command_limit`` has the same unit. The drive keeps
-the torque limit, the watchdog and the read-back of the torque mode.
+[rad/s] at the spool instead of a torque. The attribute ``command_limit`` of the drive has the unit
+of the command. The torque limit, the watchdog and the read-back are the same as in torque mode.
 """
 
 import enum

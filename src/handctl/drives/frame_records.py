@@ -53,7 +53,9 @@ BYTE_MASK = 0xFF
 
 
 class Frames(Sequence[Frame]):
-    """Sequence of frames stored as records. Such a sequence equals any sequence with equal frames.
+    """Sequence of frames stored as records.
+
+    A ``Frames`` sequence equals any other sequence with equal frames.
 
     Attributes:
         records: (n,) frames of type ``FRAME_RECORD_DTYPE``.

@@ -30,8 +30,8 @@ def frame_time_s(
     """Return the longest time of one frame on the wire [s].
 
     Args:
-        size: length of the payload [bytes]. In a CAN FD frame, it is rounded up to the next length
-            of the standard.
+        size: length of the payload [bytes]. The length of a CAN FD frame is rounded up to the next
+            length that the standard allows.
         fd: True for a CAN FD frame with bit rate switch.
         bitrate: nominal bit rate [bit/s].
         data_bitrate: bit rate of the data phase [bit/s]. With None, the nominal bit rate is used.
@@ -70,7 +70,7 @@ def _fd_frame_time_s(
     adds.
     """
     size = next(length for length in FD_SIZES if length >= size)
-    # The body has ESI, the four bits of DLC, and the data.
+    # The body of the frame has ESI, the four bits of DLC, and the data.
     body = 5 + 8 * size
     header_stuff = FD_HEADER_STUFF_BITS + extra_identifier_bits // 4
     stuff = (FD_HEADER_BITS + extra_identifier_bits + body - 1) // 4 - header_stuff

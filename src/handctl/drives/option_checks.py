@@ -132,7 +132,7 @@ def refuse_unknown_options(
         declared: options of the protocol, for the error message.
 
     Raises:
-        ConfigError: an option is left.
+        ConfigError: the options contain a key that the protocol does not declare.
     """
     if options:
         *names, last = declared or ("no such key: this protocol has no options",)

@@ -110,13 +110,13 @@ def make_drive(motor: MotorDescription, bus: int) -> Drive:
 def make_mode_drive(
     motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
 ) -> Drive:
-    """Return the drive for a motor description, in the given mode.
+    """Return the drive object for a motor description, in the given mode.
 
     Args:
         motor: description of the motor.
         bus: index of the bus.
         mode: quantity that the drive controls.
-        limits: largest speed and acceleration. They are not used in torque mode.
+        limits: largest speed and acceleration. In torque mode, the limits are not used.
 
     Raises:
         ConfigError: the protocol or an option is unknown, or handctl does not support this mode of

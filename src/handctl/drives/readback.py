@@ -63,7 +63,7 @@ class ReadbackCursor(NamedTuple):
 
     @property
     def waiting(self) -> bool:
-        """Return True if a request has been sent and has no answer yet."""
+        """Return True if a request has been sent, but no answer has arrived yet."""
         return self.sent_ns >= 0
 
     def next_setting(self) -> "ReadbackCursor":
@@ -71,7 +71,10 @@ class ReadbackCursor(NamedTuple):
         return ReadbackCursor(self.step + 1)
 
     def after_write(self) -> "ReadbackCursor":
-        """Return the cursor after a write request. The next request then reads the setting back."""
+        """Return the cursor after a write request.
+
+        The next request then reads the setting that was written.
+        """
         return ReadbackCursor(self.step, written=self.written + 1)
 
 
@@ -120,7 +123,7 @@ def on_wrong_value(
         writes: largest number of times that the setting is written.
 
     Returns:
-        the new cursor, and the problem in words, empty without a problem.
+        The new position in the read-back, and the problem in words (empty if there is no problem).
     """
     if cursor.written < writes:
         return ReadbackCursor(cursor.step, writing=True, written=cursor.written), ""
@@ -143,7 +146,7 @@ class RecheckCursor(NamedTuple):
 
     @property
     def waiting(self) -> bool:
-        """Return True if a request has no answer yet."""
+        """Return True if a request has been sent, but no answer has arrived yet."""
         return self.tries > 0
 
 
@@ -154,8 +157,8 @@ class SettingRecheck(NamedTuple):
         name: name of the setting.
         request: frame of the request.
         reply: frame of the reply with the required value, with at most 8 bytes of payload.
-        key_bytes: first byte of the payload that identifies the reply to this request, and the
-            byte after the last. Another reply differs in these bytes.
+        key_bytes: first byte of the payload that identifies the reply to this request, and the byte
+            after the last. A reply to another request differs in these bytes.
         compared_bytes: first byte of the payload that is compared, and the byte after the last.
     """
 
@@ -176,7 +179,7 @@ def next_recheck(
 ) -> tuple[RecheckCursor, str]:
     """Return the position after a read-back request to an enabled drive, and the problem in words.
 
-    The problem is empty if all is right.
+    The text of the problem is empty if no problem has occurred.
 
     Args:
         check: position in the repeated read-back.

@@ -1,4 +1,6 @@
-"""Signal tables of cyclic frames. A table has the position, the coding, and the scale of each value in a frame.
+"""Signal tables of cyclic frames.
+
+A signal table contains the position, the coding and the scale of each value in a frame.
 
 One compiled packer and one compiled unpacker serve all protocols. From the same tables,
 ``drives.dbc_export`` writes a DBC file for other tools. Bit positions are those of a DBC: bit 0 is the
@@ -85,7 +87,7 @@ class Signal(NamedTuple):
         offset: value at count 0 [unit].
         unit: unit of the value.
         channel: index of the tendon or joint, in a frame with several tendons or joints.
-        largest: largest absolute count of a float. It bounds position commands only.
+        largest: largest absolute count of a float, which limits only position commands.
     """
 
     name: str
@@ -104,7 +106,7 @@ class Signal(NamedTuple):
     def ends(self) -> tuple[float, float]:
         """Return smallest and largest value of an unsigned integer or of a float [unit].
 
-        A stiffness, a damping or a limit is not negative.
+        The smallest value of a stiffness, a damping or a limit is 0.
         """
         low = 0.0
         high = (1 << self.length) - 1.0
@@ -158,14 +160,15 @@ class CyclicMessages(NamedTuple):
 
     Attributes:
         feedback: frames from the drive.
-        commands: frames to the drive, in this order. One of them carries the torque.
+        commands: frames to the drive, in this order. One of these frames contains the torque.
         feedback_timeout_ns: longest time without feedback before the state machine must act [ns], 0
             for no limit.
         position: the torque command with the signals of ``POSITION_COMMAND``, with which the drive
             closes its own position loop. None if the protocol has no such frame.
         moves_target: True if the drive moves the commanded position with the commanded velocity
-            until the next command. False if the position stays. A moving position would pull ever
-            more after a failure of the host, so its command contains a torque limit.
+            until the next command. The value is False if the commanded position stays unchanged
+            until the next command. After a failure of the host, a moving position would increase
+            the tension more and more, so its command contains a torque limit.
     """
 
     feedback: tuple[CyclicMessage, ...]

@@ -77,7 +77,7 @@ def request_recheck(
     Args:
         state: state of the drive.
         drive: drive whose settings are read again.
-        error_code: error code of a setting that the drive does not answer.
+        error_code: error code that is set if the drive does not answer the request for a setting.
         t_ns: time of the tick [ns].
     """
     # Most calls end here. The frames of the exchanges are built only for a request that is due.
@@ -119,7 +119,7 @@ def after_recheck_reply(
 def is_steady(state: DriveState) -> bool:
     """Return True if this host has enabled the drive, and does not disable it.
 
-    Uses ``enable_sent`` and ``disabling``.
+    The function uses the fields ``enable_sent`` and ``disabling``.
     """
     progress: EnablingProgress = state.private
     return state.phase == ENABLED and progress.enable_sent and not progress.disabling
@@ -128,7 +128,7 @@ def is_steady(state: DriveState) -> bool:
 def may_have_lost_power(state: DriveState, t_ns: int) -> bool:
     """Return True if a disabled drive has sent no frame for SILENCE_TIMEOUT_NS.
 
-    Uses ``enable_sent`` and ``ready_ns``.
+    The function uses the fields ``enable_sent`` and ``ready_ns``.
     """
     progress: EnablingProgress = state.private
     return (
@@ -141,7 +141,7 @@ def may_have_lost_power(state: DriveState, t_ns: int) -> bool:
 def after_configuration(state: DriveState, t_ns: int, serial: int) -> DriveState:
     """Return the state in phase READY of a drive whose settings have all been verified.
 
-    With serial number 0, the serial number is unknown.
+    A serial number of 0 means that the serial number is unknown.
     """
     progress: EnablingProgress = state.private
     ready = progress._replace(
@@ -151,7 +151,10 @@ def after_configuration(state: DriveState, t_ns: int, serial: int) -> DriveState
 
 
 def start_enabling(state: DriveState, node_id: int, t_ns: int) -> DriveState:
-    """Return the state of a drive to which an enable command is sent. Uses ``enable_sent``."""
+    """Return the state of a drive to which an enable command is sent.
+
+    The function uses the field ``enable_sent``.
+    """
     progress: EnablingProgress = state.private
     if progress.enable_sent:
         return state
@@ -162,8 +165,8 @@ def start_enabling(state: DriveState, node_id: int, t_ns: int) -> DriveState:
 def start_disabling(state: DriveState, t_ns: int) -> DriveState:
     """Return the state of a drive to which a disable command is sent.
 
-    A drive that may be enabled counts as enabled until its feedback reports that it is off. Uses
-    ``may_be_enabled``, ``disabling`` and ``disabling_ns``.
+    A drive that may be enabled counts as enabled until its feedback reports that it is off. The
+    function uses the fields ``may_be_enabled``, ``disabling`` and ``disabling_ns``.
     """
     progress: EnablingProgress = state.private
     phase = ENABLED if progress.may_be_enabled else state.phase
@@ -178,7 +181,8 @@ def state_when_off(
 ) -> DriveState:
     """Return the state after the drive has reported that it is off, without an error.
 
-    Uses ``enable_sent``, ``enabled_by_other``, ``clearing``, ``disabling`` and ``disabling_ns``.
+    The function uses the fields ``enable_sent``, ``enabled_by_other``, ``clearing``, ``disabling``
+    and ``disabling_ns``.
 
     Args:
         state: state of the drive, with the values of this feedback.
@@ -201,7 +205,9 @@ def state_when_off(
 
 
 def state_when_on(state: DriveState, error_code: int, text: str) -> DriveState:
-    """Return the state after the drive has reported that it is on. Uses ``enable_sent``.
+    """Return the state after the drive has reported that it is on.
+
+    The function uses the field ``enable_sent``.
 
     Args:
         state: state of the drive.
@@ -217,7 +223,8 @@ def state_when_on(state: DriveState, error_code: int, text: str) -> DriveState:
 def state_when_on_by_other(state: DriveState, error_code: int, text: str) -> DriveState:
     """Return the state of a drive that may make torque without a command of this host.
 
-    Uses ``enabled_by_other`` and ``disabling``. Arguments as in ``state_when_on``.
+    The function uses the fields ``enabled_by_other`` and ``disabling``. The arguments have the same
+    meaning as in ``state_when_on``.
     """
     progress: EnablingProgress = state.private
     on = state._replace(private=progress._replace(enabled_by_other=True))

@@ -1,8 +1,8 @@
-"""Base class of the Gymnasium environments: a homed simulated hand in lockstep, which a stream of targets commands.
+"""Base class of the Gymnasium environments: a homed simulated hand in lockstep, which follows a stream of targets.
 
-An action reaches the controller in the same way as the targets of a client: as text in ``TickIn``.
-Therefore the controller checks, clips and limits the action, and the safety monitor reacts as on a
-real hand. The subclasses ``TrackEnv`` and ``GraspEnv`` define the rewards.
+An action reaches the controller as text in ``TickIn``, as the targets of a client do. Therefore the
+controller checks, clips and limits the action, and the safety monitor reacts as on a real hand. The
+subclasses ``TrackEnv`` and ``GraspEnv`` define the rewards.
 """
 
 import json
@@ -98,12 +98,12 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
         Args:
             hand: name of a packaged hand, or path of a hand file.
-            space: meaning of an action, see ``TargetSpace``.
+            space: coordinates for which an action has targets, see ``TargetSpace``.
             duration_s: longest duration of an episode [s].
             perturb: factors by which parameters of the simulated plant are multiplied, see
                 ``handctl sim --help``.
             speed_deg_s: largest rate of change of the targets [deg/s].
-            render_mode: ``rgb_array`` for pictures by ``render``, None for none.
+            render_mode: ``rgb_array`` if ``render`` shall return pictures, None otherwise.
             picture_size_px: width and height of the pictures [pixels].
 
         Raises:
@@ -175,7 +175,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     @abstractmethod
     def extra_values(self, name: str) -> Any:
-        """Return the values of an observation's part that does not come from the telemetry."""
+        """Return the values of an observation part that the telemetry does not contain."""
 
     @abstractmethod
     def begin_episode(self) -> None:
@@ -197,7 +197,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         return []
 
     def streamed_names(self, action: Vector) -> tuple[str, ...]:
-        """Return the joints or digits for which a step sends targets."""
+        """Return the names of the joints or digits for which a step sends targets."""
         return self.names
 
     @property
@@ -230,7 +230,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     @property
     def simulated_world(self) -> Any:
-        """Return the simulated world. The rewards use its true values."""
+        """Return the simulated world. The rewards use the true values of this world."""
         return self.simulated_run.simulated_hand.world
 
     def reset(
@@ -272,7 +272,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         return self._observation(), self._extra_information()
 
     def step(self, action: Float32Array) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
-        """Send the targets of an action, and simulate until the next action is due.
+        """Send the targets of an action to the hand, and simulate the hand until the next action is due.
 
         ``gymnasium.Env`` defines the results.
         """
@@ -317,7 +317,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             return None
         world = self.simulated_run.simulated_hand.world
         if self._camera is None:
-            # The scene of each episode has its own model, so each episode has its own camera.
+            # The scene of each episode is a MuJoCo model of its own, so each episode needs a new
+            # camera.
             try:
                 self._camera = world.open_camera(*self._picture_size_px)
             except ValueError as error:
@@ -337,9 +338,9 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         return self.low_deg + 0.5 * (part + 1.0) * (self.high_deg - self.low_deg)
 
     def action_for(self, angles_deg: Vector) -> Float32Array:
-        """Return the action whose targets are the given angles (V,) [deg].
+        """Return the action with the given target angles (V,) [deg].
 
-        Such an action contains no tensions of digits.
+        This action does not make any digit hold a tension.
         """
         scaled = (
             2.0 * (np.asarray(angles_deg) - self.low_deg) / (self.high_deg - self.low_deg) - 1.0
@@ -349,7 +350,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def coordinates_of_joints(self, q: Vector) -> Vector:
         """Return joint angles (J,) in the form of an action's targets (V,).
 
-        The unit stays the same.
+        The unit of the angles does not change.
         """
         if self._space == "joint":
             return np.asarray(q)
@@ -360,8 +361,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def _step_requests(self, action: Vector) -> list[TickRequest]:
         """Return all requests of a step.
 
-        If the step sends targets for other joints or digits than the step before, a request opens a
-        new stream.
+        If this step and the last step send targets for different joints or digits, the first
+        request opens a new stream.
         """
         requests: list[TickRequest] = list(self.action_requests(action))
         names = self.streamed_names(action)
@@ -377,7 +378,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def _next_target(self, action: Vector) -> StreamTarget:
         """Return the next target of the stream.
 
-        This target approaches the target of the action, within the largest rate of change.
+        This target is closer to the target of the action, and obeys the largest rate of change.
         """
         change = self.angles_deg(action) - self._target_deg
         self._target_deg = self._target_deg + np.clip(
@@ -431,7 +432,7 @@ def _controller_of_file(path: str) -> Controller:
 def _target_range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vector]:
     """Return the lowest and the highest target of each joint or digit in an action (V,) [deg].
 
-    The range of a digit is the range that all its coordinates have in common.
+    The range of a digit is the range that all joint coordinates of this digit have in common.
     """
     if space == "joint":
         low, high = zip(*(digit.displayed_limits for digit in model.hand.digit), strict=True)

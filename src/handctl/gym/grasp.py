@@ -36,13 +36,15 @@ The constant above is the reward for a held object.
 class GraspEnv(HandEnv):
     """Environment for a grasp.
 
-    The digits shall close on a cylinder of random diameter, and hold it when the table sinks.
+    The digits shall close on a cylinder of random diameter, and hold the cylinder while the table
+    below it sinks.
 
     The table sinks after three digits, the thumb among them, have pressed on the cylinder with 1 N
-    for 1.5 s. An action has targets, followed by one value t for each digit. A digit with positive
-    t holds t times its largest tension. The other digits follow their targets. The reward of a step
-    is the change of the mean of min(force / 1 N, 1) over the digits. A success adds 10, and a drop
-    or a fault adds -1. The reward uses the true forces and the true height of the object.
+    for 1.5 s. An action consists of targets, followed by one value t for each digit. If t is
+    positive, the digit holds a tension of t times the largest allowed tension. The other digits
+    follow their targets. The reward of a step is the change of the mean of min(force / 1 N, 1) over
+    the digits. A success adds 10, and a drop or a fault adds -1. The reward uses the true forces
+    and the true height of the object.
     """
 
     has_tensions = True
@@ -122,7 +124,7 @@ class GraspEnv(HandEnv):
     def action_requests(self, action: Vector) -> list[str]:
         """Return a request that changes the tensions of digits.
 
-        If no tension changes, return no request.
+        If an action changes no tension, return no request.
         """
         tension = self._demanded_tensions(action).tolist()
         held = {
@@ -151,7 +153,7 @@ class GraspEnv(HandEnv):
     def _demanded_tensions(self, action: Vector) -> Vector:
         """Return the tension of each digit in an action (D,) [N].
 
-        A value of 0 or less belongs to a digit that follows targets.
+        A digit with a value of 0 or less follows its targets instead.
         """
         tensions: Vector = np.round(action[len(self.names) :] * self._max_tension_N, 3)
         return tensions

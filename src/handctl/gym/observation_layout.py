@@ -1,6 +1,6 @@
-"""Observation vector of an environment.
+"""Observation vector of a Gymnasium environment.
 
-The vector has named values within fixed bounds, most of them from the telemetry.
+The vector consists of named values with fixed bounds. Most of the values come from the telemetry.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +25,7 @@ class ObservationPart(NamedTuple):
 
     Attributes:
         name: name of the part with the unit, as in ``handctl.client.Observation``.
-        axis: name of each value, e.g. the names of the joints.
+        axis: name of each value of the part, e.g. the names of the joints.
         low, high: bounds of every value of the part.
     """
 
@@ -41,11 +41,12 @@ class ObservationLayout:
     Attributes:
         parts: parts of the vector, in order.
         names: name of every value of the vector with the unit, e.g. ``q_rad[index_j1]``.
-        space: bounds of the values. Values outside the bounds are clipped.
+        space: bounds of the values of the vector, as a Gymnasium space. Values outside these bounds
+            are clipped.
     """
 
     def __init__(self, parts: Sequence[ObservationPart]) -> None:
-        """Arrange the parts in the vector, one after the other."""
+        """Place the values of the parts in the vector, one part after the other."""
         self.parts = tuple(parts)
         self.names = tuple([f"{part.name}[{name}]" for part in parts for name in part.axis])
         sizes = [len(part.axis) for part in parts]

@@ -1,4 +1,4 @@
-"""Environment ``handctl/Track-v0``: a hand without an object shall follow a smooth random reference with its joints."""
+"""Environment ``handctl/Track-v0``: the joints of an empty hand shall follow a smooth random reference."""
 
 import math
 from collections.abc import Mapping
@@ -33,10 +33,10 @@ REFERENCE_BLEND_S = 1.0
 class TrackEnv(HandEnv):
     """Environment in which each joint or digit follows a reference.
 
-    A reference is the sum of two sines with random periods and phases.
+    Each reference is the sum of two sine waves with random periods and phases.
 
-    The reward of a step is 1 / (1 + (e / 5 deg)^2). Here e is the RMS of the true tracking errors
-    of all joints or digits. Only a fault ends an episode early.
+    The reward of a step is 1 / (1 + (e / 5 deg)^2). Here e is the root mean square of the true
+    tracking errors of all joints or digits. Only a fault ends an episode early.
     """
 
     def __init__(
@@ -54,8 +54,9 @@ class TrackEnv(HandEnv):
 
         Args:
             hand, space, duration_s, perturb, speed_deg_s: as for ``HandEnv``.
-            span: lowest and highest reference, as fractions of the range of each joint or digit. If
-                digits touch each other within their ranges, the span must be smaller.
+            span: lowest and highest value of the references, as fractions of the range of each
+                joint or digit. If digits can touch each other within these ranges, the span must be
+                smaller.
             render_mode, picture_size_px: as for ``HandEnv``.
 
         Raises:
@@ -69,7 +70,7 @@ class TrackEnv(HandEnv):
         )
 
     def observation_parts(self) -> list[ObservationPart]:
-        """Return the parts of an observation: joint angles and rates, tensions, and the references now and later."""
+        """Return the parts of an observation: joint angles and rates, tensions, present and future references."""
         return [
             *self.body_observation_parts(),
             ObservationPart("reference_rad", self.names, -math.pi, math.pi),
@@ -97,12 +98,12 @@ class TrackEnv(HandEnv):
         return angles if self._space == "digit" else self._joints_of(angles)
 
     def extra_values(self, name: str) -> Any:
-        """Return the references [rad] of one part of the observation: those of now, or those after the horizon."""
+        """Return the present references, or those after the horizon, as the named observation part requires [rad]."""
         ahead = self.horizon_s if name == "reference_ahead_rad" else 0.0
         return self.units.si(self.reference_deg(self.t_s + ahead))
 
     def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return the reward for the true tracking error of a step, False, and the error as information."""
+        """Return the reward for the true tracking error of a step, False (no step ends an episode), and the error."""
         error = self.units.displayed(self.coordinates_of_joints(self.true_q)) - self.reference_deg(
             self.t_s
         )
@@ -121,7 +122,7 @@ class TrackEnv(HandEnv):
 
     @property
     def _reference_units(self) -> DisplayUnits:
-        """Return the units of the references, which are digits, or coordinates of joints."""
+        """Return the units of the references, which belong to digits or to coordinates of joints."""
         if self._space == "digit":
             return self.units
         return DisplayUnits.of(
@@ -131,7 +132,7 @@ class TrackEnv(HandEnv):
     def _coordinates_of(self, q: Vector) -> Vector:
         """Return the values of the references at given joint angles (J,).
 
-        The unit stays the same.
+        The unit of the angles does not change.
         """
         if self._space == "digit":
             return self.coordinates_of_joints(q)
@@ -142,7 +143,7 @@ class TrackEnv(HandEnv):
     def _joints_of(self, coordinates: Vector) -> Vector:
         """Return the joint angles (J,) at given coordinates.
 
-        The unit stays the same. Joints that share a coordinate turn together.
+        The unit of the angles does not change. Joints that share a coordinate have the same angle.
         """
         rows = zip(self.model.digits, self.model.digit_coordinates, strict=True)
         return np.concatenate([digit.coupling @ coordinates[places] for digit, places in rows])

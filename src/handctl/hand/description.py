@@ -74,7 +74,7 @@ It has no channels, so its identifiers and noise have no effect.
 class Hand(Section):
     """Hand as its hand file describes it.
 
-    Lists are in the order of the file. Tendons are listed digit by digit.
+    Lists are in the order of the hand file. The tendons are listed digit by digit.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_by_name=False)
@@ -116,8 +116,8 @@ class Hand(Section):
             or not isinstance(buses[0], dict)
             or "name" not in buses[0]
         ):
-            # pydantic reports the missing buses. The sensor node gets any name of a bus, so that it
-            # causes no second report.
+            # If the buses are missing, pydantic reports this later. Any bus name is used here, so
+            # that the missing buses are not reported twice.
             return given | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": "main"}}
         return given | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": buses[0]["name"]}}
 
@@ -141,7 +141,7 @@ class Hand(Section):
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Return joint names, digit by digit from the palm outwards: ``index_j1``, ``index_j2``, .."""
+        """Return the joint names of all digits, each digit from the palm to the tip: ``index_j1``, ``index_j2``, .."""
         return tuple(joint for digit in self.digit for joint in digit.joints)
 
     @cached_property
@@ -177,13 +177,13 @@ class Hand(Section):
 
     @cached_property
     def display_units(self) -> DisplayUnits:
-        """Return the units in which a user sees the positions of the joints, (J,)."""
+        """Return the units (J,) in which a user sees the positions of the joints."""
         return DisplayUnits.of(self.is_prismatic)
 
     def displayed_mean(self, digit: str) -> DisplayUnits:
-        """Return the unit in which a user sees the mean position of a digit's joints, (1,).
+        """Return the unit (1,) in which a user sees the mean position of a digit's joints.
 
-        It is mm if all joints of the digit are prismatic.
+        If all joints of the digit are prismatic, the unit is mm.
         """
         return DisplayUnits.of([self.is_prismatic[self.digit_joints[digit]].all()])
 
@@ -199,12 +199,12 @@ class Hand(Section):
 
     @cached_property
     def moment_arms(self) -> NDArray[np.float64]:
-        """Return the moment arms R, (N, J) [m], read-only.
+        """Return the moment arms R of all tendons (N, J) [m], as a read-only array.
 
-        The excursion is R q, and tensions f exert the joint torque R^T f.
+        With joint angles q, the excursion is R q. Tensions f exert the joint torques R^T f.
 
-        If a moment arm depends on the joint angle, R has its mean over the range of the joint. The
-        entry of a prismatic joint is the tendon's excursion per motion of the joint [m/m].
+        If a moment arm depends on the joint angle, R contains the mean over the range of the joint.
+        For a prismatic joint, R contains the excursion of the tendon per motion of the joint [m/m].
         """
         limits = self.joint_limits.T.tolist()
         arms = np.array([
@@ -226,11 +226,11 @@ class Hand(Section):
 
     @cached_property
     def carrier_arms(self) -> NDArray[np.float64]:
-        """Return the moment arms of each tendon about joints that carry its digit, (N, J) [m], read-only.
+        """Return the moment arms of each tendon about the joints of digits that carry its digit, (N, J) [m], read-only.
 
-        For example, the tendons of a finger pass the wrist. If such a tendon does not run through
-        the axis of the wrist, its tension turns the wrist, and a motion of the wrist winds or
-        unwinds the tendon.
+        For example, the tendons of a finger also cross the wrist. If such a tendon does not run
+        through the axis of the wrist, its tension turns the wrist. A motion of the wrist then winds
+        or unwinds the tendon.
         """
         arms = self.moment_arms - self.own_arms
         arms.setflags(write=False)
@@ -238,9 +238,9 @@ class Hand(Section):
 
     @cached_property
     def arm_polynomials(self) -> NDArray[np.float64]:
-        """Return the moment arms as polynomials of the joint angle, read-only.
+        """Return the moment arms as polynomials of the joint angle, in a read-only array.
 
-        The array (N, J, quantities.POLYNOMIAL_COEFFICIENTS) contains the coefficients of each
+        The array (N, J, quantities.POLYNOMIAL_COEFFICIENTS) contains the coefficients for each
         tendon at each joint.
         """
         rows = [
@@ -260,7 +260,7 @@ class Hand(Section):
 
     @cached_property
     def joint_limits(self) -> NDArray[np.float64]:
-        """Return the smallest and the largest position of each joint, (2, J) [rad or m]."""
+        """Return the smallest and the largest position of each joint (2, J) [rad or m]."""
         return np.concatenate([digit.joint_limits for digit in self.digit], axis=1)
 
     @cached_property
@@ -282,9 +282,9 @@ class Hand(Section):
 
     @cached_property
     def base_joints(self) -> dict[str, int]:
-        """Return for each digit the index in ``joints`` of the joint whose link carries the digit.
+        """Return, for each digit, the index in ``joints`` of the joint whose link carries the digit.
 
-        The palm has the index -1.
+        If the palm carries the digit, the index is -1.
         """
         return {
             digit.name: -1 if digit.mount_on is None else self.digit_joints[digit.mount_on].stop - 1
@@ -299,7 +299,8 @@ class Hand(Section):
     def carriers_of(self, digit: str) -> tuple[str, ...]:
         """Return the names of the digits that carry a digit, beginning with the one directly before it."""
         carrier = self.digit_named(digit).mount_on
-        # Digits may still carry each other in a circle here. Later checks refuse such a hand file.
+        # In an invalid hand file, digits may carry each other in a circle. Later checks refuse such
+        # a file.
         found: list[str] = []
         while carrier in self.digit_names and carrier not in found:
             found.append(carrier)
@@ -309,7 +310,7 @@ class Hand(Section):
     def digit_of_tendon(self, tendon: Tendon) -> str | None:
         """Return the name of the digit that a tendon moves.
 
-        All other digits that the tendon crosses carry it.
+        All other digits that this tendon crosses must carry the returned digit.
 
         If there is no such digit, return None.
         """
@@ -342,7 +343,7 @@ class Hand(Section):
         return self.motor[self.motor_index[self.tendon_names.index(tendon)]]
 
     def digit_named(self, name: str) -> Digit:
-        """Return a digit by name."""
+        """Return the digit with the given name."""
         return self.digit[self.digit_names.index(name)]
 
     @cached_property
@@ -357,7 +358,7 @@ class Hand(Section):
         for kind, keys in later.items():
             for section in content[kind]:
                 for key in keys:
-                    # A hand file without the key keeps its identity.
+                    # If a hand file does not contain this key, its identity must not change.
                     if section[key] is None or section[key] in ((), {}):
                         del section[key]
         if content["sensor_node"]["joint_noise_m"] is None:
@@ -365,14 +366,14 @@ class Hand(Section):
         content["mount"] = {
             key: value for key, value in content["mount"].items() if value is not None
         }
-        # The content of a sensor node has only the keys of its protocol. Thus a hand file from
-        # before sensor protocols existed keeps its identity.
+        # The content of a sensor node contains only the keys of the node's protocol. So the
+        # identity of a hand file from the time before sensor protocols existed does not change.
         for key in HANDCTL_NODE_KEYS if self.sensor_node.is_cia404 else ("protocol", *CIA404_KEYS):
             del content["sensor_node"][key]
         return content
 
     def to_toml(self) -> str:
-        """Return the content of the file as TOML text, for the log.
+        """Return the content of the hand file as TOML text, for the log of a run.
 
         ``load_hand`` reads an equal hand from this text.
         """
@@ -380,7 +381,7 @@ class Hand(Section):
 
     @cached_property
     def identity(self) -> str:
-        """Return the SHA-256 hash of the content that calibration and gains depend on, in hexadecimal.
+        """Return the SHA-256 hash, in hexadecimal, of the content on which calibrations and gains depend.
 
         Comments, spelling of numbers, and order of keys in the file have no effect on the hash. The
         limits of streams, the meshes, and the keys of a drive's position loop are left out, because
@@ -390,13 +391,14 @@ class Hand(Section):
         content["digit"] = [_without_keys(digit, MESH_KEYS) for digit in content["digit"]]
         content["motor"] = [_without_keys(motor, CONTROL_KEYS) for motor in content["motor"]]
         content["mount"] = _without_keys(content["mount"], PALM_MESH_KEYS)
-        # With sorted keys and fixed separators, equal content becomes an equal text.
+        # Because the keys are sorted and the separators are fixed, equal content becomes equal
+        # text.
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 def _without_keys(table: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
-    """Return a table without the given keys."""
+    """Return a copy of a table without the given keys."""
     return {key: value for key, value in table.items() if key not in keys}
 
 

@@ -43,21 +43,21 @@ In a digit with parallel axes, a coordinate with a larger ratio moves the digit 
 class DigitModel:
     """Digit with n joints, n_t tendons, and n_c reduced coordinates theta.
 
-    Joint angles are q = B theta. Arrays are read-only. A prismatic joint has a position [m] in place
-    of an angle [rad], a force [N] in place of a torque [N m], and an excursion per position [m/m] in
-    place of a moment arm [m].
+    The joint angles are q = B theta. All arrays are read-only. A prismatic joint has a position [m]
+    in place of an angle [rad], a force [N] in place of a torque [N m], and an excursion per
+    position [m/m] in place of a moment arm [m].
 
     Attributes:
         name: name of the digit.
         joint_names: names of the joints, in order.
         tendon_names: names of the tendons, in order.
-        joints: slice of the hand's joints that contains those of the digit.
-        tendons: slice of the hand's tendons that contains those of the digit.
+        joints: slice of the hand's joints that contains the joints of this digit.
+        tendons: slice of the hand's tendons that contains the tendons of this digit.
         lengths: (n,) length of each link [m].
-        coms: (n, 3) centre of mass of each link in its frame [m].
+        coms: (n, 3) centre of mass of each link, in the frame of the link [m].
         masses: (n,) mass of each link [kg].
-        inertias: (n, 3, 3) inertia of each link about its centre of mass, in the link's frame [kg
-            m2].
+        inertias: (n, 3, 3) inertia of each link about its centre of mass, in the frame of the link
+            [kg m2].
         axes: (n, 3) unit vector of each joint in the link's frame.
         is_prismatic: (n,) True for each prismatic joint.
         radius: radius of the links [m].
@@ -67,29 +67,33 @@ class DigitModel:
         armature: (n,) inertia of each joint itself, without its link [kg m2].
         spring_stiffness: (n,) stiffness of each return spring [N m/rad].
         spring_preload: (n,) preload of each return spring [rad].
-        mount_rotation: (3, 3) rotation from the digit's frame to the palm frame.
+        mount_rotation: (3, 3) rotation that converts vectors from the frame of the digit to the
+            palm frame.
         mount_position: (3,) position of the first joint in the palm frame [m].
         gravity: (3,) gravitational acceleration in the palm frame [m/s2]. If another digit carries
-            this digit, the frame of the carrying link takes the place of the palm frame.
+            this digit, the frame of the carrying link takes the place of the palm frame in these
+            attributes.
         table: (rigid_body.TABLE_ROW_COUNT, n) frames and inertial properties of the links, for
             ``rigid_body``.
         parent: (n,) column in ``table`` of the link before each link, -1 for the palm.
-        moment_arms: R, (n_t, n) [m]. If an arm depends on the joint angle, R has its mean. ``at_angles``
-            returns a digit with the arms at given angles.
+        moment_arms: moment arms R (n_t, n) [m]. If a moment arm depends on the joint angle, R
+            contains its mean. The method ``at_angles`` returns a digit whose R belongs to given
+            angles.
         coupling: B, (n, n_c), the identity matrix for independent joints.
-        reduced_moment_arms: R B, (n_t, n_c) [m].
+        reduced_moment_arms: matrix R B (n_t, n_c) [m].
         excursion_to_joints: B (R B)^+, (n, n_t) [rad/m], from tendon excursion to joint angles.
         torque_to_tension: (R B)^+^T B^T, (n_t, n) [1/m], from joint torque to the tensions of
             smallest norm.
         joints_to_coordinates: B^+, (n_c, n), from joint angles to reduced coordinates.
         friction: (n_t,) friction coefficient of the pulleys of each tendon.
         wrap: (n_t,) wrap angle of each tendon before its first joint pulley [rad].
-        motor_mass: (n_t,) rotor inertia as a mass that moves with the tendon, J_m / r_a^2 [kg].
+        motor_mass: (n_t,) inertia of the rotor as a mass that moves with the tendon, J_m / r_a^2
+            [kg].
         arm_polynomials: (n_t, n, quantities.POLYNOMIAL_COEFFICIENTS) moment arms as polynomials of
             the joint angle.
         has_varying_arm: True if at least one moment arm depends on the joint angle.
-        joint_units: units in which a user sees the positions of the joints, (n,).
-        coordinate_units: units in which a user sees the reduced coordinates, (n_c,).
+        joint_units: (n,) units in which a user sees the positions of the joints.
+        coordinate_units: (n_c,) units in which a user sees the coordinates.
     """
 
     name: str
@@ -132,8 +136,8 @@ class DigitModel:
     @property
     def reach(self) -> tuple[Array, Array]:
         """Return the smallest and the largest reduced coordinates (n_c,) within the joint limits [rad]."""
-        # A negative entry of B^+ swaps the lower and the upper limit. Therefore compare the two
-        # products of each entry.
+        # If an entry of B^+ is negative, the lower and the upper limit change places. Therefore
+        # both products with this entry are compared.
         low = self.joints_to_coordinates * self.joint_min
         high = self.joints_to_coordinates * self.joint_max
         return np.minimum(low, high).sum(axis=1), np.maximum(low, high).sum(axis=1)
@@ -149,8 +153,8 @@ class DigitModel:
         turned = np.eye(3)
         axes = []
         for i in range(self.joint_count):
-            # At joint angle zero, the rotation of a link is the sum of two of the three matrices of
-            # Rodrigues' formula.
+            # At joint angle zero, the rotation of a link is the sum of only two of the three
+            # matrices in Rodrigues' formula.
             step = (
                 self.table[body.FIXED_ROTATION_ROW : body.FIXED_ROTATION_ROW + 9, i]
                 + self.table[body.COSINE_ROTATION_ROW : body.COSINE_ROTATION_ROW + 9, i]
@@ -158,21 +162,23 @@ class DigitModel:
             turned = turned @ step.reshape(3, 3)
             axis = self.axes[i]
             if self.is_prismatic[i]:
-                # A prismatic joint moves the link like a hinge with this axis, far from the link.
+                # A prismatic joint moves a link like a hinge with this axis that is far away from
+                # the link.
                 axis = np.cross((1.0, 0.0, 0.0), axis)
             axes.append(turned @ axis)
         if np.linalg.norm(axes[-1]) < 0.5:
-            axes[-1] = turned[:, 2]  # the last link slides along itself
+            axes[-1] = turned[:, 2]  # the last link slides along its own axis
         away = np.abs(np.array(axes) @ axes[-1]) < math.cos(math.radians(SIDEWAYS_ANGLE_DEG))
         if away.any():
-            # A coordinate flexes the digit if it moves at least one joint without sideways motion.
+            # A coordinate flexes the digit if it moves at least one joint that does not move links
+            # sideways.
             return np.asarray(~(self.coupling[~away] != 0.0).any(axis=0))
         low, high = self.reach
         return np.asarray(-low > SIDEWAYS_RANGE_RATIO * high)
 
     @staticmethod
     def from_hand(hand: Hand, name: str) -> "DigitModel":
-        """Build the model of one digit of a hand, by the digit's name."""
+        """Build the model of the digit with the given name."""
         digit = hand.digit_named(name)
         joints = hand.digit_joints[name]
         tendons = hand.digit_tendons[name]
@@ -180,8 +186,8 @@ class DigitModel:
         links = range(len(digit.joints))
         arms = hand.moment_arms[:, joints][tendons]
         coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
-        # The pseudo-inverse of R B turns an excursion into coordinates by least squares. The
-        # transpose of the pseudo-inverse turns a torque into the tensions of least norm.
+        # By least squares, the pseudo-inverse of R B converts an excursion to coordinates. The
+        # transpose of this pseudo-inverse converts a torque to the tensions of smallest norm.
         to_coordinates = np.linalg.pinv(arms @ coupling)
         return DigitModel(
             name=name,
@@ -230,12 +236,12 @@ class DigitModel:
 
     @staticmethod
     def all_from_hand(hand: Hand) -> "tuple[DigitModel, ...]":
-        """Build the models of all digits of a hand, in file order."""
+        """Build the models of all digits of a hand, in the order of the hand file."""
         return tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names)
 
     @property
     def joint_limits(self) -> Array:
-        """Return the smallest and the largest angle of each joint, (2, n) [rad]."""
+        """Return the smallest and the largest angle of each joint (2, n) [rad]."""
         return np.stack((self.joint_min, self.joint_max))
 
     def arms_at(self, q: ArrayLike) -> Array:
@@ -251,9 +257,9 @@ class DigitModel:
         return np.asarray(excursions_at(self.arm_polynomials, self.joint_limits, q).sum(axis=-1))
 
     def at_angles(self, q: ArrayLike) -> "DigitModel":
-        """Return a copy of the digit with its moment arms at joint angles (n,) [rad].
+        """Return a copy of the digit whose moment arms belong to the joint angles (n,) [rad].
 
-        If all arms are constant, return the digit itself.
+        If all moment arms are constant, return the digit itself.
         """
         if not self.has_varying_arm:
             return self
@@ -268,10 +274,10 @@ class DigitModel:
         )
 
     def coordinates_of(self, excursion: Array) -> Array:
-        """Return the coordinates (n_c,) [rad] that give the tendons an excursion (n_t,) [m], by least squares.
+        """Return the coordinates (n_c,) [rad] at which the tendons have an excursion (n_t,) [m], by least squares.
 
-        If moment arms depend on the joint angle, Gauss-Newton steps approach the solution. They
-        begin in the middle of each joint's range.
+        If moment arms depend on the joint angle, the solution is found by Gauss-Newton steps. The
+        first step begins in the middle of the range of each joint.
         """
         if not self.has_varying_arm:
             return np.asarray(self.joints_to_coordinates @ self.excursion_to_joints @ excursion)
@@ -292,16 +298,17 @@ class DigitModel:
         return len(self.lengths)
 
     def with_joint_angles(self, angles: Mapping[int, float], present_angles: JointValues) -> Array:
-        """Return the coordinates (n_c,) nearest to ``present_angles`` that give some joints the given angles.
+        """Return the coordinates (n_c,) nearest to ``present_angles`` at which some joints have given angles.
 
-        The unit of the result is that of the arguments.
+        The result has the same unit as the arguments.
 
-        If coupled joints cannot have all these angles at once, the result is a least-squares
+        If coupled joints cannot have all these angles together, the result is a least-squares
         solution.
 
         Args:
             angles: given angles, by the index of the joint.
-            present_angles: (n_c,) coordinates from which all other joints move as little as possible.
+            present_angles: (n_c,) present coordinates. All joints without a given angle move as
+                little as possible from them.
         """
         rows = self.coupling[list(angles)]
         return np.asarray(
@@ -316,26 +323,26 @@ class DigitModel:
 
 
 def coordinate_range(coupling: Array, limits: Array) -> Array:
-    """Return the range of each reduced coordinate, (2, n_c), in which all joints stay within their limits.
+    """Return the range of each coordinate (2, n_c) in which all joints stay within their limits.
 
-    Each range is valid while all other coordinates are zero. A joint that does not depend on a
-    coordinate does not limit it.
+    Each range applies while all other coordinates are zero. If a joint does not depend on a
+    coordinate, it does not limit this coordinate.
 
     Args:
-        coupling: B, (n, n_c), see ``DigitModel``.
+        coupling: matrix B (n, n_c), see ``DigitModel``.
         limits: (2, n) smallest and largest joint angles, in the unit of the result.
     """
     ranges = []
     for column in coupling.T:
         moved = column != 0.0
         each = limits[:, moved] / column[moved]
-        # A negative entry of B swaps the lower and the upper limit of its joint.
+        # If an entry of B is negative, the lower and the upper limit of its joint change places.
         ranges.append((each.min(axis=0).max(initial=-np.inf), each.max(axis=0).min(initial=np.inf)))
     return np.array(ranges).T
 
 
 def link_table(digit: Digit) -> Array:
-    """Return the table of a digit's links for ``rigid_body``, (rigid_body.TABLE_ROW_COUNT, n)."""
+    """Return the table (rigid_body.TABLE_ROW_COUNT, n) of a digit's links for ``rigid_body``."""
     table = np.zeros((body.TABLE_ROW_COUNT, len(digit.joints)))
     table[body.PRISMATIC_ROW] = digit.is_prismatic
     armature = digit.joint_values("joint_armature_kg_m2")
@@ -344,8 +351,8 @@ def link_table(digit: Digit) -> Array:
         along = np.outer(axis, axis)
         x, y, z = axis.tolist()
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        # Rodrigues' formula for a rotation by q about a: a a^T + cos q (1 - a a^T) + sin q [a]x. A
-        # prismatic joint does not rotate its link.
+        # Rodrigues' formula gives the rotation by an angle q about an axis a: a a^T + cos q (1 - a
+        # a^T) + sin q [a]x. A prismatic joint does not rotate the link that it moves.
         parts = (along, np.eye(3) - along, cross)
         if digit.is_prismatic[i]:
             parts = (np.eye(3), np.zeros((3, 3)), np.zeros((3, 3)))
@@ -354,7 +361,7 @@ def link_table(digit: Digit) -> Array:
             table[row : row + 9, i] = (rotation @ part).ravel()
         mass = digit.link_mass_kg[i]
         com = centre_of_mass(digit, i)
-        # Steiner's theorem moves the inertia from the centre of mass to the joint.
+        # Steiner's theorem converts the inertia from the centre of mass to the joint.
         moments = link_inertia(digit, i) + mass * (
             float(com @ com) * np.eye(3) - np.outer(com, com)
         )

@@ -1,4 +1,4 @@
-"""Equations of motion of a digit, calculated with the compiled algorithms of ``rigid_body``.
+"""Equations of motion of a digit, computed with the compiled algorithms of ``rigid_body``.
 
 tau = M(q) q'' + C(q, q') q' + g(q)    required = tau + K (q + preload) + D q'
 """
@@ -36,9 +36,9 @@ NO_GRAVITY = np.zeros(3)
 def inverse_dynamics(
     digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
 ) -> JointTorques:
-    """Return the joint torque that a motion needs against inertia and weight: M q'' + C q' + g.
+    """Return the joint torques that a motion requires because of inertia and weight: M q'' + C q' + g.
 
-    Springs and damping are left out.
+    Springs and damping are not included.
 
     Args:
         digit: model of the digit.
@@ -55,7 +55,7 @@ def inverse_dynamics(
 def required_torque(
     digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
 ) -> JointTorques:
-    """Return the joint torque that the tendons must make for a motion, (n,) [N m].
+    """Return the joint torques (n,) that the tendons must exert for a motion [N m].
 
     The torque is the sum of inverse dynamics, spring torque and damping torque.
     """
@@ -72,19 +72,19 @@ def required_torque(
 
 
 def bias_torque(digit: DigitModel, q: JointValues, dq: JointValues) -> JointTorques:
-    """Return the Coriolis and centrifugal joint torque C q', (n,) [N m]."""
+    """Return the joint torques (n,) of Coriolis and centrifugal forces, C q' [N m]."""
     return _rigid_body_torque(digit, NO_GRAVITY, q, dq, np.zeros(digit.joint_count))
 
 
 def gravity_torque(digit: DigitModel, q: JointValues) -> JointTorques:
-    """Return the joint torque that balances the weight of the links, (n,) [N m]."""
+    """Return the joint torques (n,) that balance the weight of the links [N m]."""
     return tuple(
         rigid_body.weight_torques(digit.table, digit.parent, digit.gravity, _as_array(q)).tolist()
     )
 
 
 def spring_torque(digit: DigitModel, q: JointValues) -> JointTorques:
-    """Return the joint torque that balances the return springs, k (q + preload), (n,) [N m]."""
+    """Return the joint torques (n,) that balance the return springs, k (q + preload) [N m]."""
     return tuple(
         stiffness * (angle + preload)
         for stiffness, angle, preload in zip(
@@ -94,7 +94,7 @@ def spring_torque(digit: DigitModel, q: JointValues) -> JointTorques:
 
 
 def damping_torque(digit: DigitModel, dq: JointValues) -> JointTorques:
-    """Return the joint torque that balances the viscous damping of the joints, (n,) [N m]."""
+    """Return the joint torques (n,) that balance the viscous damping of the joints [N m]."""
     return tuple(
         damping * rate
         for damping, rate in zip(digit.joint_damping, _as_plain_floats(dq), strict=True)
@@ -102,26 +102,26 @@ def damping_torque(digit: DigitModel, dq: JointValues) -> JointTorques:
 
 
 def passive_torque(digit: DigitModel, q: JointValues, dq: JointValues) -> JointTorques:
-    """Return the joint torque that balances return springs and viscous damping, (n,) [N m]."""
+    """Return the joint torques (n,) that balance return springs and viscous damping [N m]."""
     return tuple(
         a + b for a, b in zip(spring_torque(digit, q), damping_torque(digit, dq), strict=True)
     )
 
 
 def static_torque(digit: DigitModel, q: JointValues) -> JointTorques:
-    """Return the joint torque that holds the digit at rest against weight and return springs, (n,) [N m]."""
+    """Return the joint torques (n,) that hold the digit at rest against weight and return springs [N m]."""
     return tuple(
         a + b for a, b in zip(gravity_torque(digit, q), spring_torque(digit, q), strict=True)
     )
 
 
 def mass_matrix(digit: DigitModel, q: JointValues) -> Array:
-    """Return the mass matrix M for joint angles, with the armature of the joints, (n, n) [kg m2]."""
+    """Return the mass matrix M (n, n) at given joint angles, including the armature of the joints [kg m2]."""
     return rigid_body.inertia_matrix(digit.table, digit.parent, _as_array(q))
 
 
 def forward_dynamics(digit: DigitModel, q: JointValues, dq: JointValues, tau: JointValues) -> Array:
-    """Return the joint accelerations that a joint torque causes against inertia and weight, (n,) [rad/s2].
+    """Return the joint accelerations (n,) that joint torques cause against inertia and weight [rad/s2].
 
     Args:
         digit: model of the digit.
@@ -136,15 +136,15 @@ def forward_dynamics(digit: DigitModel, q: JointValues, dq: JointValues, tau: Jo
 def reduced_dynamics(
     digit: DigitModel, theta: JointValues, dtheta: JointValues
 ) -> tuple[Array, Array]:
-    """Return mass matrix and bias of the equations of motion in reduced coordinates.
+    """Return the mass matrix and the bias of the equations of motion in the coordinates of a digit.
 
-    M_r = B^T M B and h_r = B^T (C q' + g + springs + damping). The torque in reduced coordinates is
-    M_r theta'' + h_r.
+    M_r = B^T M B and h_r = B^T (C q' + g + springs + damping). In these coordinates, the torque of
+    a motion is M_r theta'' + h_r.
 
     Args:
         digit: model of the digit.
-        theta: reduced coordinates (n_c,) [rad].
-        dtheta: rates of the reduced coordinates (n_c,) [rad/s].
+        theta: coordinates (n_c,) of the digit [rad].
+        dtheta: rates of the coordinates (n_c,) [rad/s].
 
     Returns:
         M_r (n_c, n_c) [kg m2] and h_r (n_c,) [N m].
@@ -165,7 +165,7 @@ def kinetic_energy(digit: DigitModel, q: JointValues, dq: JointValues) -> float:
 def potential_energy(digit: DigitModel, q: JointValues) -> float:
     """Return the potential energy of the links' weight [J].
 
-    The energy is zero if all mass is at the mount of the digit.
+    The energy would be zero if all mass were at the mount of the digit.
     """
     first = rigid_body.link_poses(digit.table, digit.parent, _as_array(q))[0]
     moment = first[rigid_body.CARRIED_MOMENT_COLUMN : rigid_body.CARRIED_MOMENT_COLUMN + 3]
@@ -198,6 +198,6 @@ def _as_array(values: JointValues) -> Array:
 def _as_plain_floats(values: JointValues) -> Sequence[float]:
     """Return the values as Python floats.
 
-    Python calculates several times faster with them than with numpy's scalars.
+    With Python floats, Python computes several times faster than with numpy's scalars.
     """
     return values.tolist() if isinstance(values, np.ndarray) else values

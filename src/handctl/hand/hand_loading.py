@@ -1,6 +1,6 @@
-"""Loading of packaged hands and of hand files.
+"""Loading of packaged hands and hand files.
 
-Each section of a hand file is validated. Then all sections are checked together.
+Each section of a hand file is validated first. Then all sections are checked together.
 """
 
 import tomllib
@@ -50,8 +50,8 @@ def load_hand(name_or_path: str | Path) -> Hand:
         name_or_path: name of a packaged hand, or path of a hand file.
 
     Raises:
-        ConfigError: the hand is missing, unreadable, or invalid. The message names file, key path,
-            value, and a valid value.
+        ConfigError: the hand is missing, unreadable, or invalid. The error message contains the
+            file, the key path, the value, and a valid value.
     """
     path = hand_path(name_or_path)
     return hand_from_content(read_toml(path), str(path))
@@ -103,11 +103,10 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
     Args:
         text: TOML text.
-        source: name of the source of the text, for messages.
+        source: name of the source of the text, for error messages.
 
     Raises:
-        ConfigError: the text is not TOML, or contains an integer of more than the 64 bits that TOML
-            guarantees.
+        ConfigError: the text is not TOML, or contains an integer that does not fit into 64 bits.
     """
     try:
         content = tomllib.loads(text)
@@ -120,9 +119,9 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 def _check_whole_numbers(content: dict[str, Any], source: str) -> None:
     """Refuse integers of more than 64 bits.
 
-    Messages could not contain very long integers, because Python refuses to print them.
+    Error messages could not contain very long integers, because Python refuses to print them.
     """
-    # A list takes the place of recursion, because deeply nested content would exceed Python's
+    # A list is used in place of recursion, because deeply nested content would exceed Python's
     # recursion limit.
     nodes: list[tuple[str, Any]] = list(content.items())
     while nodes:
@@ -137,11 +136,11 @@ def _check_whole_numbers(content: dict[str, Any], source: str) -> None:
 
 
 def hand_from_content(content: Mapping[str, Any], source: str) -> Hand:
-    """Validate parsed content of a hand file, and return the hand.
+    """Validate the parsed content of a hand file, and return the hand.
 
     Args:
         content: content as parsed from TOML, possibly merged from several sources.
-        source: name of the source of the content, for messages.
+        source: name of the source of the content, for error messages.
 
     Raises:
         ConfigError: for the same reasons as in ``load_hand``.
@@ -164,7 +163,7 @@ def hand_content(name_or_path: str | Path) -> dict[str, Any]:
 
 
 def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[FileMistake]]:
-    """Validate parsed content of a hand file, and find all mistakes in it.
+    """Validate the parsed content of a hand file, and find all mistakes in it.
 
     Returns:
         The hand and no mistakes, or None and at least one mistake.
@@ -196,8 +195,8 @@ def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[File
         digits = _valid_sections(resolved.content, "digit", Digit)
         found += check_sections(digits, _valid_sections(resolved.content, "tendon", Tendon))
     else:
-        # A mistake in a template would cause further mistakes in the whole hand. Therefore the
-        # whole hand is checked only if the templates have no mistakes.
+        # A mistake in a template would cause further mistakes wherever the template is used.
+        # Therefore the whole hand is checked only if the templates have no mistakes.
         found = [] if mistakes else list(check_hand(hand))
     mistakes += with_paths_of_file(found, resolved.origins)
     return (None, mistakes) if mistakes else (hand, [])
@@ -207,10 +206,10 @@ class InspectedHand(NamedTuple):
     """Result of the inspection of a hand file.
 
     Attributes:
-        hand: the hand, or None if the content is not valid.
-        mistakes: all mistakes because of which the hand must not run. A valid hand can also have
-            such mistakes.
-        origins: key path in the file of each value, by its key path in the resolved content.
+        hand: the hand, or None if the content of the file is not valid.
+        mistakes: all mistakes that must be corrected before the hand may run. Even a valid hand can
+            have such mistakes.
+        origins: key path in the file, for each value, by the key path in the resolved content.
     """
 
     hand: Hand | None
@@ -219,12 +218,12 @@ class InspectedHand(NamedTuple):
 
 
 def inspect_content(content: Mapping[str, Any]) -> InspectedHand:
-    """Validate parsed content of a hand file, and find all mistakes because of which the hand must not run."""
+    """Validate the parsed content of a hand file, and find all mistakes that prevent the use of the hand."""
     hand, mistakes = validate_content(content)
     origins = resolve_templates(content).origins if content.get("schema") == WRITTEN_SCHEMA else {}
     if hand is not None:
-        # The module that is imported here loads numba. Loading numba takes long, and loading a hand
-        # does not need it.
+        # The module that is imported here also imports numba. Importing numba takes long, and
+        # loading a hand does not need it.
         from handctl.hand.readiness import reasons_not_ready
 
         mistakes = with_paths_of_file(reasons_not_ready(hand), origins)

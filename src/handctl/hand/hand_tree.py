@@ -1,8 +1,8 @@
-"""Model of the whole hand as one tree of links: poses, mass matrix and static torque of all joints together.
+"""Model of a whole hand as a single tree of links, with poses, mass matrix and static torques of all joints together.
 
-A digit may be mounted on the last link of another digit, such as a finger on a wrist. The functions
-of ``dynamics`` and ``kinematics`` are for one digit on a base at rest. The tree of the whole hand
-includes the motion of the digits that carry other digits.
+A digit may be mounted on the last link of another digit, as a finger is mounted on a wrist. The
+functions of ``dynamics`` and ``kinematics`` apply to one digit whose base does not move. The tree
+of the whole hand includes the motion of digits that carry other digits.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ class HandTree:
     """All links of a hand in the order of its joints.
 
     Attributes:
-        digits: models of the digits, in file order.
+        digits: models of the digits, in the order of the hand file.
         table: (rigid_body.TABLE_ROW_COUNT, J) frames and inertial properties of the links, for
             ``rigid_body``.
         parent: (J,) index of the joint before each joint, -1 for the palm.
@@ -44,8 +44,8 @@ class HandTree:
 
         Args:
             hand: description of the hand.
-            digits: models of the hand's digits, in file order. If no models are given, this
-                function builds them.
+            digits: models of the hand's digits, in the order of the hand file. If no models are
+                given, this function builds them.
         """
         digits = tuple(digits) or DigitModel.all_from_hand(hand)
         parents = [
@@ -64,7 +64,7 @@ class HandTree:
         )
 
     def poses(self, q: JointValues) -> Array:
-        """Return the poses of all links, (J, rigid_body.POSE_COLUMN_COUNT), at joint angles q (J,) [rad]."""
+        """Return the poses of all links (J, rigid_body.POSE_COLUMN_COUNT) at joint angles q (J,) [rad]."""
         return rigid_body.link_poses(self.table, self.parent, np.asarray(q, dtype=np.float64))
 
     def points(self, q: JointValues) -> tuple[Array, ...]:
@@ -78,16 +78,16 @@ class HandTree:
         return tuple(result)
 
     def mass_matrix(self, q: JointValues) -> Array:
-        """Return the mass matrix of all joints, including their armature, (J, J) [kg m2]."""
+        """Return the mass matrix (J, J) of all joints, including their armature [kg m2]."""
         return rigid_body.inertia_matrix(self.table, self.parent, np.asarray(q, dtype=np.float64))
 
     def inverse_dynamics(self, q: JointValues, dq: JointValues, ddq: JointValues) -> Array:
-        """Return the joint torques that a motion needs against inertia and weight, (J,) [N m]."""
+        """Return the joint torques (J,) that a motion requires because of inertia and weight [N m]."""
         rows = (np.asarray(values, dtype=np.float64) for values in (q, dq, ddq))
         return rigid_body.rigid_body_torques(self.table, self.parent, self.gravity, *rows)
 
     def static_torque(self, q: JointValues) -> Array:
-        """Return the joint torques that hold the hand at rest against weight and return springs, (J,) [N m]."""
+        """Return the joint torques (J,) that hold the hand at rest against weight and return springs [N m]."""
         angles = np.asarray(q, dtype=np.float64)
         weight = rigid_body.weight_torques(self.table, self.parent, self.gravity, angles)
         return np.asarray(weight + self.stiffness * (angles + self.preload))

@@ -1,4 +1,4 @@
-"""Inverse kinematics: joint angles of a digit for a position of its tip."""
+"""Inverse kinematics: the joint angles of a digit at which its tip is at a given position."""
 
 import math
 from typing import NamedTuple
@@ -32,7 +32,7 @@ class ClosestTip(NamedTuple):
     """Posture of a digit whose tip is as close to a point as the joint limits allow.
 
     Attributes:
-        coordinates: (n_c,) reduced coordinates within the limits [rad].
+        coordinates: (n_c,) coordinates of the digit within the limits [rad].
         distance: distance from the tip to the point [m].
     """
 
@@ -43,10 +43,10 @@ class ClosestTip(NamedTuple):
 def inverse_kinematics(
     digit: DigitModel, x: float, y: float, angle: float | None = None
 ) -> tuple[tuple[float, ...], ...]:
-    """Return joint angles that put the tip of a digit with two or three independent joints at a point.
+    """Return joint angles at which the tip of a digit with two or three independent joints is at a point.
 
-    The hinges must be parallel. With parallel hinges, the tip moves in the plane of x and y of the
-    digit's frame, and the solution has a closed form. Joint limits are not applied.
+    All hinges of the digit must be parallel. The tip then moves in the x-y plane of the digit's
+    frame, and the solution has a closed form. The joint limits are not applied.
 
     Args:
         digit: model of the digit.
@@ -79,13 +79,13 @@ def inverse_kinematics(
 
 
 def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tuple[float, float]:
-    """Return the coordinate theta of a coupled digit, q = B theta, at which the tip is closest to a point.
+    """Return the single coordinate theta of a coupled digit, q = B theta, at which the tip is closest to a point.
 
     The tip moves on a curve. A scan finds all intervals that contain a minimum of the distance. The
     closest point among these minima and the two ends of the curve is the global minimum.
 
     Args:
-        digit: model of a digit with one reduced coordinate.
+        digit: model of a digit that has a single coordinate.
         position: (3,) point in the palm frame [m].
 
     Returns:
@@ -129,7 +129,7 @@ def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
 
 
 def _is_planar(digit: DigitModel) -> bool:
-    """Return True if all hinges are parallel to the z axis of the digit's frame."""
+    """Return True if all hinges of a digit are parallel to the z axis of the digit's frame."""
     at_zero = (
         digit.table[body.FIXED_ROTATION_ROW : body.COSINE_ROTATION_ROW]
         + digit.table[body.COSINE_ROTATION_ROW : body.SINE_ROTATION_ROW]
@@ -147,13 +147,14 @@ def _is_planar(digit: DigitModel) -> bool:
 def _two_link_solutions(
     l1: float, l2: float, x: float, y: float
 ) -> tuple[tuple[float, float], ...]:
-    """Return the joint angles with which two links reach a point.
+    """Return the joint angles at which the end of two links is at a point.
 
-    There are two solutions, one if the links are stretched or folded, and none if the point is out
-    of reach.
+    There are two solutions, or one if the links are stretched or folded, or none if the point is
+    out of reach.
 
-    The elbow angle comes from atan2 of (r - |l1 - l2|)(r + |l1 - l2|) and (l1 + l2 - r)(l1 + l2 +
-    r). The products keep their accuracy near the straight arm, where acos loses half the digits.
+    The angle between the links is the atan2 of (r - |l1 - l2|)(r + |l1 - l2|) and (l1 + l2 - r)(l1
+    + l2 + r). These products stay accurate near the stretched posture, where acos would lose half
+    of the digits.
     """
     r = math.hypot(x, y)
     inner = (r - abs(l1 - l2)) * (r + abs(l1 - l2))
@@ -170,25 +171,25 @@ def _two_link_solutions(
 
 
 def _wrapped_angle(angle: float) -> float:
-    """Return an equivalent angle within -pi .. pi."""
+    """Return the equivalent angle in the range from -pi to pi."""
     return math.remainder(angle, 2.0 * math.pi)
 
 
 def closest_tip(
     digit: DigitModel, position: JointValues, start: JointValues | None = None
 ) -> ClosestTip:
-    """Return the coordinates within the joint limits that bring the tip of a digit closest to a point.
+    """Return the coordinates within the joint limits at which the tip of a digit is closest to a point.
 
     The search makes Levenberg-Marquardt steps of the coordinates that are not at a limit (projected
-    Gauss-Newton). The search finds a local minimum. Therefore a search that starts at the previous
-    posture of a motion does not jump. The hinges of the digit may have any number and direction,
-    and may be coupled or independent.
+    Gauss-Newton). The search finds a local minimum. Therefore a motion has no jump if each search
+    starts at the previous posture. The digit may have any number of hinges with any directions,
+    either coupled or independent.
 
     Args:
         digit: model of a digit that is mounted on the palm.
         position: (3,) point in the palm frame [m].
         start: (n_c,) coordinates at which the search starts [rad]. If it is None, searches start at
-            several postures, and the best result is returned.
+            several postures, and the best of their results is returned.
 
     Source: Nocedal & Wright (2006), Numerical Optimization, 10.3 and 16.7.
     """

@@ -20,26 +20,26 @@ def joint_axes(digit: Digit) -> Array:
 
 
 def joint_rotations(digit: Digit) -> Array:
-    """Return the rotation from each link's frame at angle zero to the frame before it, (n, 3, 3).
+    """Return the rotation (n, 3, 3) from the frame of each link at joint angle zero to the frame before it.
 
-    The frame before the first link is that of the mount.
+    The frame before the first link is the frame of the mount.
     """
     turns = digit.joint_rpy_deg or [(0.0, 0.0, 0.0)] * len(digit.link_length_m)
     return np.array([rotation_of_rpy(*np.radians(turn)) for turn in turns])
 
 
 def centre_of_mass(digit: Digit, i: int) -> Array:
-    """Return the centre of mass of link i in the frame of the link, (3,) [m]."""
+    """Return the centre of mass (3,) of link i in the frame of the link [m]."""
     com = digit.link_com_m[i]
     return np.array([com, 0.0, 0.0] if isinstance(com, float) else com)
 
 
 def link_inertia(digit: Digit, i: int) -> Array:
-    """Return the inertia of link i about its centre of mass, in the frame of the link, (3, 3) [kg m2]."""
+    """Return the inertia (3, 3) of link i about its centre of mass, in the frame of the link [kg m2]."""
     values = digit.link_inertia_kg_m2[i]
     if isinstance(values, float):
-        # Along the link, the inertia is that of a round bar about its axis. The triangle inequality
-        # limits this inertia to twice the inertia across the link.
+        # The inertia about the long axis of the link is that of a round bar. The triangle
+        # inequality limits it to twice the inertia about an axis across the link.
         along = min(digit.link_mass_kg[i] * digit.link_radius_m**2 / 2, 2 * values)
         return np.diag([along, values, values])
     xx, yy, zz, xy, xz, yz = values if len(values) == 6 else (*values, 0.0, 0.0, 0.0)
@@ -47,9 +47,9 @@ def link_inertia(digit: Digit, i: int) -> Array:
 
 
 def link_placement(digit: Digit, i: int) -> tuple[Array, Array]:
-    """Return position (3,) [m] and rotation (3, 3) of link i, at angle zero, in the frame of the link before.
+    """Return the position (3,) [m] and the rotation (3, 3) of link i at joint angle zero, in the frame before it.
 
-    The frame before the first link is that of the palm, or of the link that carries the digit.
+    The frame before the first link belongs to the palm, or to the link that carries the digit.
     """
     rotation = joint_rotations(digit)[i]
     if i > 0:
@@ -76,9 +76,9 @@ def rpy_of_rotation(rotation: Array) -> tuple[float, float, float]:
 
 
 def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> Array:
-    """Return the rotation (3, 3) of a turn about the fixed axes x, y, z, one after the other [rad].
+    """Return the rotation (3, 3) for successive turns about the fixed axes x, y and z [rad].
 
-    The result is Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
+    The result is the product Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
     """
     cr = math.cos(roll)
     sr = math.sin(roll)

@@ -1,4 +1,4 @@
-"""Frames of a digit's links in the palm frame, for viewers and ROS."""
+"""Frames of a digit's links, given in the palm frame, for viewers and ROS."""
 
 import math
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from handctl.hand.kinematics import joint_points, link_poses, link_rotations
 
 
 class FrameTransform(NamedTuple):
-    """Pose of a frame in the palm frame: position [m] and unit quaternion, as in ROS."""
+    """Pose of a frame in the palm frame: position [m], and unit quaternion in the order that ROS uses."""
 
     frame: str
     position: tuple[float, float, float]
@@ -20,11 +20,11 @@ class FrameTransform(NamedTuple):
 def link_transforms(digit: DigitModel, q: JointValues) -> tuple[FrameTransform, ...]:
     """Return the frames of all links and of the tip of a digit, in the palm frame.
 
-    The frames ``<digit>_link1``, ``<digit>_link2`` and so on have their origins in the joints of
-    the links, and x along the link. The last frame is ``<digit>_tip``.
+    The origins of the frames ``<digit>_link1``, ``<digit>_link2`` and so on are at the joints of
+    the links, and their x axes are along the links. The last frame is ``<digit>_tip``.
     """
     poses = link_poses(digit, q)
-    # The frame of the tip has the orientation of the last link.
+    # The frame of the tip has the same rotation as the last link.
     names = [*(f"{digit.name}_link{i + 1}" for i in range(digit.joint_count)), f"{digit.name}_tip"]
     turned = [quaternion_of_rotation(rotation) for rotation in link_rotations(poses)]
     return tuple(
@@ -42,7 +42,7 @@ def quaternion_of_rotation(rotation: Array) -> tuple[float, float, float, float]
     Source: Shepperd (1978).
     """
     trace = float(np.trace(rotation))
-    # The entries are four times the squares of x, y, z, w.
+    # The entries of this list are four times the squares of x, y, z and w.
     squares = [*(1.0 - trace + 2.0 * np.diag(rotation)).tolist(), 1.0 + trace]
     largest = max(range(4), key=squares.__getitem__)
     (_, xy, xz), (yx, _, yz), (zx, zy, _) = rotation.tolist()

@@ -1,4 +1,4 @@
-"""Moment arms of tendons at joints: constant, or a polynomial of the joint angle.
+"""Moment arms of tendons at joints. A moment arm is constant, or a polynomial of the joint angle.
 
 All arms are stored as polynomials r(q) of the same fixed degree. The excursion of a tendon at a
 joint is the exact integral of r from 0 to q. Outside of the joint's range, the arm is that at the
@@ -23,12 +23,12 @@ TABLE_DEGREE = 3
 
 
 def polynomial_of_arm(arm: MomentArm) -> Array:
-    """Return the polynomial coefficients (POLYNOMIAL_COEFFICIENTS,) of a moment arm, for angles in rad.
+    """Return the coefficients (POLYNOMIAL_COEFFICIENTS,) of a moment arm as a polynomial of the angle in rad.
 
     The constant term comes first.
 
     Args:
-        arm: valid moment arm of a hand file.
+        arm: valid moment arm from a hand file.
     """
     result = np.zeros(POLYNOMIAL_COEFFICIENTS)
     if not isinstance(arm, Mapping):
@@ -46,9 +46,9 @@ def polynomial_of_arm(arm: MomentArm) -> Array:
 
 
 def table_of_arm(arm: MomentArm) -> tuple[Array, Array]:
-    """Return the angles [rad] and arms [m] of a table of moment arms, (k,) each.
+    """Return the angles (k,) [rad] and the moment arms (k,) [m] of a table of moment arms.
 
-    k is 0 for an arm without a table.
+    For a moment arm without a table, k is 0.
     """
     if not isinstance(arm, Mapping) or "angle_deg" not in arm:
         return np.zeros(0), np.zeros(0)
@@ -58,7 +58,7 @@ def table_of_arm(arm: MomentArm) -> tuple[Array, Array]:
 def arm_table_residual(arm: MomentArm) -> float:
     """Return the largest difference between a table of moment arms and its polynomial [m].
 
-    The difference is 0 for an arm without a table.
+    For a moment arm without a table, the difference is 0.
     """
     angle, values = table_of_arm(arm)
     fitted = np.polynomial.polynomial.polyval(angle, polynomial_of_arm(arm))
@@ -71,7 +71,7 @@ def is_arm_varying(arm: MomentArm) -> bool:
 
 
 def arms_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
-    """Return the moment arms R at given joint angles, (..., n_t, n) [m].
+    """Return the moment arms R (..., n_t, n) at given joint angles [m].
 
     Args:
         polynomials: (n_t, n, POLYNOMIAL_COEFFICIENTS) moment arms as polynomials.
@@ -83,7 +83,7 @@ def arms_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
 
 
 def excursions_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
-    """Return the excursion of each tendon at each joint, (..., n_t, n) [m].
+    """Return the excursion (..., n_t, n) of each tendon at each joint [m].
 
     The excursion is the integral of the moment arm over the joint angle.
 
@@ -101,10 +101,12 @@ def excursions_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
 
 
 def mean_arm(arm: MomentArm, low: float, high: float) -> float:
-    """Return the mean of a moment arm over the range of its joint [m]. A constant arm is its own mean.
+    """Return the mean of a moment arm over the range of the joint [m].
+
+    For a constant moment arm, the mean is the moment arm itself.
 
     Args:
-        arm: valid moment arm of a hand file.
+        arm: valid moment arm from a hand file.
         low: smallest joint angle [rad].
         high: largest joint angle [rad].
     """
@@ -117,7 +119,7 @@ def mean_arm(arm: MomentArm, low: float, high: float) -> float:
 
 
 def _evaluate_polynomials(polynomials: Array, q: Array) -> Array:
-    """Return the values of polynomials (n_t, n, POLYNOMIAL_COEFFICIENTS) at angles (..., 1, n) (Horner's method)."""
+    """Evaluate polynomials (n_t, n, POLYNOMIAL_COEFFICIENTS) at angles (..., 1, n) by Horner's method."""
     value = np.zeros(np.broadcast_shapes(polynomials.shape[:2], q.shape))
     for order in range(POLYNOMIAL_COEFFICIENTS - 1, -1, -1):
         value = value * q + polynomials[..., order]

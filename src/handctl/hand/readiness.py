@@ -1,7 +1,7 @@
-"""Checks that a hand must pass before it runs, in addition to the checks that every hand file must pass.
+"""Checks that a hand must pass before it may run, in addition to the checks of every hand file.
 
-Tools and logs can use any valid hand file. A run also needs bit rates that controllers can have,
-digits that open by themselves, and coordinates that flex their digits.
+Tools and logs can use any hand file that is valid. For a run, the bit rates must also be possible
+for controllers, the digits must open by themselves, and the coordinates must flex the digits.
 """
 
 from collections.abc import Iterator
@@ -42,7 +42,7 @@ def reasons_not_ready(hand: Hand) -> Iterator[FileMistake]:
 
 
 def _check_rates(bus: Bus) -> Iterator[FileMistake]:
-    """Check that CAN controllers can have the bit rates of a bus."""
+    """Check that the bit rates of a bus are possible for CAN controllers."""
     where = f"bus[{bus.name}]"
     if bus.bitrate > MAX_ARBITRATION_BITRATE:
         right = (
@@ -56,12 +56,12 @@ def _check_rates(bus: Bus) -> Iterator[FileMistake]:
 
 
 def _check_direction(digit: Digit) -> Iterator[FileMistake]:
-    """Check that each coordinate of a coupled digit can move within the joint limits, and that positive values flex."""
+    """Check that coupled joints can move within their limits, and that positive values flex the digit."""
     if digit.coupling is None:
         return
     where = f"digit[{digit.name}].coupling"
     for i, (low, high) in enumerate(zip(*displayed_range(digit), strict=True)):
-        # A range of less than 1 mm of a prismatic joint is no motion either.
+        # If a prismatic joint can move by less than 1 mm, this does not count as a motion either.
         if high - low < SMALLEST_RANGE_DEG:
             right = "signs and sizes that leave the joints a common range within their limits"
             yield FileMistake(f"column {i} moves no joint within its limits", where, right)
@@ -74,9 +74,10 @@ def _check_direction(digit: Digit) -> Iterator[FileMistake]:
 
 
 def displayed_range(digit: Digit) -> tuple[Vector, Vector]:
-    """Return the smallest and the largest value of each coordinate of a digit, (n_c,) each [deg or mm].
+    """Return the smallest and the largest value (n_c,) of each coordinate of a digit [deg or mm].
 
-    If only one coordinate moves between its two values, all joints stay within their limits.
+    While one coordinate moves between these values and the others are zero, all joints stay within
+    their limits.
     """
     limits = np.array(digit.displayed_limits)
     if digit.coupling is None:
@@ -86,10 +87,10 @@ def displayed_range(digit: Digit) -> tuple[Vector, Vector]:
 
 
 def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
-    """Check that springs or antagonistic tendons open each coordinate of a digit against the tension floor."""
+    """Check that springs or antagonistic tendons can open each coordinate of a digit against the tension floor."""
     tendons = hand.digit_tendons[digit.name]
     if hand.is_pair[tendons].any():
-        return  # a spool pair pulls in both directions
+        return  # a spool pair can pull in both directions
     coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
     postures = [hand.moment_arms[tendons, hand.digit_joints[digit.name]] @ coupling]
     if hand.has_varying_arm[tendons].any():
@@ -99,7 +100,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
             arms_at(polynomials, limits, np.linspace(limits[0], limits[1], CHECKED_POSTURES))
             @ coupling
         )
-    arms = postures[0]  # moment arms of the open digit
+    arms = postures[0]  # moment arms of the digit when it is open
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[tendons]])
     stiffness = np.array(digit.joint_values("spring_stiffness_N_m_per_rad"))
     opened = np.add(digit.joint_limits[0], digit.joint_values("spring_preload_rad"))
@@ -116,7 +117,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
     weak = (springs <= closing) & (arms.min(axis=0) >= 0.0)
     if not weak.any():
         return
-    # Each digit causes one mistake only, for the joint whose closing torque exceeds the spring
+    # Each digit causes at most one mistake, about the joint whose closing torque exceeds the spring
     # torque most.
     worst = int(np.argmax(np.where(weak, closing - springs, -np.inf)))
     joint = f"j{worst + 1}" if digit.coupling is None else "the joints"
@@ -154,16 +155,18 @@ def can_hold_each_other(arms: Vector) -> bool:
     """Return True if positive tensions exist that together make no torque.
 
     Args:
-        arms: reduced moment arms R B, (n_t, n_c) [m].
+        arms: matrix R B (n_t, n_c) of moment arms in the coordinates of a digit [m].
     """
     largest = np.abs(arms).max()
     if ((arms.min(axis=0) >= 0.0) & (arms.max(axis=0) > MAX_TORQUE_RESIDUAL * largest)).any():
         return (
-            False  # if all arms at a coordinate are positive, all tensions together make a torque
+            # If all moment arms at a coordinate are positive, tensions always make a torque
+            # together.
+            False
         )
-    from scipy.optimize import nnls  # the import takes as long as the whole check of a hand
+    from scipy.optimize import nnls  # this import takes as long as all other checks of a hand
 
-    # Tensions 1 + w with w >= 0 make no torque together if this non-negative least-squares problem
-    # has no residual.
+    # If this non-negative least-squares problem has no residual, the tensions 1 + w with w >= 0
+    # make no torque together.
     _, residual = nnls(arms.T, -arms.sum(axis=0))
     return bool(residual <= MAX_TORQUE_RESIDUAL * largest)

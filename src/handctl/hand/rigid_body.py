@@ -1,14 +1,14 @@
-"""Rigid-body mechanics of trees of links, as compiled code: poses, weight and inverse dynamics.
+"""Rigid-body mechanics of trees of links in compiled code: poses, weight and inverse dynamics.
 
-A table has a column for each link, and each link comes after its parent. ``parent`` contains the
-column of each link's parent, or -1 for the palm. The frame of a link has its origin in the link's
-joint, and its x axis along the link. The tip of a link lies on this axis, at the length of the
-link. Gravity and poses are in the palm frame. Rates and forces of ``write_newton_euler`` are in the
-frames of the links.
+A table has a column for each link. The parent of a link has an earlier column. ``parent`` contains
+the column of the parent of each link, or -1 if the parent is the palm. The origin of a link's frame
+is at the joint of the link, and its x axis is along the link. The tip of a link lies on the x axis,
+at the length of the link. Gravity and poses are given in the palm frame. The rates and forces in
+``write_newton_euler`` are given in the frames of the links.
 
-A joint is a hinge, or it is prismatic: its link slides along the joint's axis. Then positions are in
-m in place of rad, torques are forces [N] along the axis, and levers have no unit. The frame of a
-sliding link moves with the link.
+A joint is a hinge, or it is prismatic, which means that its link slides along the axis. For a
+prismatic joint, positions are in m in place of rad, torques are forces along the axis [N], and
+levers have no unit. The frame of a sliding link moves with the link.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms (2008), recursive Newton-Euler algorithm.
 """
@@ -68,10 +68,10 @@ PRISMATIC_COLUMN = 19
 POSE_COLUMN_COUNT = 20
 """Number of columns of a pose."""
 
-# Columns of the working memory of ``write_newton_euler``. The rotation from a link to its parent
-# has columns 0 to 8. The following constants are the first columns of vectors in the frame of the
-# link, and the number of columns. Only the position of the joint (_ORIGIN) is in the frame of the
-# parent. It includes the position of a prismatic joint.
+# Columns of the working memory of ``write_newton_euler``. The columns 0 to 8 contain the rotation
+# from a link to its parent. Each of the following constants is the first column of a vector in the
+# frame of the link. Only the position of the joint (_ORIGIN) is given in the frame of the parent.
+# This position includes the motion of a prismatic joint.
 _RATE = 9
 _TURN = 12
 _MOVE = 15
@@ -83,12 +83,12 @@ _WORK_COLUMN_COUNT = 27
 
 @kernel_helper
 def write_link_poses(table: Array, row: int, parent: IndexArray, q: Array, pose: Array) -> None:
-    """Write the poses of all links, except the carried masses and their moments.
+    """Write the poses of all links, but not the carried masses and their moments.
 
     Args:
         table: array that contains the table of links, see the docstring of the module.
         row: first row of the table in the array.
-        parent: (n,) column of the parent of each link, -1 for the palm.
+        parent: (n,) column of the parent of each link, or -1 if the parent is the palm.
         q: (n,) joint angles [rad].
         pose: (n, POSE_COLUMN_COUNT) result.
     """
@@ -139,7 +139,7 @@ def _component_along(table: Array, row: int, pose: Array, j: int, a: int) -> flo
 
 @kernel_helper
 def write_carried_masses(table: Array, row: int, parent: IndexArray, pose: Array) -> None:
-    """Write the carried masses and first moments of all links, for given poses."""
+    """Write the carried masses of all links, and their first moments, for given poses."""
     for j in range(len(pose)):
         pose[j, CARRIED_MASS_COLUMN] = table[row + MASS_ROW, j]
         for a in range(3):
@@ -147,7 +147,7 @@ def write_carried_masses(table: Array, row: int, parent: IndexArray, pose: Array
             pose[j, CARRIED_MOMENT_COLUMN + a] = (
                 table[row + MASS_ROW, j] * pose[j, POSITION_COLUMN + a] + moment
             )
-    # The loop visits the links from the tips to the palm.
+    # The loop goes through the links from the tips to the palm.
     for j in range(len(pose) - 1, -1, -1):
         before = parent[j]
         if before >= 0:
@@ -162,7 +162,7 @@ def write_weight_torques(
     """Write the joint torques (n,) that balance the weight of the links [N m], for given poses.
 
     Args:
-        table: see ``write_link_poses``.
+        table: array with the table of links, see ``write_link_poses``.
         row: see ``write_link_poses``.
         parent: see ``write_link_poses``.
         gravity: (3,) gravity in the palm frame [m/s2].
@@ -182,8 +182,8 @@ def write_weight_torques(
                 + pose[j, DIRECTION_COLUMN + 2] * gravity[2]
             )
             continue
-        # The weight makes the torque (first moment) x gravity about the joint's axis. The negative
-        # of this torque balances the weight.
+        # The weight makes the torque (first moment) x gravity about the axis of the joint. The
+        # torque with the opposite sign balances the weight.
         torque[j] = -(
             pose[j, DIRECTION_COLUMN] * (y * gravity[2] - z * gravity[1])
             + pose[j, DIRECTION_COLUMN + 1] * (z * gravity[0] - x * gravity[2])
@@ -202,7 +202,7 @@ def write_levers(pose: Array, first: int, touched: int, along: float, lever: Arr
         pose: (n, POSE_COLUMN_COUNT) poses.
         first: first joint of the chain.
         touched: index of the link on which the force acts.
-        along: distance of the point from the link's joint [m].
+        along: distance between the joint of the link and the point [m].
         lever: (n,) result, from ``first`` to ``touched``.
     """
     px = pose[touched, POSITION_COLUMN] + along * pose[touched, ROTATION_COLUMN]
@@ -249,14 +249,14 @@ def write_turned_levers(
 ) -> None:
     """Write the levers of a force on the last link of a chain after one joint has turned, see ``write_levers``.
 
-    The links beyond this joint turn together with the force. Therefore the levers about their
-    joints do not change.
+    The links beyond this joint turn together with the force. Therefore the levers about the joints
+    of these links stay the same.
 
     Args:
         pose: (n, POSE_COLUMN_COUNT) poses.
         first: first joint of the chain.
         last: index of the last link of the chain, on which the force acts.
-        along: distance of the point from the link's joint [m].
+        along: distance between the joint of the last link and the point [m].
         turned: joint that turns.
         angle: angle of the turn [rad]. A prismatic joint slides by this distance [m].
         lever: (n,) levers before the turn, modified in place up to the turned joint.
@@ -304,7 +304,7 @@ def write_turned_levers(
 def _rotated(
     ax: float, ay: float, az: float, angle: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Return a vector (x, y, z), turned about a unit axis by an angle [rad].
+    """Return the vector (x, y, z) after a turn about a unit axis by an angle [rad].
 
     Source: Rodrigues' formula.
     """
@@ -329,10 +329,10 @@ def write_newton_euler(
     ddq: Array,
     torque: Array,
 ) -> None:
-    """Write the joint torques (n,) that a motion needs against inertia and weight, M q'' + C q' + g [N m].
+    """Write the joint torques (n,) that a motion requires because of inertia and weight, M q'' + C q' + g [N m].
 
     Args:
-        table: see ``write_link_poses``.
+        table: array with the table of links, see ``write_link_poses``.
         row: see ``write_link_poses``.
         parent: see ``write_link_poses``.
         gravity: (3,) gravity in the palm frame [m/s2].
@@ -345,8 +345,8 @@ def write_newton_euler(
     for j in range(len(q)):
         _move_link(table, row, parent[j], gravity, q[j], dq[j], ddq[j], work, j)
         _load_link(table, row, work, j)
-    # The loop visits the links from the tips to the palm, because each joint carries the forces of
-    # its link and of all links beyond.
+    # The loop goes through the links from the tips to the palm, because each joint carries the
+    # forces of its link and of all links beyond it.
     for j in range(len(q) - 1, -1, -1):
         load = _FORCE if table[row + PRISMATIC_ROW, j] != 0.0 else _TORQUE
         torque[j] = (
@@ -372,10 +372,10 @@ def _move_link(
     work: Array,
     j: int,
 ) -> None:
-    """Write the motion of link j in the frame of the link.
+    """Write the motion of link j, in the frame of the link.
 
-    The motion consists of the rotation to the parent, rate, angular acceleration, and acceleration
-    minus gravity.
+    The motion consists of the rotation to the parent, the rate, the angular acceleration, and the
+    acceleration minus gravity.
     """
     cosine = math.cos(q)
     sine = math.sin(q)
@@ -399,7 +399,8 @@ def _move_link(
             )
     wx, wy, wz = 0.0, 0.0, 0.0
     tx, ty, tz = 0.0, 0.0, 0.0
-    # An acceleration of the palm against gravity has the same effect as gravity.
+    # An acceleration of the palm in the direction opposite to gravity has the same effect as
+    # gravity.
     mx, my, mz = -gravity[0], -gravity[1], -gravity[2]
     if parent_link >= 0:
         wx, wy, wz = (
@@ -413,19 +414,20 @@ def _move_link(
             work[parent_link, _TURN + 2],
         )
         ox, oy, oz = work[j, _ORIGIN], work[j, _ORIGIN + 1], work[j, _ORIGIN + 2]
-        # The acceleration of the joint's position is a + t x o + w x (w x o).
+        # The acceleration of the point o, at which the joint is, is a + t x o + w x (w x o).
         ux, uy, uz = wy * oz - wz * oy, wz * ox - wx * oz, wx * oy - wy * ox
         mx = work[parent_link, _MOVE] + (ty * oz - tz * oy) + (wy * uz - wz * uy)
         my = work[parent_link, _MOVE + 1] + (tz * ox - tx * oz) + (wz * ux - wx * uz)
         mz = work[parent_link, _MOVE + 2] + (tx * oy - ty * ox) + (wx * uy - wy * ux)
     for a in range(3):
-        # The transposed rotation transforms a vector from the parent's frame to the link's frame.
+        # The transposed rotation transforms a vector from the frame of the parent to the frame of
+        # the link.
         work[j, _RATE + a] = work[j, a] * wx + work[j, 3 + a] * wy + work[j, 6 + a] * wz
         work[j, _TURN + a] = work[j, a] * tx + work[j, 3 + a] * ty + work[j, 6 + a] * tz
         work[j, _MOVE + a] = work[j, a] * mx + work[j, 3 + a] * my + work[j, 6 + a] * mz
     wx, wy, wz = work[j, _RATE], work[j, _RATE + 1], work[j, _RATE + 2]
     if prismatic:
-        # The link slides in a turning frame: a q'' + 2 w x (a q').
+        # This term exists because the link slides in a turning frame: a q'' + 2 w x (a q').
         work[j, _MOVE] += ax * ddq + 2.0 * (wy * az - wz * ay) * dq
         work[j, _MOVE + 1] += ay * ddq + 2.0 * (wz * ax - wx * az) * dq
         work[j, _MOVE + 2] += az * ddq + 2.0 * (wx * ay - wy * ax) * dq
@@ -440,7 +442,7 @@ def _move_link(
 
 @kernel_helper
 def _load_link(table: Array, row: int, work: Array, j: int) -> None:
-    """Write the force and torque that the motion of link j needs at its joint, in the link's frame."""
+    """Write the force and the torque at the joint of link j that the motion of this link requires."""
     mass = table[row + MASS_ROW, j]
     hx, hy, hz = (
         table[row + MOMENT_ROW, j],
@@ -450,7 +452,7 @@ def _load_link(table: Array, row: int, work: Array, j: int) -> None:
     wx, wy, wz = work[j, _RATE], work[j, _RATE + 1], work[j, _RATE + 2]
     tx, ty, tz = work[j, _TURN], work[j, _TURN + 1], work[j, _TURN + 2]
     mx, my, mz = work[j, _MOVE], work[j, _MOVE + 1], work[j, _MOVE + 2]
-    # The force is m a + t x h + w x (w x h).
+    # The required force is m a + t x h + w x (w x h).
     ux, uy, uz = wy * hz - wz * hy, wz * hx - wx * hz, wx * hy - wy * hx
     work[j, _FORCE] = mass * mx + (ty * hz - tz * hy) + (wy * uz - wz * uy)
     work[j, _FORCE + 1] = mass * my + (tz * hx - tx * hz) + (wz * ux - wx * uz)
@@ -465,7 +467,7 @@ def _load_link(table: Array, row: int, work: Array, j: int) -> None:
         table[row + INERTIA_ROW + 4, j],
         table[row + INERTIA_ROW + 5, j],
     )
-    # The torque is I t + w x (I w) + h x a.
+    # The required torque is I t + w x (I w) + h x a.
     lx, ly, lz = (
         xx * wx + xy * wy + xz * wz,
         xy * wx + yy * wy + yz * wz,
@@ -478,7 +480,7 @@ def _load_link(table: Array, row: int, work: Array, j: int) -> None:
 
 @kernel_helper
 def _add_load_to_parent(work: Array, j: int, parent_link: int) -> None:
-    """Add force and torque of link j to those of its parent."""
+    """Add the force and the torque of link j to those of the parent."""
     fx, fy, fz = work[j, _FORCE], work[j, _FORCE + 1], work[j, _FORCE + 2]
     nx, ny, nz = work[j, _TORQUE], work[j, _TORQUE + 1], work[j, _TORQUE + 2]
     gx = work[j, 0] * fx + work[j, 1] * fy + work[j, 2] * fz
@@ -488,7 +490,8 @@ def _add_load_to_parent(work: Array, j: int, parent_link: int) -> None:
     work[parent_link, _FORCE] += gx
     work[parent_link, _FORCE + 1] += gy
     work[parent_link, _FORCE + 2] += gz
-    # The force acts at the joint's position. Thus the torque on the parent is R n + o x (R f).
+    # The force acts at the position o of the joint. Therefore the torque on the parent is R n + o x
+    # (R f).
     work[parent_link, _TORQUE] += (
         work[j, 0] * nx + work[j, 1] * ny + work[j, 2] * nz + (oy * gz - oz * gy)
     )
@@ -502,7 +505,7 @@ def _add_load_to_parent(work: Array, j: int, parent_link: int) -> None:
 
 @kernel("matrix", "counts", "vector")
 def link_poses(table: Array, parent: IndexArray, q: Array) -> Array:
-    """Return the poses (n, POSE_COLUMN_COUNT) of all links, with carried masses, at joint angles q (n,) [rad]."""
+    """Return the poses (n, POSE_COLUMN_COUNT) of all links with carried masses, at joint angles q (n,) [rad]."""
     pose = np.empty((len(q), POSE_COLUMN_COUNT))
     write_link_poses(table, 0, parent, q, pose)
     write_carried_masses(table, 0, parent, pose)
@@ -531,11 +534,11 @@ def rigid_body_torques(
 
 @kernel("matrix", "counts", "vector")
 def inertia_matrix(table: Array, parent: IndexArray, q: Array) -> Array:
-    """Return the mass matrix (n, n) [kg m2] at joint angles q (n,) [rad], with armature.
+    """Return the mass matrix (n, n) at joint angles q (n,) [rad], including the armature [kg m2].
 
-    Column k contains the torques that a unit acceleration of joint k needs, at rest and without
-    gravity. The matrix is symmetric to the last bit, because the lower triangle is a copy of the
-    upper one.
+    Column k contains the torques that are necessary for a unit acceleration of joint k, at rest and
+    without gravity. The matrix is symmetric in every bit, because the lower triangle is a copy of
+    the upper triangle.
     """
     n = len(q)
     rest = np.zeros(max(n, 3))
@@ -555,7 +558,7 @@ def inertia_matrix(table: Array, parent: IndexArray, q: Array) -> Array:
 def tip_levers(table: Array, parent: IndexArray, q: Array, touched: int, along: float) -> Array:
     """Return the levers (n,) [m] of a force on a link about the joints of its chain, see ``write_levers``.
 
-    The levers about joints beyond the link are 0.
+    For joints beyond the link, the levers are 0.
     """
     pose = np.empty((len(q), POSE_COLUMN_COUNT))
     lever = np.zeros(len(q))

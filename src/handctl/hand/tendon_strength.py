@@ -67,7 +67,7 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
 
 
 def _runaway_text(key: str, force: float, strength: float, spool: float) -> str:
-    """Describe a runaway with a given force, and the torque limit that the drive should have."""
+    """Describe a runaway with a given force, and name the torque limit that the drive should have."""
     peak = runaway_tension(force)
     right = largest_safe_force(strength)
     factor = strength / peak
@@ -79,9 +79,9 @@ def _runaway_text(key: str, force: float, strength: float, spool: float) -> str:
 
 
 def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
-    """Yield name, torque in a runaway, and rated torque [N m or N] of each joint of a digit.
+    """Yield the name, the torque during a runaway, and the rated torque of each joint of a digit [N m or N].
 
-    For a digit without rated torques, yield nothing.
+    If the digit has no rated torques, yield nothing.
     """
     described = hand.digit_named(digit)
     rated = described.rated_loads

@@ -1,4 +1,4 @@
-"""Tendons: their elasticity, their friction on the pulleys, and maps between tendon quantities and joint quantities."""
+"""Tendons: their elasticity, their friction on pulleys, and conversions between quantities of tendons and of joints."""
 
 import math
 from dataclasses import dataclass
@@ -19,8 +19,8 @@ The factor avoids a jump when the motion reverses.
 class TendonElasticity:
     """Tension of a tendon as a function of its stretch.
 
-    The tension is linear up to a knee. Beyond the knee, the stiffness changes smoothly to another
-    value.
+    The tension increases linearly up to a point that is called the knee. Beyond the knee, the
+    stiffness changes smoothly to a different value.
 
     phi = k dl up to f_k. Beyond this tension, with x = dl - f_k / k, phi = f_k + k2 x + (k - k2) w
     (1 - exp(-x / w)). The tendon is slack at dl <= 0.
@@ -29,8 +29,8 @@ class TendonElasticity:
         stiffness: k, stiffness up to the knee [N/m].
         stiffness_beyond: k2, stiffness far beyond the knee [N/m].
         knee: f_k, tension at the knee [N].
-        knee_width: w, stretch over which the stiffness changes [m].
-        damping: c, tension per rate of the stretch [N s/m].
+        knee_width: w, change of stretch over which the stiffness changes [m].
+        damping: c, tension per rate of change of the stretch [N s/m].
     """
 
     stiffness: float
@@ -58,22 +58,22 @@ class TendonElasticity:
         return self.knee + self._tension_above_knee(excess)
 
     def tension(self, stretch: float, stretch_rate: float) -> float:
-        """Return the tension with damping [N].
+        """Return the tension including the damping [N].
 
         The tension is 0 when the tendon is slack, and never below 0.
 
         Args:
             stretch: stretch of the tendon [m].
-            stretch_rate: rate of the stretch [m/s].
+            stretch_rate: rate of change of the stretch [m/s].
         """
         if stretch <= 0.0:
             return 0.0
         return max(0.0, self.elastic_tension(stretch) + self.damping * stretch_rate)
 
     def tangent_stiffness(self, stretch: float) -> float:
-        """Return the slope of the elastic tension over the stretch [N/m].
+        """Return the derivative of the elastic tension with respect to the stretch [N/m].
 
-        The slope is 0 when the tendon is slack.
+        For a slack tendon, the derivative is 0.
         """
         excess = stretch - self.knee / self.stiffness
         if stretch <= 0.0:
@@ -100,14 +100,14 @@ class TendonElasticity:
         for _ in range(NEWTON_STEPS):
             step = (tension - self.knee - self._tension_above_knee(excess)) / self._slope(excess)
             excess += step
-            # The step is smaller than the resolution of float64.
+            # The step is smaller than float64 can represent.
             if abs(step) <= 1e-15 * excess:
                 break
         return self.knee / self.stiffness + excess
 
     def _tension_above_knee(self, x: float) -> float:
-        """Return the tension minus that at the knee [N], for the stretch x beyond the knee [m]."""
-        # expm1 is accurate for x near 0.
+        """Return by how much the tension is above that at the knee [N], for the stretch x beyond the knee [m]."""
+        # The function expm1 is accurate even for x close to 0.
         softer = self.stiffness - self.stiffness_beyond
         return self.stiffness_beyond * x - softer * self.knee_width * math.expm1(
             -x / self.knee_width
@@ -125,12 +125,12 @@ NEWTON_STEPS = 100
 
 
 def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Array:
-    """Return the ratio of tension at each joint pulley to tension at the load cell: exp(-mu phi_i tanh(v / v0)).
+    """Return the tension at each joint pulley divided by the load-cell tension: exp(-mu phi_i tanh(v / v0)).
 
-    phi_i is the wrap angle before the first joint plus the angles of the crossed joints up to and
-    including joint i. While the spool winds the tendon, friction reduces the tension towards the
-    tip, and factors are below 1. While the spool pays out the tendon, the factors are above 1. At
-    rest they are 1.
+    Here, phi_i is the wrap angle before the first joint, plus the angles of the crossed joints up
+    to joint i. While the spool winds the tendon up, friction reduces the tension towards the tip,
+    and the factors are below 1. While the spool pays out the tendon, the factors are above 1. If
+    the tendon is at rest, the factors are 1.
     Source: capstan equation.
 
     Args:
@@ -139,9 +139,9 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
         speed: winding speed of each tendon (n_t,) [m/s].
 
     Returns:
-        Factors by tendon and joint (n_t, n).
+        Factors for each tendon and joint (n_t, n).
     """
-    # Only the hinges that a tendon crosses add to its wrap angle.
+    # Only those hinges that a tendon crosses add to the wrap angle of the tendon.
     wraps = (digit.moment_arms != 0.0) & ~digit.is_prismatic
     passed = np.cumsum(wraps * np.asarray(q), axis=1)
     exponent = digit.friction * np.tanh(np.divide(speed, CAPSTAN_FRICTION_SPEED_M_S))
@@ -149,7 +149,7 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
 
 
 def effective_moment_arms(digit: DigitModel, q: JointValues, speed: JointValues) -> Array:
-    """Return the moment arms R times the friction factors, (n_t, n) [m].
+    """Return the moment arms R multiplied by the friction factors (n_t, n) [m].
 
     The transpose of the result times the tensions at the load cells gives the joint torques.
     """
@@ -157,7 +157,7 @@ def effective_moment_arms(digit: DigitModel, q: JointValues, speed: JointValues)
 
 
 def excursions(digit: DigitModel, q: JointValues) -> Array:
-    """Return the excursion of each tendon at given joint angles, (n_t,) [m].
+    """Return the excursion (n_t,) of each tendon at given joint angles [m].
 
     The excursion is the integral of R over the joint angles.
     """
@@ -165,7 +165,7 @@ def excursions(digit: DigitModel, q: JointValues) -> Array:
 
 
 def reflected_inertia(digit: DigitModel) -> Array:
-    """Return the inertia of the rotors in the reduced coordinates of the digit, (n_c, n_c) [kg m2].
+    """Return the inertia (n_c, n_c) of the rotors, converted to the coordinates of the digit [kg m2].
 
     The tendons are taken as rigid. The result is (R B)^T (J_m / r_a^2) R B.
     """

@@ -1,4 +1,4 @@
-"""Log of a run in the MCAP format: recorder, topics, reader, and recovery of a damaged log.
+"""Log of a run in the format MCAP: recorder, topics, reader, and recovery of a damaged log.
 
 Common robotics tools open these logs without conversion.
 """

@@ -27,12 +27,12 @@ If the files of a hand are larger together, the log stores none of them.
 
 @dataclass(frozen=True, eq=False)
 class AttachedMesh:
-    """Mesh of a link, with the content of its file.
+    """Mesh of a link, and the content of the mesh file.
 
     Attributes:
-        mesh: place of the mesh on a link of the hand.
-        data: content of the mesh file.
-        triangles: (n, 3, 3) the three corners of each triangle, in the frame of the link [m].
+        mesh: placement of the mesh on a link of the hand.
+        data: content of the mesh file, as bytes.
+        triangles: (n, 3, 3) three corners of each triangle, in the frame of the link [m].
     """
 
     mesh: LinkMesh
@@ -46,7 +46,7 @@ def attachment_name(file: str) -> str:
 
 
 def mesh_attachments(hand: Hand, folder: Path) -> tuple[dict[str, bytes], list[str]]:
-    """Return the mesh files of a hand as attachments by name, and one line of text about each omitted mesh.
+    """Return the mesh files of a hand as attachments by name, and one line of text for each omitted mesh.
 
     Args:
         hand: description of the hand.
@@ -68,7 +68,7 @@ def mesh_attachments(hand: Hand, folder: Path) -> tuple[dict[str, bytes], list[s
 def attached_meshes(
     hand: Hand, attachments: Mapping[str, bytes]
 ) -> tuple[dict[str, AttachedMesh], list[str]]:
-    """Return the meshes in a log by the name of their link, and the links whose mesh is missing or damaged.
+    """Return the meshes in a log by the name of the link, and the names of links whose mesh is missing or damaged.
 
     Args:
         hand: description of the hand in the log.

@@ -1,10 +1,10 @@
-"""Writer and reader for CDR, the encoding of ROS 2 messages, and templates for messages with a constant layout.
+"""Writer and reader for CDR, the encoding of ROS 2 messages, and templates for messages whose layout is constant.
 
-A message begins with the encapsulation (4 bytes: 0x00, 0x01 for little-endian plain CDR, two option
-bytes). The fields follow after it, in order. The position of a number of n bytes is a multiple of n
-bytes after the encapsulation. A string consists of its length (uint32, including the closing NUL),
-its bytes, and the NUL. A sequence consists of its length (uint32) and its elements. An empty
-sequence consists of its length alone.
+A message begins with four bytes, called the encapsulation: 0x00, 0x01 for little-endian plain CDR,
+and two option bytes. After these bytes, the fields of the message follow in order. A number of n
+bytes is stored at a multiple of n bytes after the encapsulation. A string consists of its length
+(uint32, including the closing NUL), its bytes, and the NUL. A sequence consists of its length
+(uint32) and its elements. An empty sequence consists only of its length.
 
 Source: OMG CORBA 3.0, section 15.3, as implemented by the packages rosbags and mcap-ros2-support.
 """
@@ -20,7 +20,10 @@ _INT64_STRUCT = struct.Struct("<q")
 
 
 class CdrWriter:
-    """Writer of CDR values. The writer aligns each value, and appends it to `data`."""
+    """Writer of the values of a CDR message.
+
+    The writer aligns each value, and appends the value to `data`.
+    """
 
     def __init__(self, start: int = 0) -> None:
         """Start an empty message, or an empty part of a message.
@@ -34,15 +37,15 @@ class CdrWriter:
 
     def align(self, size: int) -> None:
         """Append zeros until the length of the message is a multiple of `size` bytes."""
-        # In Python -n % size is the distance from n up to the next multiple of size.
+        # In Python, -n % size is the distance from n to the next multiple of size.
         self.data += bytes(-(self._start + len(self.data)) % size)
 
     def put_number(self, code: str, value: float) -> None:
         """Append one number.
 
         Args:
-            code: `struct` format character.
-            value: the number.
+            code: format character of the module `struct`.
+            value: number to append.
         """
         self.align(struct.calcsize("<" + code))
         self.data += struct.pack("<" + code, value)
@@ -54,7 +57,8 @@ class CdrWriter:
     def put_string(self, value: str) -> None:
         """Append a string.
 
-        Lone surrogates in the string are escaped, because other CDR readers cannot decode them.
+        Lone surrogates in the string are replaced by escape sequences, because other CDR readers
+        cannot decode them.
         """
         raw = value.encode("utf-8", "backslashreplace")
         self.put_length(len(raw) + 1)
@@ -67,12 +71,12 @@ class CdrWriter:
             self.put_string(value)
 
     def finished_message(self) -> bytes:
-        """Return the whole message, including its encapsulation header."""
+        """Return the whole message, including the four bytes of encapsulation."""
         return ENCAPSULATION_HEADER + bytes(self.data)
 
 
 class CdrReader:
-    """Reader for the values of a CDR message. The reader also skips the padding between them.
+    """Reader of the values of a CDR message. The reader also skips the padding between the values.
 
     Raises:
         ValueError: the message ends before the end of the value. Every method of the reader can
@@ -80,7 +84,7 @@ class CdrReader:
     """
 
     def __init__(self, message: bytes) -> None:
-        """Begin to read a message, after its encapsulation header.
+        """Begin to read a message, after the four bytes of encapsulation.
 
         Raises:
             ValueError: the message is not little-endian plain CDR.
@@ -91,7 +95,7 @@ class CdrReader:
         self._at = 4
 
     def read_bytes(self, size: int) -> bytes:
-        """Return the next `size` bytes, without alignment."""
+        """Return the next `size` bytes, without skipping padding."""
         end = self._at + size
         if end > len(self._data):
             raise ValueError(f"message ends {end - len(self._data)} bytes early")
@@ -100,7 +104,7 @@ class CdrReader:
         return part
 
     def align(self, size: int) -> None:
-        """Skip padding up to the next multiple of `size` bytes."""
+        """Skip the padding up to the next multiple of `size` bytes."""
         self._at += -(self._at - 4) % size
 
     def read_length(self) -> int:
@@ -116,20 +120,20 @@ class CdrReader:
     def read_string(self) -> str:
         """Read a string."""
         size = self.read_length()
-        # The length includes the closing NUL. Some writers store an empty string with the length 0
-        # and without a NUL.
+        # The length counts the NUL at the end of the string. Some writers store an empty string
+        # with the length 0 and no NUL.
         return self.read_bytes(size)[: max(size - 1, 0)].decode()
 
 
 @dataclass(frozen=True, slots=True)
 class MessageTemplate:
-    """Encoded message with a constant layout.
+    """Encoded message whose layout never changes.
 
     Only the listed fields differ from message to message.
 
     Attributes:
         data: the message with zeros in all variable fields.
-        stamp_offsets: offsets of the 8-byte time stamps.
+        stamp_offsets: offsets of the 8-byte time stamps in the message.
         fields: (offset, numpy format, number of values) of every variable field except the time
             stamps, by name.
     """
@@ -151,7 +155,8 @@ class TemplateWriter(CdrWriter):
     def put_stamp(self) -> None:
         """Append a time stamp (builtin_interfaces/Time) as a variable field."""
         self.align(4)
-        # Offsets count from the start of the message. The encapsulation is 4 bytes long.
+        # Offsets are counted from the start of the message. The encapsulation at the start has 4
+        # bytes.
         self._stamp_offsets.append(len(self.data) + 4)
         self.data += bytes(8)
 
@@ -175,7 +180,7 @@ class TemplateWriter(CdrWriter):
         self.data += bytes(size * number)
 
     def put_float_sequence(self, name: str, number: int) -> None:
-        """Append a float64 sequence with a constant length as a variable field.
+        """Append a float64 sequence with a constant length, whose values differ from message to message.
 
         An empty sequence adds no variable field.
         """

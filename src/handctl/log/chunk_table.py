@@ -24,11 +24,11 @@ CHUNKS_PER_BLOCK = 512
 
 
 class ChunkEntry(NamedTuple):
-    """Position, size, and times of one chunk.
+    """Position, size and times of one chunk of a log.
 
     Attributes:
-        start, length: start and length of the record of the chunk in the file [bytes].
-        packed_size, size: compressed and uncompressed size of the messages [bytes].
+        start, length: start and length of the chunk's record in the file [bytes].
+        packed_size, size: size of the messages with and without compression [bytes].
         first_ns, last_ns: times of the first and last message [ns].
         index_size: length of the message indexes after the chunk [bytes].
     """
@@ -43,7 +43,7 @@ class ChunkEntry(NamedTuple):
 
 
 class ChunkTable:
-    """Table of all chunks that have been written to a file so far, in the order of the file."""
+    """Table of all chunks that a file contains so far, in the order of the file."""
 
     def __init__(self) -> None:
         """Start with an empty table."""
@@ -61,10 +61,10 @@ class ChunkTable:
         Args:
             chunk: position, size and times of the chunk.
             index_offsets: distance from the end of the chunk to the message index of each channel
-                [bytes], by channel.
+                [bytes], by the number of the channel.
         """
         layout = b"".join([_CHANNEL_STRUCT.pack(*item) for item in index_offsets.items()])
-        # `setdefault` numbers the arrangements in the order of their first use.
+        # `setdefault` gives a number to each arrangement, in the order of their first use.
         self._latest += _CHUNK_ROW_STRUCT.pack(
             *chunk, self._layouts.setdefault(layout, len(self._layouts))
         )
@@ -73,7 +73,7 @@ class ChunkTable:
             self._latest.clear()
 
     def chunk_indexes(self) -> Iterator[ChunkIndex]:
-        """Yield the MCAP ChunkIndex record of each chunk."""
+        """Yield the MCAP record ChunkIndex of each chunk."""
         layouts = [tuple(_CHANNEL_STRUCT.iter_unpack(layout)) for layout in self._layouts]
         for *fields, layout in self._stored_rows():
             chunk = ChunkEntry(*fields)

@@ -1,7 +1,6 @@
-"""Identity of the control code: a hash over all its source files.
+"""Identity of the code of the controller: a hash over all of its source files.
 
-A version number identifies a release. The hash also identifies each state of the code between two
-releases.
+A version number identifies only a release. The hash also identifies the code between two releases.
 """
 
 import functools
@@ -16,11 +15,11 @@ UNKNOWN_IDENTITY = "?"
 
 @functools.cache
 def code_identity() -> str:
-    """Return the first twelve hexadecimal digits of the SHA-256 hash over the sources of the control packages."""
+    """Return the first twelve hexadecimal digits of the SHA-256 hash over the source files of the control packages."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
-    # Because the paths are sorted and separated by NUL, the hash depends only on names and
-    # contents, and not on the order in which the file system lists the files.
+    # The paths are sorted and separated by NUL. So the hash depends only on names and contents, and
+    # not on the order in which the file system lists the files.
     for path in sorted(
         path for name in CONTROL_PACKAGES for path in (package / name).rglob("*.py")
     ):

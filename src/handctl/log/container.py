@@ -1,8 +1,9 @@
-"""Writer of MCAP container files.
+"""Writer of files in the container format MCAP.
 
-The writer receives messages in blocks, because a Python call for each message would take too long.
-The mcap package encodes those records that are rare. This module encodes chunks and message indexes
-itself, because they take most of the time. Chunks and message indexes have these layouts:
+The writer receives messages in blocks, because one Python call for each message would take too
+long. The package mcap encodes records that are rare. This module encodes chunks and message indexes
+itself, because otherwise they would take most of the time. Chunks and message indexes have these
+layouts:
 
 Chunk: opcode u8, length u64, first time u64 [ns], last time u64 [ns], uncompressed size u64, CRC-32
 u32, compression as a text (u32 length), compressed size u64, compressed records. MessageIndex:
@@ -59,9 +60,9 @@ class MessageBlock(NamedTuple):
 
     Attributes:
         channel: id of the channel.
-        data: the records. Each record begins with the layout `MESSAGE_STRUCT`.
+        data: the records, as bytes. Each record begins with the layout `MESSAGE_STRUCT`.
         log_times: (n,) uint64, log time of each message [ns].
-        offsets: (n,) start of each record in the data [bytes].
+        offsets: (n,) start of each record within the data [bytes].
     """
 
     channel: int
@@ -96,14 +97,14 @@ class _SummarySection:
 
 
 class McapContainer:
-    """MCAP file that is being written. The writer itself has no buffer.
+    """MCAP file that is being written. The writer itself does not buffer data.
 
     Attributes:
         complete_size: length of the file up to the end of the last complete record [bytes].
 
     Raises:
-        OSError: a write fails. Every method that writes can raise this error. After such an error,
-            only `cut_incomplete_record` may be called.
+        OSError: a write fails. Every method that writes to the file can raise this error. After
+            such an error, only `cut_incomplete_record` may still be called.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -130,19 +131,19 @@ class McapContainer:
         start = self._at
         view = memoryview(data)
         while view:
-            # A single write call may write only a part of the bytes, for example on a nearly full
-            # disk.
+            # A single call may write only a part of the bytes, for example if the disk is almost
+            # full.
             written = os.write(self._fd, view)
             self._at += written
             view = view[written:]
         self._crc = zlib.crc32(data, self._crc)
-        # The complete size grows only when the last byte of a record was written. Therefore
-        # `cut_incomplete_record` can remove an incomplete record.
+        # The complete size increases only after the last byte of a record has been written.
+        # Therefore `cut_incomplete_record` can remove an incomplete record.
         self.complete_size = self._at
         return start
 
     def cut_incomplete_record(self) -> None:
-        """Cut the file after the last complete record.
+        """Cut the file off after the last complete record.
 
         This removes the remains of a failed write.
         """
@@ -204,11 +205,11 @@ class McapContainer:
         self._summary.last_log_time = max(last, self._summary.last_log_time)
 
     def finish(self) -> None:
-        """Write the summary and the footer of the file."""
+        """Write the summary section and the footer of the file."""
         self._write_bytes(records_as_bytes([DataEnd(self._crc)]))
         body, offset_start = self._summary_section(self._at)
-        # The CRC covers the summary section, and those fields of the footer that come before the
-        # CRC: opcode, length 20, and both offsets.
+        # The CRC covers the summary section and three fields of the footer: opcode, length (20),
+        # and both offsets.
         fields = struct.pack("<BQQQ", Opcode.FOOTER, 20, self._at, offset_start)
         footer = records_as_bytes(
             [Footer(self._at, offset_start, zlib.crc32(fields, zlib.crc32(body)))]
@@ -231,10 +232,10 @@ class McapContainer:
         )
 
     def _summary_section(self, start: int) -> tuple[bytes, int]:
-        """Return the summary section, and the offset in the file of the SummaryOffset records.
+        """Return the summary section, and the offset of the SummaryOffset records in the file.
 
         Args:
-            start: offset of the section in the file [bytes].
+            start: offset of the summary section in the file [bytes].
         """
         summary = self._summary
         body = b""
@@ -260,10 +261,10 @@ class McapContainer:
 
 
 def _message_indexes(blocks: Sequence[MessageBlock], base: int) -> tuple[bytes, dict[int, int]]:
-    """Return the message indexes that follow a chunk, and the offset of the index of each channel, by channel id.
+    """Return the message indexes that follow a chunk, and the offset of each channel's index, by channel id.
 
     Args:
-        blocks: the messages of the chunk.
+        blocks: messages of the chunk.
         base: start of the first message in the uncompressed chunk [bytes].
     """
     entries: dict[int, list[NDArray[np.void]]] = {}

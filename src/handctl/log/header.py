@@ -1,4 +1,4 @@
-"""Header of a run: all data of the run that are known before the first tick."""
+"""Header of a run's log, with all data of the run that are known before the first tick."""
 
 import json
 import tomllib
@@ -30,26 +30,27 @@ MAX_NAMES = 1000
 
 @dataclass(frozen=True, slots=True)
 class RunHeader:
-    """Header of a run.
+    """Header of a run's log.
 
-    The header is the first part of a log file. So every log has a header, even if the run ends with
-    a crash.
+    The header is the first part of the log file. Therefore every log has a header, even if the run
+    ends with a crash.
 
     Attributes:
         hand_toml: the hand description with all defaults applied. joints, tendons, motors, digits,
             buses: names of these parts, in the order of the hand file.
         period_ns: period of the tick [ns].
-        offset_ns: UNIX time at t = 0 of the run [ns]. The value is 0 for a deterministic run.
+        offset_ns: UNIX time when the time of the run is 0 [ns]. The value is 0 for a run in
+            lockstep.
         metadata: content of the metadata record `handctl`: version, bus, seed, note of the
             operator, and more.
         gains: gains at the start of the run, by name. The metadata record `handctl.gains` and the
-            first parameter event contain them.
-        attachments: content of the files attached to the log, by file name, such as hand.urdf,
-            gains.toml, calibration.toml, task.toml, initial_state.
+            first parameter event of the log contain these gains.
+        attachments: content of the files that are attached to the log, by the name of the file,
+            such as hand.urdf, gains.toml, calibration.toml, task.toml and initial_state.
         wall: data about the machine and the wall clock. The metadata record `handctl.wall` contains
-            them.
-        deterministic: True for a lockstep run. The recorder of such a run drops no tick and reads
-            no clock. So equal runs write equal logs.
+            these data.
+        deterministic: True for a run in lockstep. The recorder of a run in lockstep drops no tick
+            and reads no clock. Therefore two equal runs write equal logs.
     """
 
     hand_toml: str
@@ -68,11 +69,11 @@ class RunHeader:
 
     @classmethod
     def from_hand(cls, hand_toml: str, period_ns: int, **more: object) -> Self:
-        """Return a header with the names of joints, tendons, motors, digits and buses from the hand description.
+        """Return a header with the names of joints, tendons, motors, digits and buses, taken from the hand description.
 
         Args:
-            hand_toml: the hand description with all defaults applied.
-            period_ns: period of the control loop: the time from one tick to the next [ns].
+            hand_toml: the description of the hand, after all defaults have been applied.
+            period_ns: control period, the time from one tick to the next [ns].
             more: values of the other attributes of the header, by name.
         """
         hand = tomllib.loads(hand_toml)
@@ -101,9 +102,9 @@ class RunHeader:
         metadata: Mapping[str, dict[str, str]],
         attachments: dict[str, bytes],
     ) -> Self:
-        """Return a header from the records of a log.
+        """Return the header that the records of a log describe.
 
-        Every value that enters a calculation is checked.
+        All values that are used in calculations are checked.
 
         Args:
             record: metadata record `handctl.run`. The values of a metadata record are JSON texts.
@@ -130,7 +131,7 @@ class RunHeader:
 
     @property
     def truth_offset_ns(self) -> int:
-        """Return the time of the simulator at t = 0 of the run [ns], or 0 for a run that was not in lockstep.
+        """Return the time of the simulator when the time of the run is 0 [ns], or 0 for a run that was not in lockstep.
 
         Raises:
             LogError: the value in the log is not a time.
@@ -147,7 +148,7 @@ class RunHeader:
         return int(text)
 
     def axis_names(self, name: str) -> tuple[str, ...]:
-        """Return the names of the elements of a telemetry axis: joint, tendon, motor or digit."""
+        """Return the names of the elements along an axis of the telemetry: joint, tendon, motor or digit."""
         return {
             "joint": self.joints,
             "tendon": self.tendons,
@@ -156,7 +157,7 @@ class RunHeader:
         }[name]
 
     def dump(self) -> bytes:
-        """Encode the header for the pipe to the recorder: one line of JSON, and then the attachments in order."""
+        """Encode the header for the pipe to the recorder: one line of JSON, followed by the attachments in order."""
         sizes = {name: len(data) for name, data in self.attachments.items()}
         fields = asdict(self) | {"attachments": sizes}
         for table in ("metadata", "gains", "wall"):
@@ -181,12 +182,12 @@ class RunHeader:
 
 
 def _checked_integer(key: str, value: Any, low: int, high: int) -> int:
-    """Return an integer from the header of a log, if its type and range are valid.
+    """Check the type and the range of an integer from the header of a log, and return it.
 
     Raises:
         ValueError: the value is not a whole number from `low` to `high`.
     """
-    # `isinstance(value, int)` would also accept True. JSON distinguishes true from 1.
+    # `isinstance(value, int)` would also accept True. But JSON distinguishes true from 1.
     if type(value) is not int or not low <= value <= high:
         raise ValueError(f"{key} is {_brief_text(value)}, not a whole number from {low} to {high}")
     return value
@@ -211,6 +212,6 @@ def _checked_names(key: str, value: Any) -> tuple[str, ...]:
 
 
 def _brief_text(value: Any) -> str:
-    """Return a header value as text for an error message, with at most 40 characters."""
+    """Return a value of the header as text with at most 40 characters, for an error message."""
     text = json.dumps(value)
     return text if len(text) <= 40 else text[:37] + "..."

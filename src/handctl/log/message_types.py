@@ -1,4 +1,4 @@
-"""Definitions of the message types in a log, written as ROS 2 interface definitions.
+"""Definitions of the message types in a log, in the notation of ROS 2 interfaces.
 
 The names and fields of these types are part of the log format, and must not change.
 
@@ -22,7 +22,7 @@ OTHER_PHASE_NUMBER = 255
 
 
 def _constant_lines(values: dict[str, int]) -> str:
-    """Return the definitions of a message type's constants, one line for each constant."""
+    """Return the definitions of the constants of a message type, one line for each constant."""
     return "".join(f"uint8 {name.upper()}={value}\n" for name, value in values.items())
 
 
@@ -110,9 +110,9 @@ _DEFINITION_SEPARATOR = "=" * 80 + "\n"
 
 
 def _collect_dependencies(name: str, types: dict[str, None]) -> None:
-    """Collect the message types that a definition uses.
+    """Collect the message types that the definition of a message type uses.
 
-    The search is depth-first, and the result has no duplicates.
+    The search is depth-first, and each type is listed only once.
 
     Args:
         name: name of the message type.
@@ -120,7 +120,7 @@ def _collect_dependencies(name: str, types: dict[str, None]) -> None:
     """
     for line in MESSAGE_DEFINITIONS[name].splitlines():
         # In a line such as "uint8[<=64] data", the type stands before the bracket, and the name of
-        # the field stands after it.
+        # the field after it.
         field_type = line.split(" ")[0].split("[")[0]
         if field_type in MESSAGE_DEFINITIONS and field_type not in types:
             types[field_type] = None
@@ -128,7 +128,7 @@ def _collect_dependencies(name: str, types: dict[str, None]) -> None:
 
 
 def schema_text(name: str) -> str:
-    """Return the definitions of a message type and of all types that it uses, in MCAP's ros2msg encoding.
+    """Return the definitions of a message type and of all types that it uses, in the encoding ros2msg of MCAP.
 
     Args:
         name: message type, for example "sensor_msgs/JointState".

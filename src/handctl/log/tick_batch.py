@@ -1,4 +1,4 @@
-"""Batches of ticks. A batch contains the records of many ticks as arrays."""
+"""Batches of ticks. A batch contains the data of many ticks as arrays."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -53,9 +53,9 @@ class FrameBatch(NamedTuple):
 
     Attributes:
         frames: (m,) the frames, as FRAME_DTYPE.
-        tick_indexes: (m,) index of the tick of each frame.
-        long_data: payload bytes after the eighth byte, of all frames that have more than eight
-            bytes, in the order of the frames.
+        tick_indexes: (m,) for each frame, the index of its tick.
+        long_data: payload bytes after the eighth byte, for all frames with more than eight bytes,
+            in the order of the frames.
     """
 
     frames: NDArray[np.void]
@@ -69,12 +69,12 @@ class TickBatch(NamedTuple):
     Attributes:
         messages: the Tick message of each tick.
         k: (n,) tick numbers.
-        t_ns, late_ns: (n,) time since the start of the run, and lateness [ns].
-        mode, action: (n,) uint8.
+        t_ns, late_ns: (n,) time since the start of the run, and lateness of each tick [ns].
+        mode, action: (n,) mode and reaction to faults in each tick, as uint8.
         phases: grasp phase of each tick.
-        numbers: (n, columns) telemetry in the order of Telemetry.packed.
+        numbers: (n, columns) telemetry of each tick, in the order of Telemetry.packed.
         received, sent: CAN frames that the controller has received and sent.
-        ticks_with_events: decoded record of each tick that has events, requests or io events, by
+        ticks_with_events: decoded record of each tick with events, requests or io events, by the
             index of the tick.
     """
 
@@ -92,9 +92,9 @@ class TickBatch(NamedTuple):
 
 
 def row_fields(header: RunHeader, width: int) -> tuple[str, ...]:
-    """Return the telemetry fields that are in a row of `width` columns.
+    """Return the telemetry fields that a row of `width` columns contains.
 
-    Logs of earlier versions of handctl do not have the last fields.
+    Logs of earlier versions of handctl do not contain the last fields.
 
     Args:
         header: header of the run.
@@ -105,14 +105,14 @@ def row_fields(header: RunHeader, width: int) -> tuple[str, ...]:
 
 
 def column_count(header: RunHeader, fields: tuple[str, ...]) -> int:
-    """Return the number of columns that the given telemetry fields occupy."""
+    """Return the number of columns that the given telemetry fields need."""
     return sum(len(header.axis_names(TELEMETRY_AXES[name])) for name in fields)
 
 
 def columns_of_fields(
     header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIELDS
 ) -> dict[str, slice]:
-    """Return the column numbers of each telemetry field in a row.
+    """Return the columns of each telemetry field in a row.
 
     Args:
         header: header of the run.
@@ -129,7 +129,7 @@ def columns_of_fields(
 
 @dataclass(slots=True)
 class _FrameCollector:
-    """Collector for the CAN frames of one direction (received or sent).
+    """Collector of CAN frames in one direction (received or sent).
 
     The frames are added tick by tick.
 
@@ -152,13 +152,14 @@ class _FrameCollector:
 
 
 class TickBatcher:
-    """Collector for tick records.
+    """Collector of tick records.
 
-    The method `take_batch` returns the ticks collected so far as a batch.
+    The method `take_batch` returns the collected ticks as a batch.
 
     Attributes:
-        misshapen_ticks: number of ticks whose telemetry does not have the shape described in the header.
-        size: total length of the records collected so far [bytes].
+        misshapen_ticks: number of ticks whose telemetry has not the shape that the header
+            describes.
+        size: total length of the collected records [bytes].
     """
 
     def __init__(self, header: RunHeader) -> None:
@@ -191,10 +192,11 @@ class TickBatcher:
     def add_tick(self, body: bytes) -> int:
         """Add one tick, and return the time of the tick since the start of the run [ns].
 
-        If the telemetry has a wrong shape, it becomes NaN, and `misshapen_ticks` counts the tick.
+        If the telemetry has a wrong shape, it is replaced by NaN, and the tick is counted in
+        `misshapen_ticks`.
 
         Args:
-            body: body of a tick record, see `handctl.log.tick_record`.
+            body: body of the record of a tick, see `handctl.log.tick_record`.
         """
         size, *sizes = TICK_SIZES_STRUCT.unpack_from(body)
         message = body[TICK_SIZES_STRUCT.size : TICK_SIZES_STRUCT.size + size]
@@ -209,7 +211,7 @@ class TickBatcher:
         return int(TICK_HEAD_STRUCT.unpack_from(message, 4)[1])
 
     def _add_frames(self, message: bytes) -> None:
-        """Append the received and the sent frames of a Tick message, and then process the rest of the message."""
+        """Add the received and the sent frames of a Tick message, and then process the rest of the message."""
         parts = message_layout(message)
         for direction, part in ((self._received, parts.received), (self._sent, parts.sent)):
             direction.parts.append(message[part])
@@ -219,7 +221,7 @@ class TickBatcher:
         self._add_tail(message, parts.tail_offset)
 
     def _add_long(self, data: bytes) -> None:
-        """Divide the payload bytes after the eighth byte between the received and the sent frames of the tick."""
+        """Divide the payload bytes after the eighth byte between the received and the sent frames of a tick."""
         lengths = np.frombuffer(self._received.parts[-1], FRAME_DTYPE)["length"].astype(int)
         # In the message, the bytes of all received frames come before the bytes of all sent frames.
         split = int(np.maximum(lengths - 8, 0).sum())
@@ -227,17 +229,17 @@ class TickBatcher:
         self._sent.long_parts.append(data[split:])
 
     def _add_tail(self, message: bytes, at: int) -> None:
-        """Append the grasp phase that a Tick message contains.
+        """Add the grasp phase that a Tick message contains.
 
-        For a tick with events, requests or io events, also store its decoded record.
+        If the tick has events, requests or io events, also store its decoded record.
 
         Args:
             message: the Tick message.
-            at: start of the phase in the message [bytes].
+            at: offset of the phase in the message [bytes].
         """
-        # Nearly all ticks have no events. The messages of such ticks end with the phase and empty
-        # lists. This end of the message is the same in all ticks of one phase. With the cache, an
-        # equal end is decoded only once.
+        # Nearly all ticks have no events. The Tick message of such a tick ends with the phase and
+        # empty lists. These last bytes are the same in all ticks of one phase. Because of the
+        # cache, equal bytes are decoded only once.
         tail = message[at:]
         phase = self._phase_of_tail.get(tail)
         if phase is None:
@@ -251,8 +253,8 @@ class TickBatcher:
 
     def take_batch(self) -> TickBatch:
         """Return all ticks added since the last call as a batch, and begin another batch."""
-        # In each message, four bytes of CDR encapsulation come before the part with a constant
-        # length.
+        # In each message, four bytes (the CDR encapsulation) come before the part whose length is
+        # constant.
         fixed = np.frombuffer(
             b"".join([message[4 : 4 + TICK_HEAD_STRUCT.size] for message in self._messages]),
             FIXED_DTYPE,

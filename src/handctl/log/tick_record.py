@@ -1,7 +1,7 @@
 """Records that the controller writes into the pipe to the recorder.
 
-The record of a tick contains its telemetry and a `handctl_msgs/Tick` message. The message is
-encoded as in the log.
+The record of a tick contains the telemetry and a `handctl_msgs/Tick` message. The message is
+encoded in the same way as in the log.
 
 All numbers are little-endian.
 
@@ -123,7 +123,7 @@ _FIELD_OF_EACH_AXIS = "q", "tension", "motor_torque", "contact"
 
 
 class TickRecord(NamedTuple):
-    """Tick in a log, without its telemetry.
+    """Tick from a log, without its telemetry.
 
     Attributes:
         tick_in: all inputs of the tick.
@@ -148,7 +148,7 @@ def record_bytes(kind: int, body: bytes) -> bytes:
 def _long_mask(records: RecordArray) -> NDArray[np.bool_]:
     """Return a mask (n, 56) for the payload bytes after the eighth byte of n frames.
 
-    The mask is True for bytes that belong to the payload.
+    The mask is True for the bytes that belong to the payload of their frame.
     """
     return np.asarray(records["length"][:, np.newaxis] > _LONG_DATA_INDEXES)
 
@@ -162,7 +162,8 @@ def _long_data(records: RecordArray) -> bytes:
 def _tail_without_events(phase: str) -> bytes:
     """Return the end of a Tick message without events: the phase and three empty sequences.
 
-    The bytes are the same at every offset divisible by four. Because of this, they can be cached.
+    At every offset that is divisible by four, these bytes are the same. Therefore they can be
+    cached.
     """
     out = CdrWriter()
     out.put_string(phase)
@@ -172,11 +173,11 @@ def _tail_without_events(phase: str) -> bytes:
 
 
 def _message_end(start: int, phase: str, tick_in: TickIn, events: tuple[TickEvent, ...]) -> bytes:
-    """Return the end of a Tick message, which has phase, io events, requests and events.
+    """Return the end of a Tick message, which contains phase, io events, requests and events.
 
     Args:
-        start: offset in the message body at which this end begins [bytes]. The alignment of the
-            fields depends on this offset.
+        start: offset at which this end begins in the body of the message [bytes]. The alignment of
+            the fields depends on this offset.
         phase: grasp phase in the tick.
         tick_in: inputs of the tick.
         events: events of the tick.
@@ -218,15 +219,15 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
     )
     beginnings = [records.getfield(_SHORT_FRAME_DTYPE).tobytes() for records in (received, sent)]
     long_part = _NO_LONG_DATA
-    # A slice with a stride reads the length bytes of all frames, without decoding the frames.
+    # A slice with a stride reads the length of every frame without decoding the frames.
     if (
         max(b"".join([part[_LENGTH_OFFSET::FRAME_RECORD_BYTES] for part in beginnings]), default=0)
         > _SHORT_DATA_BYTES
     ):
         long_data = _long_data(received) + _long_data(sent)
         long_part = _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
-    # The first member of a frame is an int64. CDR therefore aligns the frames to 8 bytes. An empty
-    # sequence has no padding.
+    # The first field of a frame is an int64. Therefore CDR aligns the frames to 8 bytes. If there
+    # are no frames, there is no padding.
     padding = b"\0\0\0\0" if len(sent) else b""
     parts = [
         ENCAPSULATION_HEADER,
@@ -280,7 +281,7 @@ def _axis_lengths(numbers: Telemetry | PackedTelemetry) -> list[int]:
 
 
 class MessageLayout(NamedTuple):
-    """Positions of the parts in a Tick message.
+    """Positions of the parts of a Tick message.
 
     Attributes:
         received, sent: slices of the received frames and of the sent frames.
@@ -296,7 +297,7 @@ class MessageLayout(NamedTuple):
 
 
 def message_layout(message: bytes) -> MessageLayout:
-    """Return the positions of the parts in a Tick message, without decoding them.
+    """Return the positions of the parts of a Tick message, without decoding these parts.
 
     Raises:
         struct.error: the message ends early.
@@ -305,23 +306,24 @@ def message_layout(message: bytes) -> MessageLayout:
     start = TICK_HEAD_STRUCT.size + 4
     end = TICK_HEAD_STRUCT.size + 4 + FRAME_RECORD_BYTES * received
     (sent,) = _COUNT_STRUCT.unpack_from(message, end)
-    # Padding to 8 bytes precedes the sent frames. An empty sequence of frames has no padding.
+    # Before the sent frames, the message is padded to 8 bytes. If there are no frames, there is no
+    # padding.
     sent_start = end + 8 if sent else end + 4
     sent_end = sent_start + FRAME_RECORD_BYTES * sent
     (size,) = _COUNT_STRUCT.unpack_from(message, sent_end)
     long_data = slice(sent_end + 4, sent_end + 4 + size)
-    # The long bytes may end at any offset. The text that follows after the long bytes is aligned to
-    # 4 bytes.
+    # The payload bytes after the eighth byte may end at any offset. The text after them is aligned
+    # to 4 bytes.
     return MessageLayout(
         slice(start, end), slice(sent_start, sent_end), long_data, long_data.stop + -size % 4
     )
 
 
 def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
-    """Return the decoded frames, and the long payload bytes that belong to later frames.
+    """Return the decoded frames, and the remaining payload bytes, which belong to later frames.
 
     Args:
-        beginnings: first part of each frame, FRAME_RECORD_BYTES bytes each.
+        beginnings: first FRAME_RECORD_BYTES bytes of each frame.
         long_data: payload bytes after the eighth byte of these frames, followed by those of later
             frames.
 
@@ -362,9 +364,9 @@ def _zero_unused_bytes(records: RecordArray) -> None:
 
 @functools.lru_cache(maxsize=256)
 def _phase_without_events(tail: bytes) -> str | None:
-    """Return the phase at the end of a Tick message, if this end has no events.
+    """Return the phase at the end of a Tick message, if the message has no events.
 
-    If it has events, return None.
+    If the message has events, return None.
     """
     phase = CdrReader(ENCAPSULATION_HEADER + tail).read_string()
     return phase if _tail_without_events(phase) == tail else None
@@ -398,7 +400,7 @@ def unpack_tick(message: bytes) -> TickRecord:
 def _build_tick(
     fixed: _TickHead, received: Frames, sent: Frames, message: bytes, tail: int
 ) -> TickRecord:
-    """Build a tick from the parts of a Tick message, and return it.
+    """Build a tick from the parts of a Tick message.
 
     Args:
         fixed: values of the first part of the message.
@@ -443,7 +445,7 @@ def _tick_without_events(
 
 
 def unpack_ticks(messages: list[bytes]) -> list[TickRecord]:
-    """Decode all Tick messages of a chunk. The CAN frames of all ticks share one array.
+    """Decode all Tick messages of a chunk. The CAN frames of all these ticks are in one array.
 
     Raises:
         ValueError: an element is not a Tick message.
@@ -477,8 +479,8 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
         long_count = start + FRAME_RECORD_BYTES * sent
         if message[long_count : long_count + 4] != _NO_LONG_DATA:
             return None
-        # The frames of all messages are joined and decoded in one call. Then they are divided again
-        # at `ends`.
+        # The frames of all messages are joined and decoded in one call. After that, they are
+        # divided again at `ends`.
         parts += message[_FRAMES_OFFSET:sent_count], message[start:long_count]
         ends += end + constant_part[6], end + constant_part[6] + sent
         end = ends[-1]

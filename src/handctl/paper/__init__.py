@@ -1,4 +1,5 @@
-"""Reproduction of the paper about the hand `jamia`.
+"""Reproduction of the paper that describes the hand `jamia`.
 
-The package repeats the equations, numbers and figures of the paper, and lists its errors.
+The package repeats the equations, the numbers and the figures of the paper, and lists the errors of
+the paper.
 """

@@ -1,4 +1,4 @@
-"""Items of the errata.
+"""Items of the errata, the list of errors in the paper.
 
 Each item compares a printed statement of the paper with the correct statement.
 """
@@ -29,17 +29,18 @@ class ErrataItem:
     """Row of the errata.
 
     Attributes:
-        id: unique identifier. The words of an identifier are joined by dots, e.g. `eq10.gravity`.
+        id: unique identifier of the item. The words of an identifier are joined by dots, e.g.
+            `eq10.gravity`.
         where: equation or section of the paper with the statement.
         printed: the statement, as it is printed in the paper.
-        computed: exact value in full precision, corrected expression, or None if there is no value
-            to calculate.
+        computed: exact value in full precision, or the correct expression, or None if nothing can
+            be calculated.
         unit: unit of the exact value, empty for expressions and counts.
         verdict: verdict on the statement, derived from the printed and the exact value.
         why: explanation of the verdict for a reader of the paper.
         evidence: kinds of evidence for the verdict, e.g. `arithmetic`, `Lagrange`, `dimensions`.
         deviation: largest relative difference between the printed and the correct expression at
-            random states, or None for numbers.
+            random states, or None if the item is about a number.
     """
 
     id: str

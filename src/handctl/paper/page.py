@@ -1,4 +1,4 @@
-"""Page about the paper, in three forms: Markdown, an HTML file that contains the figures, and plain values for JSON."""
+"""The page about the paper, in three forms: Markdown, an HTML file with the figures, and JSON values."""
 
 import base64
 import html
@@ -51,9 +51,9 @@ def items_as_json(items: Sequence[ErrataItem]) -> list[dict[str, Any]]:
 
 
 def value_text(item: ErrataItem) -> str:
-    """Return the correct value of an item as text.
+    """Return the correct value of an errata item as text.
 
-    The text is a number of seven digits with its unit, or an expression.
+    The text is a number with seven significant digits and the unit, or an expression.
     """
     if item.computed is None:
         return "—"
@@ -62,7 +62,7 @@ def value_text(item: ErrataItem) -> str:
 
 
 def page_as_markdown(parts: Sequence[PageSection]) -> str:
-    """Return the page as Markdown. The figures must be in the folder `FIGURES_FOLDER`."""
+    """Return the page as Markdown. The page refers to figures in the folder `FIGURES_FOLDER`."""
     rows = [item for part in parts for item in part.items]
     lines = [
         f"# {PAGE_TITLE}",
@@ -107,7 +107,7 @@ def _markdown_table(table: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _summary_text(rows: list[ErrataItem]) -> str:
-    """Return a text with the number of items for each verdict, and the command that generates the page again."""
+    """Return a text with the number of errata items for each verdict, and the command that generates the page."""
     counts = ", ".join(f"{count} {verdict}" for verdict, count in count_by_verdict(rows).items())
     return (
         f"Of {len(rows)} items: {counts}. The verdict `bound` means that the paper states a lower bound and a larger "
@@ -117,7 +117,7 @@ def _summary_text(rows: list[ErrataItem]) -> str:
 
 
 def _item_cells(item: ErrataItem) -> tuple[str, ...]:
-    """Return the cells of the table row that describes an item."""
+    """Return the cells of the table row that describes an errata item."""
     off = (
         f" (deviation {item.deviation:.2g})"
         if item.deviation is not None and item.verdict != "equal"
@@ -142,7 +142,7 @@ def _escape_cell(text: str) -> str:
 
 
 def _wrap_paragraph(paragraph: str) -> str:
-    """Return a paragraph wrapped to lines of 118 characters."""
+    """Wrap a paragraph to lines of at most 118 characters."""
     return textwrap.fill(paragraph, 118, break_long_words=False, break_on_hyphens=False)
 
 
@@ -162,11 +162,11 @@ figcaption { font-size: .88rem; opacity: .75 }
 
 
 def page_as_html(parts: Sequence[PageSection], figures: Mapping[str, Path]) -> str:
-    """Return the page as one HTML file that includes the figures.
+    """Return the page as one HTML file that also contains the figures.
 
     Args:
         parts: sections of the page.
-        figures: SVG file of each figure.
+        figures: path of the SVG file of each figure.
     """
     rows = [item for part in parts for item in part.items]
     counts = " ".join(
@@ -187,13 +187,13 @@ def page_as_html(parts: Sequence[PageSection], figures: Mapping[str, Path]) -> s
 
 
 def _html_badge(verdict: str) -> str:
-    """Return a verdict as an HTML badge."""
+    """Return a verdict as a coloured label in HTML."""
     return f'<span class="verdict {verdict}">{verdict}</span>'
 
 
 def _html_paragraph(paragraph: str) -> str:
-    """Return a paragraph as HTML, with its code marked."""
-    # Between the backquotes, text and code alternate.
+    """Return a paragraph as HTML, where the code in backquotes is marked as code."""
+    # If the paragraph is split at the backquotes, every second part is code.
     pieces = html.escape(paragraph).split("`")
     return "".join(f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(pieces))
 
@@ -207,8 +207,12 @@ def _html_figure(name: str, path: Path) -> str:
 
 
 def _html_numbers(table: Sequence[Sequence[str]]) -> str:
-    """Return a table of numbers as HTML. The first row has the titles of the columns."""
-    # The first row contains the titles. The code below makes header cells of them.
+    """Return a table of numbers as HTML.
+
+    The first row of the table contains the titles of the columns.
+    """
+    # The first row of the table contains the titles of the columns. The code below makes them
+    # header cells.
     titles, *rows = ("".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in table)
     head = titles.replace("td>", "th>")
     body = "".join(f"<tr>{row}</tr>" for row in rows)
@@ -216,7 +220,7 @@ def _html_numbers(table: Sequence[Sequence[str]]) -> str:
 
 
 def _html_items(items: Sequence[ErrataItem]) -> str:
-    """Return a table of items as HTML."""
+    """Return a table of errata items as HTML."""
     titles = "".join(
         f"<th>{name}</th>" for name in ("id", "where", "printed", "right", "verdict", "why")
     )

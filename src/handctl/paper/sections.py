@@ -1,4 +1,7 @@
-"""Sections of the page about the paper, in order. Each has a text, figures and items."""
+"""Sections of the page about the paper, in the order of the page.
+
+Each section has text, figures and errata items.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -32,7 +35,7 @@ class PageSection:
         text: paragraphs of the section.
         figures: names of the figures in the section.
         items: items of the section. Each is a row of the table.
-        measured: True if the section shows results of experiments.
+        measured: True if the section shows results of simulated experiments.
         table: table of numbers before the items. The first row contains the titles of the columns.
     """
 
@@ -67,12 +70,12 @@ def page_sections(measured: Mapping[str, Any] | None) -> tuple[PageSection, ...]
 
 
 def page_items(measured: Mapping[str, Any] | None) -> list[ErrataItem]:
-    """Return all items of the page."""
+    """Return all errata items of the page."""
     return [item for section in page_sections(measured) for item in section.items]
 
 
 def count_by_verdict(rows: list[ErrataItem]) -> dict[str, int]:
-    """Return the number of items for each verdict."""
+    """Return the number of errata items for each verdict."""
     return {
         verdict.value: sum(item.verdict == verdict for item in rows) for verdict in ErrataVerdict
     }

@@ -32,7 +32,7 @@ PAYLOAD_KG = "0.915"
 
 @cache
 def paper_hand() -> Hand:
-    """Return the packaged hand whose lengths and radii are those of the paper."""
+    """Return the packaged hand that has the lengths and radii of the paper."""
     return load_hand("jamia")
 
 
@@ -47,29 +47,29 @@ def paper_thumb() -> Digit:
 
 
 def exact_millimetres(lengths_m: tuple[float, ...]) -> tuple[Fraction, ...]:
-    """Return lengths from a hand file as exact numbers [mm].
+    """Convert lengths from a hand file to exact fractions [mm].
 
-    The conversion is exact, because the file contains decimal numbers.
+    The conversion is exact, because a hand file contains decimal numbers.
     """
     return tuple(1000 * Fraction(str(length)) for length in lengths_m)
 
 
 def levers_mm(digit: Digit) -> tuple[Fraction, ...]:
-    """Return the distance of the tip from each joint of a straight digit [mm].
+    """Return the distance between the tip and each joint of a straight digit [mm].
 
-    This distance equals the joint's moment [N mm] for a force of 1 N at the tip.
+    A force of 1 N at the tip causes a moment at the joint that has the same number [N mm].
     """
     lengths = exact_millimetres(digit.link_length_m)
     return tuple(sum(lengths[i:], Fraction(0)) for i in range(len(lengths)))
 
 
 def tension_per_newton(digit: Digit) -> Fraction:
-    """Return the tension that balances joint 1 of a straight digit, for each newton of force at the tip [N/N]."""
+    """Return the tendon tension that balances joint 1 of a straight digit, per newton of force at the tip [N/N]."""
     return levers_mm(digit)[0] / PULLEY_RADIUS_MM
 
 
 def tension_of_payload_kg(mass: int) -> Fraction:
-    """Return the tension [N] in the tendon of each finger at which the friction of three fingers holds a mass [kg]."""
+    """Return the tension in the tendon of each finger [N] with which three fingers hold a mass by friction [kg]."""
     return (
         mass
         * GRAVITY_M_PER_S2

@@ -1,1 +1,1 @@
-"""Programs, which set the goals of all digits in every tick."""
+"""Programs of the controller. A program sets the goals of all digits in every tick."""

@@ -105,7 +105,7 @@ class CommissionProgram:
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress at the start: no torque, and a table of zeros."""
+        """Return the progress at the start, with no torque and a table of zeros."""
         empty = (0.0,) * (COLUMN_COUNT * model.tendon_count)
         return replace(
             ProgramProgress.initial(len(model.digits), TARE_PHASE), since=-1.0, record=empty
@@ -119,7 +119,7 @@ class CommissionProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Advance commissioning by one tick. See `Program`."""
+        """Advance the commissioning by one tick. The interface `Program` explains the arguments."""
         if progress.finished:
             return progress, ()
         if progress.since < 0.0:
@@ -162,11 +162,11 @@ class CommissionProgram:
     def _advance_rest(
         self, model: HandModel, progress: ProgramProgress, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
-        """Read all load cells without torque, renew the tare of the present tendon, then pull this tendon.
+        """Read all load cells without torque, renew the tare of the present tendon, and then pull this tendon.
 
-        Only tares of tendons that were never taut are renewed, because friction may hold tension in
-        a tendon that was pulled before. The tare of the present tendon is renewed, or all tares of
-        a digit without springs.
+        A tare is renewed only if the tendon has never been taut, because friction may hold tension
+        in a tendon that was pulled before. In a digit without springs, the tares of all its tendons
+        are renewed together.
         """
         tension = _known_tensions(model, measured)
         if t - progress.since < REST_SETTLING_S or np.isnan(tension).any():
@@ -176,10 +176,11 @@ class CommissionProgram:
         table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
         samples = table[i, REST_SAMPLES]
-        # The averaging time is counted in samples, so that missing readings prolong it.
+        # The duration of the averaging is a number of readings. So it lasts longer if readings are
+        # missing.
         if samples * model.period < REST_DURATION_S:
             return _with_table(progress, table), ()
-        # The new average gets the weight of all earlier samples.
+        # The new average has as much weight as all earlier readings together.
         fresh = (
             slice(i, i + 1)
             if model.redundancy.sprung[i]
@@ -208,7 +209,7 @@ class CommissionProgram:
             model: model of the hand.
             progress: progress so far.
             t: time [s].
-            taut: True if the tendons of the digit are taut already.
+            taut: True if the tendons of the digit are already taut.
         """
         i = progress.step - 1
         goals = _hold_goals(model, i, np.zeros(model.tendon_count))
@@ -235,14 +236,14 @@ class CommissionProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Wait until the held digit rests, read all load cells and the motor zeros, then pull the present tendon."""
+        """Wait until the pressed digit is at rest, read load cells and motor zero angles, then pull the tendon."""
         i = progress.step - 1
         own = model.digit_tendons[model.digit_of[i]]
         waiting = progress.touching[0]
         if waiting == 0:
             if not estimate.is_slack[own].any():
-                # From here on, the digit is pressed on its limits, so the filter must treat it as a
-                # digit in contact.
+                # From now on, the joints are pressed against their limits. So the filter must treat
+                # the digit as a digit in contact.
                 contact = tuple(d == model.digit_of[i] for d in range(len(model.digits)))
                 return replace(
                     progress, touching=(1, *progress.touching[1:]), since=t, contact=contact
@@ -296,7 +297,7 @@ class CommissionProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Pull the present tendon: wait until it is taut, let it settle, and measure its response."""
+        """Pull the present tendon: wait until it is taut, let the tension settle, and measure the response."""
         i = progress.step - 1
         waiting = progress.touching[0]
         if waiting == 0 and not estimate.is_slack[i]:
@@ -318,7 +319,8 @@ class CommissionProgram:
         table = _table_of(progress)
         table[:, PULL_SUM] += tension
         if model.redundancy.sprung[i]:
-            # The travel [m] divided by the spool's radius is the motor angle [rad].
+            # The motor angle [rad] is the travel of the tendon [m] divided by the radius of the
+            # spool.
             table[i, ZERO_COLUMN] += measured.travel[i] / model.space.spool[i]
         samples = progress.touching[0]
         if samples * model.period >= MEASUREMENT_DURATION_S:
@@ -381,7 +383,7 @@ class CommissionProgram:
     def _refuse_tendon(
         self, model: HandModel, progress: ProgramProgress, i: int, reason: str
     ) -> ProgressAndEvents:
-        """End the program with a failure of tendon i."""
+        """End the commissioning with a failure of tendon i."""
         name = model.hand.tendon_names[i]
         failed = replace(
             progress,
@@ -393,7 +395,7 @@ class CommissionProgram:
 
 
 def _tare_text(model: HandModel) -> str:
-    """Return the text of the event with which commissioning begins."""
+    """Return the text of the event that reports the start of commissioning."""
     if model.hand.has_cell.any():
         return "tare: all motors limp"
     return "no load cells to tare: all motors limp. Swapped tendons are not checked"
@@ -402,8 +404,8 @@ def _tare_text(model: HandModel) -> str:
 def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) -> str:
     """Return the text of an accepted response to the pull of tendon i.
 
-    Only load cells can show that another tendon responds. A text about other tendons names the
-    check that was possible.
+    Only load cells can show that another tendon has responded. The text names the check of the
+    other tendons that was possible.
 
     Args:
         model: model of the hand.
@@ -419,7 +421,7 @@ def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) ->
 
 
 def _no_answer_text(model: HandModel, measured: TickMeasurements) -> str:
-    """Return the reason why a tendon's load cell does not respond.
+    """Return the reason why the load cell of the pulled tendon does not respond.
 
     Another load cell may respond instead.
     """
@@ -434,7 +436,10 @@ def _no_answer_text(model: HandModel, measured: TickMeasurements) -> str:
 
 
 def _pull_goal(tendons: slice, i: int) -> DigitGoal:
-    """Return the goal of a digit while tendon i is pulled: no torque if the tendon belongs to another digit."""
+    """Return the goal of a digit while tendon i is pulled.
+
+    If the tendon belongs to another digit, the goal is no torque.
+    """
     if not tendons.start <= i < tendons.stop:
         return DigitGoal()
     tension = np.zeros(tendons.stop - tendons.start)
@@ -445,7 +450,7 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
 def _known_tensions(
     model: HandModel, measured: TickMeasurements, estimate: HandEstimate | None = None
 ) -> Vector:
-    """Return the tensions (N,) of a tick [N]: readings of load cells, and estimates of tendons without load cell.
+    """Return the tensions (N,) in a tick [N]: readings of load cells, or estimates for tendons without a load cell.
 
     If no estimate is given, a tendon without load cell counts as slack.
     """
@@ -455,12 +460,14 @@ def _known_tensions(
 
 
 def _hold_phase(model: HandModel, i: int) -> str:
-    """Return the name of the phase in which tendon i and all other tendons of its digit pull together."""
+    """Return the name of the phase in which all tendons of tendon i's digit pull together."""
     return f"hold {model.hand.digit_names[model.digit_of[i]]}"
 
 
 def _hold_goals(model: HandModel, i: int, extra_tension: Vector) -> tuple[DigitGoal, ...]:
-    """Return goals that press the digit of tendon i on its lower limits. All other digits are without torque.
+    """Return goals that press the joints of tendon i's digit against their lower limits.
+
+    The motors of all other digits make no torque.
 
     Args:
         model: model of the hand.
@@ -471,8 +478,8 @@ def _hold_goals(model: HandModel, i: int, extra_tension: Vector) -> tuple[DigitG
     digit = model.digits[held]
     tendons = model.digit_tendons[held]
     arms = digit.at_angles(digit.joint_min).reduced_moment_arms
-    # A further pull must not lift the digit off its limits. The torque of a pull is at most the
-    # pull times the largest closing moment arm.
+    # A stronger pull of one tendon must not lift the digit off its limits. The torque of this pull
+    # is at most the pull times the largest moment arm of a closing tendon.
     press = PRESS_FACTOR * PULL_TENSION_N * np.maximum(arms, 0.0).max(axis=0)
     torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - press
     tension = tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
@@ -499,17 +506,17 @@ def _tares_of(table: Vector) -> Vector:
 
 
 def _with_new_tare(progress: ProgramProgress) -> ProgramProgress:
-    """Return a copy of a progress in which the tares of its table apply, from the next reading on."""
+    """Return a copy of a progress in which the tares of the table apply, beginning with the next reading."""
     return replace(progress, tare=tuple(_tares_of(_table_of(progress)).tolist()))
 
 
 def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
-    """Return the table with the results of tendon i, and with cleared sums."""
+    """Return the table with the results for tendon i, and with the sums set to zero."""
     rest = table[:, REST_SUM] / table[i, REST_SAMPLES]
     rise = table[:, PULL_SUM] / samples - rest
     if model.redundancy.sprung[i]:
-        # The pull stretches the tendon, so the motor turns further than to the position at which
-        # the tendon becomes taut.
+        # The pull stretches the tendon. So the motor turns beyond the position at which the tendon
+        # becomes taut.
         stretch = rise[i] / model.space.stiffness[i] / model.space.spool[i]
         table[i, ZERO_COLUMN] = (
             table[i, ZERO_COLUMN] / samples
@@ -518,8 +525,8 @@ def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vect
         )
     table[i, ANSWER_COLUMN] = rise[i]
     tendons = np.arange(model.tendon_count)
-    # Friction holds tension in a tendon that was pulled before. The tension that friction holds
-    # falls by itself, so only a rise counts as crosstalk.
+    # Friction holds tension in a tendon that was pulled before. This tension falls without a
+    # command. So only an increase counts as crosstalk.
     held = np.where(model.redundancy.sprung & (tendons < i), np.maximum(rest, 0.0), 0.0)
     others = model.hand.has_cell & (tendons != i)
     table[i, CROSSTALK_COLUMN] = np.maximum(rise, -rise - held)[others].max(initial=0.0)
@@ -557,7 +564,7 @@ def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]
 
 
 def _idle_torque(drive: Drive) -> float:
-    """Return the absolute torque of the command that is nearest to zero [N m at the spool]."""
+    """Return the smallest absolute torque that a torque command can contain [N m at the spool]."""
     signals = [
         signal
         for message in drive.cyclic_messages.commands
@@ -576,7 +583,7 @@ def calibration_of_result(model: HandModel, progress: ProgramProgress, made: str
     Args:
         model: model of the hand.
         progress: finished progress without failure.
-        made: date and time of the calibration, ISO 8601, UTC.
+        made: date and time of the calibration (ISO 8601, UTC).
     """
     table = _table_of(progress)
     tare = _tares_of(table)

@@ -1,4 +1,4 @@
-"""Default task and object of a hand without task file: open, close until contact, hold, release, open."""
+"""Default task and default object for a hand without a task file: open, close until contact, hold, release, open."""
 
 from itertools import pairwise
 from typing import Any
@@ -71,17 +71,17 @@ LINK_SAMPLES = 9
 
 
 def default_task(hand: Hand) -> tuple[Task, str]:
-    """Return the default task of a hand, and the text of this task as a task file.
+    """Return the default task of a hand, and the same task as the text of a task file.
 
     Args:
-        hand: hand that is ready to run.
+        hand: hand for which the task is made.
     """
     largest = min(tendon.tension_max_N for tendon in hand.tendon)
     floor = max(tendon.tension_floor_N for tendon in hand.tendon)
     opened = {
         name: np.zeros_like(_closed_angles_deg(hand, name)).tolist() for name in hand.digit_names
     }
-    # A digit that carries other digits, such as a wrist, keeps its angle.
+    # A digit that carries other digits, such as a wrist, keeps its angle in this task.
     closing = [name for name in hand.digit_names if name not in hand.carrier_digits]
     content: dict[str, Any] = {
         "schema": 1,
@@ -123,7 +123,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
 
 
 def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
-    """Return the angles of the coordinates of a closed digit (n_c,) [deg, or mm of prismatic joints]."""
+    """Return the coordinates (n_c,) of a closed digit [deg, or mm of prismatic joints]."""
     _, high = displayed_range(hand.digit_named(name))
     sideways = DigitModel.from_hand(hand, name).sideways_coordinates
     closed = np.where(sideways, 0.0, np.minimum(CLOSED_FRACTION * high, LARGEST_CLOSED_DEG))
@@ -133,14 +133,14 @@ def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
 def _tension_factors(hand: Hand) -> dict[str, float]:
     """Return the factor of each digit's tension in a hold, 1 on average.
 
-    With these factors, the forces on an object are in balance. With equal factors, for example, two
-    fingers would push a thumb open.
+    With these factors, the forces of the digits on an object balance each other. If all factors
+    were equal, two fingers, for example, would push a thumb open.
     """
     balance = _balance_factors(hand)
     if balance is not None:
         return balance
-    # The palm or friction balances the forces. Opposed digits press with the same total force as
-    # the other digits.
+    # In this case, the palm or friction balances the forces. The opposed digits together press with
+    # the same force as the other digits together.
     opposed = _are_digits_opposed(hand)
     count = len(opposed)
     behind = sum(opposed.values())
@@ -153,7 +153,10 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
 
 
 def _balance_factors(hand: Hand) -> dict[str, float] | None:
-    """Return the factors nearest to 1, with mean 1, that make the forces of the digits cancel, or None if none do."""
+    """Return the factors nearest to 1, with mean 1, for which the forces of the digits cancel.
+
+    Otherwise return None.
+    """
     directions = _flexion_directions(hand)
     rows = np.array(list(directions.values()))
     factors = 1.0 - rows @ np.linalg.pinv(rows.T @ rows) @ rows.sum(axis=0)
@@ -163,9 +166,9 @@ def _balance_factors(hand: Hand) -> dict[str, float] | None:
 
 
 def _flexion_directions(hand: Hand) -> dict[str, Array]:
-    """Return the direction in which the tip of each closing digit flexes, (3,) in the palm frame.
+    """Return the direction in which the tip of each closing digit moves, (3,) in the palm frame.
 
-    This direction is the y axis of the last link at joint angles of 0.
+    It is the direction of the y axis of the last link when all joint angles are 0.
     """
     tree = HandTree.from_hand(hand)
     turned = link_rotations(tree.poses(np.zeros(len(hand.joints))))
@@ -177,17 +180,19 @@ def _flexion_directions(hand: Hand) -> dict[str, Array]:
 
 
 def _are_digits_opposed(hand: Hand) -> dict[str, bool]:
-    """Return for each closing digit True if it is opposed to the first closing digit."""
+    """Return, for each closing digit, True if it closes against the first closing digit."""
     directions = _flexion_directions(hand)
     first = next(iter(directions.values()))
     return {name: bool(direction @ first < 0.0) for name, direction in directions.items()}
 
 
 def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
-    """Return the tension of each tendon of a digit in a hold [N]. Extensors only stay taut.
+    """Return the tension of each tendon of a digit during a hold [N].
 
-    For a digit of spool pairs, the result is one number: the largest net tension while the digit
-    presses with its tip.
+    Tendons that extend the digit are only kept taut.
+
+    For a digit of spool pairs, the result is one number, the largest net tension while the tip of
+    the digit presses.
     """
     if hand.is_pair[hand.digit_tendons[name]].any():
         largest = min(tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[name]])
@@ -220,13 +225,13 @@ def _pressing_tension(hand: Hand, name: str) -> float:
     torque = springs + PRESSING_FORCE_N * reduced_tip_lever(digit, q)
     arms = digit.at_angles(q).reduced_moment_arms
     closing = arms[arms.sum(axis=1) > 0.0].sum(axis=0)
-    # A coordinate that keeps its angle, or that no tendon closes, does not determine a tension.
+    # A coordinate whose angle stays the same, or that no tendon closes, determines no tension.
     flexes = (half > 0.0) & (closing > 0.0)
     return float((torque[flexes] / closing[flexes]).max(initial=0.0))
 
 
 def grasp_warnings(hand: Hand) -> tuple[str, ...]:
-    """Return warnings about a hand that is too weak or too one-sided for the default task, one line per warning."""
+    """Return one line for each reason why a hand is too weak or too one-sided for the default task."""
     warnings = []
     opposed = _are_digits_opposed(hand)
     if len(set(opposed.values())) == 1:
@@ -246,11 +251,11 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
 
 
 def default_scene(hand: Hand) -> str:
-    """Return the scene for the default task of a hand: a cylinder or a ball between the open digits.
+    """Return the scene for the default task of a hand, with a cylinder or a ball between the open digits.
 
-    The diameter of the object is in proportion to the length of the digits. The tips of opposed
-    digits would meet around thin objects. If the digits of a hand cannot press against
-    each other, as in an anthropomorphic hand, the scene has an object of 35 mm.
+    The diameter of the object is proportional to the length of the digits. Around a thin object,
+    the tips of opposed digits would touch each other. If the digits of a hand cannot press against
+    each other, as in an anthropomorphic hand, the object has a diameter of 35 mm.
     """
     directions = _flexion_directions(hand)
     parallel = all(abs(direction[2]) < MAX_AXIAL_COMPONENT for direction in directions.values())
@@ -278,9 +283,9 @@ def _largest_object(hand: Hand, ball: bool) -> float:
     for digit, points in zip(tree.digits, tree.points(q), strict=True):
         for start, end in pairwise(points):
             x, y, z = (start + along * (end - start)).T
-            # A circle that touches the line x = gap has its centre at gap + D/2. A point at
-            # distance D/2 + r from it: (x - gap)^2 + y^2 - r^2 = D (x - gap + r). A ball has y^2 +
-            # z^2 in place of y^2.
+            # A circle with diameter D that touches the line x = gap has its centre at x = gap +
+            # D/2. A point at the distance D/2 + r from this centre satisfies (x - gap)^2 + y^2 -
+            # r^2 = D (x - gap + r). For a ball, y^2 + z^2 takes the place of y^2.
             reach = x - PALM_GAP_M + digit.radius
             beside = (reach > 0.0) & (ball | (np.abs(z) < OBJECT_HALF_LENGTH_M))
             room = (x - PALM_GAP_M) ** 2 + y**2 + ball * z**2 - digit.radius**2

@@ -1,7 +1,9 @@
-"""Program that excites a hand for identification: one digit after the other, all other digits without torque.
+"""Program that excites a hand for identification.
 
-The identification determines the steps. Each phase is named `DIGIT STEP`, so that every tick of the
-log can be assigned to a step.
+One digit moves at a time, and the motors of all other digits make no torque.
+
+The identification chooses the steps of the program. The name of each phase is `DIGIT STEP`, so that
+every tick of the log can be assigned to a step.
 """
 
 from dataclasses import dataclass, replace
@@ -26,9 +28,10 @@ class ExciteStep(Document):
     """One step of the excitation, for one digit.
 
     - `limp`: no torque.
-    - `taut`: take up slack, to `target` [N].
-    - `move`: move to `target` [rad] in `duration_s`.
-    - `chirp`: swing by `amplitude` [rad] about `target` [rad], from `low_Hz` to `high_Hz`.
+    - `taut`: take up the slack of the tendons, with the tension `target` [N].
+    - `move`: move to `target` [rad] in the time `duration_s`.
+    - `chirp`: oscillate about `target` [rad] with `amplitude` [rad], at a frequency from `low_Hz`
+      to `high_Hz`.
     - `tension`: change the tension to `target` [N] at `rate` [N/s].
 
     All coordinates or tendons of the digit have the same target, unless `targets` has one for each.
@@ -57,12 +60,12 @@ class ExciteStep(Document):
 
 @dataclass(frozen=True, slots=True)
 class SwingTrajectory:
-    """Oscillation of all coordinates in phase, each about its own angle.
+    """Oscillation of all coordinates of a digit in phase, each about its own mean angle.
 
     Attributes:
         centre: (n,) mean angle of each coordinate [rad].
         amplitude: (n,) amplitude of each coordinate [rad].
-        chirp: oscillation of one coordinate about 0 with amplitude 1.
+        chirp: oscillation of a single coordinate about 0 with amplitude 1.
     """
 
     centre: Vector
@@ -86,7 +89,7 @@ class ExciteProgram:
     """Program that carries out the steps of an excitation in order.
 
     Attributes:
-        steps: steps of all digits.
+        steps: steps of the excitation for all digits.
     """
 
     steps: tuple[ExciteStep, ...]
@@ -103,7 +106,7 @@ class ExciteProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Advance the excitation by one tick. See `Program`."""
+        """Advance the excitation by one tick. The interface `Program` explains the arguments."""
         if progress.finished:
             return progress, ()
         if progress.step < 0:
@@ -130,7 +133,7 @@ class ExciteProgram:
         t: float,
         step_index: int,
     ) -> ProgressAndEvents:
-        """Enter a step, or finish after the last step."""
+        """Begin a step. After the last step, finish."""
         goals = [DigitGoal()] * len(model.digits)
         if step_index == len(self.steps):
             done = replace(
@@ -150,7 +153,7 @@ class ExciteProgram:
         progress = replace(
             progress, step=step_index, since=t, phase=phase, goals=tuple(goals), contact=contact
         )
-        # Consecutive steps with the same name are one phase in the log.
+        # Consecutive steps with the same name are a single phase in the log.
         return progress, () if same_phase else (TickEvent("info", "phase", step.digit, phase),)
 
 

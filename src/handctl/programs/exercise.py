@@ -1,6 +1,6 @@
 """Program for the comparison of gains.
 
-The program executes the same moves and tensions with each set of gains. The errors in these moves
+With each set of gains, the program executes the same moves and tensions. The errors in these moves
 and tensions are then compared.
 """
 
@@ -41,15 +41,16 @@ GENTLE_CLOSE_DURATION_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class ExerciseStage:
-    """One stage of the exercise, which is the same for all digits.
+    """One stage of the exercise. In a stage, all digits do the same.
 
     Attributes:
-        name: phase in the log: `settle`, `move`, `close` or `hold`. `move` and `hold` are
+        name: phase in the log: `settle`, `move`, `close` or `hold`. Only `move` and `hold` are
             scored.
         duration: duration including the rest [s].
-        angle: target of a move [rad], NaN for a tension. A prismatic joint moves 10 mm per rad.
+        angle: target angle of a move [rad], or NaN if the stage sets a tension. For a prismatic
+            joint, 1 rad stands for 10 mm.
         tension: target of a tension [N].
-        rest: rest at the end of a move [s].
+        rest: time of rest at the end of a move [s].
     """
 
     name: str
@@ -60,12 +61,12 @@ class ExerciseStage:
 
 
 def move_amplitude(angle: float) -> float:
-    """Return the amplitude at which the moves reach an angle [rad]."""
+    """Return the amplitude of the exercise at which the moves reach a given angle [rad]."""
     return (angle - HOME_ANGLE_RAD) / FULL_MOVE_RAD
 
 
 def exercise_stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[ExerciseStage, ...]:
-    """Return the stages of the exercise at one amplitude.
+    """Return the stages of the exercise at a given amplitude.
 
     Args:
         amplitude: fraction of the full angles and tensions.
@@ -88,7 +89,7 @@ def exercise_stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[Ex
 
 @dataclass(frozen=True, slots=True)
 class ExerciseProgram:
-    """Program that takes up the slack, then runs the exercise once for each amplitude.
+    """Program that takes up the slack of the tendons, and then runs the exercise once for each amplitude.
 
     Attributes:
         amplitudes: fractions of the full angles and tensions, in the order of execution.
@@ -124,7 +125,7 @@ class ExerciseProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Advance the exercise by one tick. See `Program`."""
+        """Advance the exercise by one tick. The interface `Program` explains the arguments."""
         if progress.phase in ("start", "tighten"):
             progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
             return (
@@ -153,15 +154,16 @@ class ExerciseProgram:
         parts = self.stages_of(model)
         stage = parts[stage_index]
         carriers = [name in model.hand.carrier_digits for name in model.hand.digit_names]
-        # A digit that carries others keeps the angle of the first stage. It cannot follow the fast
-        # moves, and with a constant tension it would fall under its load. The moves of the other
-        # digits disturb it.
+        # A digit that carries other digits keeps the angle of the first stage. Such a digit cannot
+        # follow the fast moves. If it held a constant tension, it would fall under its load. The
+        # moves of the carried digits disturb this digit.
         goals = tuple(
             previous if carries and stage_index else _digit_goal(model, d, stage, estimate, t)
             for d, (previous, carries) in enumerate(zip(progress.goals, carriers, strict=True))
         )
         event = TickEvent("info", "phase", "", f"{stage.name} {stage_index + 1} of {len(parts)}")
-        # In `hold` every digit under a tension rests on its closed stop.
+        # In the stage `hold`, every digit that holds a tension is pressed against its closed joint
+        # limit.
         blocked = tuple(stage.name == "hold" and not carries for carries in carriers)
         return replace(
             progress, step=stage_index, since=t, phase=stage.name, goals=goals, contact=blocked

@@ -61,7 +61,7 @@ class GripState(NamedTuple):
     def at_hold_start(
         model: HandModel, goals: tuple[DigitGoal, ...], estimate: HandEstimate, t: float
     ) -> "GripState":
-        """Return the grip at the beginning of a hold, for goals that have just been set."""
+        """Return the grip at the beginning of a hold. The goals of the hold have just been set."""
         tension = np.full(model.tendon_count, np.nan)
         settling_s = 0.0
         for tendons, goal in zip(model.digit_tendons, goals, strict=True):
@@ -76,13 +76,13 @@ class GripState(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class GripPlan:
-    """Grip that a task requires.
+    """Stiffness and tension limit of the grip that a task requires.
 
     Attributes:
         stiffness: additional tension per metre that a tendon is pulled out [N/m]. With 0, the
             tensions stay constant.
-        limit: (N,) tension up to which slip may raise the tension [N], NaN without a rise. If all
-            are NaN, slip is reported only.
+        limit: (N,) tension up to which the controller may raise the tension after slip [N], or NaN
+            for no increase. If all values are NaN, the controller only reports slip.
     """
 
     stiffness: float
@@ -90,7 +90,7 @@ class GripPlan:
 
 
 def grip_excursions(model: HandModel, estimate: HandEstimate) -> Vector:
-    """Return the excursions (N,) up to a constant [m]: the wound length minus the stretch of each tendon."""
+    """Return the excursion (N,) of each tendon up to a constant [m]: the wound length minus the stretch."""
     return np.asarray(estimate.travel - estimate.tension / model.space.stiffness)
 
 
@@ -119,10 +119,10 @@ def advance_grip(
     judged = t >= grip.ready
     settled = not math.isnan(grip.anchor[0])
     if judged and not settled:
-        # The first tick after the settling determines the position of a stiff grip.
+        # In the first tick after the settling, the position of a stiff grip is stored.
         grip = grip._replace(anchor=estimate.grip_travel.copy())
     if judged:
-        # A tendon that opens its digit pays out while the digit closes.
+        # A tendon that opens a digit is pulled out while the digit closes.
         opening = np.where(
             np.isnan(grip.tension), 0.0, model.redundancy.side * estimate.grip_opening
         )
@@ -145,8 +145,8 @@ def _raise_after_slip(
     )
     grip = grip._replace(ready=t + RAISE_PAUSE_S)
     moved = f"{digit} is pushed open, {1e6 * opening[worst]:.0f} um of tendon"
-    # The largest factor is that of the tendon which is farthest below its limit. All tensions are
-    # raised by one factor.
+    # The tendon that is farthest below its limit determines the largest possible factor. All
+    # tensions are multiplied by the same factor.
     closing = model.redundancy.side > 0.0
     room = plan.limit[closing] / grip.tension[closing]
     max_factor = float(np.nanmax(np.append(room, 1.0)))
@@ -164,11 +164,14 @@ def _held_goals(
     goals: tuple[DigitGoal, ...],
     excursion: Vector,
 ) -> tuple[DigitGoal, ...]:
-    """Return the goals with the tensions that slip and stiffness require, but at least the floor."""
+    """Return the goals with the tensions that slip and stiffness require.
+
+    No tension is below the floor.
+    """
     limit = np.fmax(plan.limit, grip.tension)
     raised = np.where(model.redundancy.side > 0.0, grip.raised, 1.0)
     target = np.minimum(raised * grip.tension, limit) + plan.stiffness * (grip.anchor - excursion)
-    # A stiff grip may exceed the limit for slip, up to the ceiling of the hand.
+    # A stiff grip may exceed the tension limit for slip, but not the tension ceiling of the hand.
     target = np.clip(
         target,
         np.minimum(model.floor, grip.tension),

@@ -1,4 +1,4 @@
-"""Programs that get their goals from requests: a live session with `jog` or a client, and a single jog."""
+"""Programs that get their goals from requests: a live session for `jog` or a client, and a single jog."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -41,7 +41,7 @@ from handctl.programs.task_program import TaskProgram
 
 
 def preload_spline() -> None:
-    """Import the spline for the phase `follow` in advance, so that no tick imports it.
+    """Import the spline functions for the phase `follow` in advance, so that no tick has to import them.
 
     The import takes 0.1 to 0.3 s. If a client's first task with such a phase caused the import
     within a tick, a run in real time would end.
@@ -65,7 +65,7 @@ class LiveProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Advance the session by one tick. See `Program`."""
+        """Advance the session by one tick. The interface `Program` explains the arguments."""
         if progress.task is not None:
             return _carry_out_task(model, progress, progress.task, estimate, measured, t)
         if progress.phase == "start":
@@ -100,7 +100,7 @@ def _carry_out_task(
 ) -> ProgressAndEvents:
     """Advance the task of a live session.
 
-    After the end or the failure of the task, the session waits for requests again.
+    After the task has ended or failed, the session waits for requests again.
     """
     progress, events = TaskProgram(task).advance(model, progress, estimate, measured, t)
     return (end_task(progress) if progress.finished else progress), events
@@ -117,9 +117,11 @@ def end_task(progress: ProgramProgress) -> ProgramProgress:
 def begin_task(
     model: HandModel, progress: ProgramProgress, task: Task, estimate: HandEstimate, t: float
 ) -> ProgressAndEvents:
-    """Begin a task. The first hold of the task lasts until ``release_task``, at most an hour.
+    """Begin a task.
 
-    A task that does not suit the hand, or whose first move is too fast, changes nothing.
+    The first hold phase of the task lasts until ``release_task`` is called, but at most an hour.
+
+    If the task does not suit the hand, or its first move is too fast, nothing changes.
     """
     try:
         check_task_for_hand(task, model.hand, "task", model.digits)
@@ -141,7 +143,7 @@ def begin_task(
 def _start_refusal(
     model: HandModel, first_move: MovePhase, estimate: HandEstimate
 ) -> TickEvent | None:
-    """Return an event if the first move is too fast from the present angles, or None if it is slow enough."""
+    """Return an event if the first move of a task would be too fast from the present angles, and otherwise None."""
     for d, name in enumerate(model.hand.digit_names):
         digit = model.digits[d]
         angle = end_angles(
@@ -192,12 +194,12 @@ class JogProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Advance the jog by one tick. See `Program`."""
+        """Advance the jog by one tick. The interface `Program` explains the arguments."""
         progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
         if progress.phase == "live":
             goals = progress.goals
             progress, goal_events = apply_goal(model, progress, self.request, estimate, t)
-            # A refused request does not change the goals.
+            # If the request is refused, the goals do not change.
             if progress.goals is goals:
                 return replace(
                     progress, finished=True, failure=goal_events[-1].text
@@ -216,15 +218,15 @@ def apply_goal(
     t: float,
     reference: tuple[Vector, ...] | None = None,
 ) -> ProgressAndEvents:
-    """Apply the goals of a request.
+    """Apply the goals that a request contains.
 
-    A request with an unknown digit or joint, an angle out of range, too high a speed or too much
-    tension changes nothing.
+    If the request names an unknown digit or joint, or if an angle, a speed or a tension is out of
+    range, nothing changes.
 
     Args:
         model: model of the hand.
         progress: progress with the present goals.
-        request: the request.
+        request: request of an operator or a client.
         estimate: estimate of this tick.
         t: time of the program [s].
         reference: for each digit, (3, n) position, rate and acceleration of the present reference.
@@ -279,13 +281,13 @@ def _end_of_move(
     Args:
         model: model of the hand.
         d: index of the digit.
-        angles: angle by digit or joint [deg].
+        angles: target angles [deg], by the name of the digit or joint.
         start: present coordinates [rad], or the estimate. Joints without an angle keep their
             present angles.
 
     Returns:
-        The result is None for a digit without an angle, and a text for angles that the digit cannot
-        have together.
+        The result is None for a digit without a target angle. It is a text if the digit cannot have
+        the target angles together.
     """
     digit, name = model.digits[d], model.hand.digit_names[d]
     count = digit.coupling.shape[1]
@@ -330,7 +332,7 @@ def _move_goal(
 def _reach_problem(
     model: HandModel, d: int, estimate: HandEstimate, end: Vector, duration: float
 ) -> str:
-    """Return the reason why a digit cannot move to coordinates [deg] in a time [s], empty if it can."""
+    """Return the reason why a digit cannot move to given coordinates [deg] in a given time [s], or an empty text."""
     digit = model.digits[d]
     units = digit.coordinate_units
     joint_min, joint_max = (units.displayed(bound) for bound in digit.reach)

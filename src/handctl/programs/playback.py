@@ -1,4 +1,4 @@
-"""Program that repeats a recorded run at the recorded times: its trajectories, or its tensions."""
+"""Program that repeats a recorded run with the recorded timing: either its trajectories, or its tensions."""
 
 import base64
 from dataclasses import dataclass, replace
@@ -26,10 +26,10 @@ The recorded setpoints already have a limited rate.
 
 @dataclass(frozen=True, slots=True)
 class RecordedGoals:
-    """Recorded goals, with one row per tick of the controller that repeats them.
+    """Goals from a recorded run, with one row for each tick of the controller that repeats the run.
 
     Attributes:
-        q: (ticks, J) joint goals [rad], NaN where the digit held a tension.
+        q: (ticks, J) joint goals [rad], with NaN where the digit held a tension instead.
         dq: (ticks, J) rates of the joint goals [rad/s].
         ddq: (ticks, J) accelerations of the joint goals [rad/s^2].
         tension: (ticks, N) tension goals at the load cells [N].
@@ -41,9 +41,12 @@ class RecordedGoals:
     tension: Vector
 
     def to_text(self) -> str:
-        """Return the recording as text, from which ``from_text`` returns the same numbers to the last bit."""
+        """Return the recording as text.
+
+        The function ``from_text`` restores exactly the same numbers.
+        """
         table = np.hstack([self.q, self.dq, self.ddq, self.tension])
-        # Little-endian float64, so that the text is the same on every machine.
+        # The numbers are little-endian float64, so that the text is the same on every machine.
         return base64.b64encode(table.astype("<f8").tobytes()).decode()
 
     @staticmethod
@@ -51,7 +54,7 @@ class RecordedGoals:
         """Read the text of a recording.
 
         Raises:
-            ValueError: The text is not a table with the width for these joints and tendons.
+            ValueError: the text is not a table whose width suits the numbers of joints and tendons.
         """
         table = np.frombuffer(base64.b64decode(text, validate=True), "<f8").reshape(
             -1, 3 * joints + tendons
@@ -62,13 +65,14 @@ class RecordedGoals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaybackProgram:
-    """Program that takes up the slack, moves slowly to the first pose, then follows the recording.
+    """Program that takes up the slack, moves slowly to the first pose of a recording, and then follows the recording.
 
     Attributes:
         recording: recording to follow.
-        raw: True to follow the recorded tensions and leave the joints uncontrolled. The speed of
-            the trajectories is fed forward, but no angle is corrected. An error of one newton moves
-            a free finger by 12 degrees against its springs.
+        raw: True to follow the recorded tensions. No controller then corrects the joint angles. The
+            speed of the recorded trajectories is used as a feedforward, but errors of the angles
+            are not corrected. A tension error of one newton moves a free finger by 12 degrees
+            against its springs.
     """
 
     recording: RecordedGoals
@@ -86,7 +90,7 @@ class PlaybackProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Advance the playback by one tick. See `Program`."""
+        """Advance the playback by one tick. The interface `Program` explains the arguments."""
         if progress.finished:
             return progress, ()
         if progress.phase in ("start", "tighten"):
@@ -136,7 +140,7 @@ class PlaybackProgram:
         goals = []
         contact = []
         for d, digit in enumerate(model.digits):
-            # Joint goals are NaN where the digit held a tension.
+            # Joint goals are NaN where the digit held a tension in the recorded run.
             holding = bool(np.isnan(rows.q[i, digit.joints]).any())
             contact.append(holding)
             q, dq, ddq = (

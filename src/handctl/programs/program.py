@@ -1,4 +1,7 @@
-"""Interface of programs, which set the goals of all digits in every tick, and the progress of a program."""
+"""Interface of all programs.
+
+A program sets the goals of all digits in every tick, and has a progress.
+"""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -18,7 +21,7 @@ from handctl.programs.task import Task
 
 @dataclass(frozen=True, slots=True)
 class ProgramProgress:
-    """State of a program, with the same fields for all programs.
+    """State of a program. All programs use the same fields.
 
     The hash of the controller's state includes the state of the program.
 
@@ -31,12 +34,13 @@ class ProgramProgress:
             first close phase, programs use it as a counter.
         phase: name of the present step, for events and logs.
         finished: True if the program has ended.
-        failure: reason why the program gave up, empty otherwise.
+        failure: reason why the program has failed, or an empty text.
         record: numbers for the result of the program.
         tare: new tares of the load cells [N], empty if the tares of the calibration apply.
-        closing: for each digit, True if it closes until contact. It is empty in other phases.
-        grip: grip of a hold, None in other phases.
-        task: task that a live session carries out, None otherwise.
+        closing: for each digit, True if the digit closes until contact. In phases without closing,
+            it is empty.
+        grip: grip during a hold, or None in other phases.
+        task: task that a live session executes, or None.
     """
 
     step: int
@@ -55,7 +59,7 @@ class ProgramProgress:
 
     @staticmethod
     def initial(digits: int, phase: str) -> "ProgramProgress":
-        """Return the progress before the first step: no torque, no contact."""
+        """Return the progress before the first step, without torque and without contact."""
         return ProgramProgress(
             0, 0.0, (DigitGoal(),) * digits, (False,) * digits, (0,) * digits, phase
         )
@@ -66,7 +70,10 @@ ProgressAndEvents = tuple[ProgramProgress, tuple[TickEvent, ...]]
 
 
 class Program(Protocol):
-    """Interface of a program. A program is immutable, and all changes are in its `ProgramProgress`."""
+    """Interface of a program that the controller executes.
+
+    A program object never changes. All changes are in the `ProgramProgress`.
+    """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
         """Return the progress before the hand is armed."""
@@ -90,7 +97,7 @@ class Program(Protocol):
             t: time [s].
 
         Returns:
-            The progress and the events of this tick.
+            The new progress, and the events of this tick.
         """
         ...
 
@@ -122,23 +129,25 @@ def tightening_goals(model: HandModel) -> tuple[DigitGoal, ...]:
 def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
     """Return the tensions (n_t,) with which the tendons of a digit take up their slack [N].
 
-    Tensions of surplus tendons make no torque.
+    If a digit has more tendons than necessary, these tensions balance each other and make no
+    torque.
     """
     balance = model.redundancy.balance[tendons]
     least = model.floor[tendons] + TIGHTEN_MARGIN_N
-    least = np.where(model.is_pair[tendons], 0.0, least)  # a spool pair is taut by its pretension
+    # The pretension of a spool pair keeps its tendons taut.
+    least = np.where(model.is_pair[tendons], 0.0, least)
     return np.asarray(balance * (least / balance).max() if balance.all() else least)
 
 
 def pull_tensions(
     model: HandModel, d: int, tension: float | tuple[float, ...], estimate: HandEstimate
 ) -> Vector:
-    """Return tensions (n_t,) of digit d under tension control [N].
+    """Return the tensions (n_t,) of digit d when the tension is controlled [N].
 
-    If one tension is given, the tendons that close the digit get this tension, and their
-    antagonists get their balance tensions. A digit of spool pairs then presses with its tip, and
-    the given tension is its largest net tension. If a tension is given for each tendon, each tendon
-    gets its tension.
+    If a single tension is given, the closing tendons get this tension. Their antagonists get the
+    tensions that balance the digit. A digit of spool pairs then presses with its tip. In such a
+    digit, the given tension is the largest net tension. If a tension is given for each tendon,
+    these tensions are returned.
     """
     if isinstance(tension, tuple):
         return np.array(tension)
@@ -156,7 +165,7 @@ def tension_goal(
 ) -> DigitGoal:
     """Return the goal of digit d to approach tensions (n_t,) [N] at a rate [N/s].
 
-    Spool pairs that move the digit sideways hold their position.
+    Spool pairs that move the digit sideways hold their position instead.
     """
     if model.redundancy.side[model.digit_tendons[d]].all():
         return DigitGoal(GoalKind.TENSION, tension=tension, rate=rate)
@@ -167,9 +176,9 @@ def tension_goal(
 
 
 def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
-    """Return tensions (n_t,) of a released digit d [N]: the given tension, or the balance tensions of antagonists.
+    """Return the tensions (n_t,) of a released digit d [N]: the given tension, or balancing tensions for antagonists.
 
-    A released spool pair has no net tension.
+    The net tension of a released spool pair is zero.
     """
     tendons = model.digit_tendons[d]
     balance = model.redundancy.balance[tendons]
@@ -184,13 +193,13 @@ Any duration is possible, because these joints do not move.
 
 
 def slack_tendons(model: HandModel, estimate: HandEstimate) -> list[str]:
-    """Return the names of the tendons that are slack, or whose tension is below half of the floor."""
+    """Return the names of the tendons that are slack, or whose tension is below half of the tension floor."""
     taut = ~np.asarray(estimate.is_slack, dtype=bool) & (estimate.tension > 0.5 * model.floor)
     return [name for name, ok in zip(model.hand.tendon_names, taut, strict=True) if not ok]
 
 
 def coordinates_by_excursion(digit: DigitModel, estimate: HandEstimate) -> Vector:
-    """Return the coordinates (n_c,) of a digit that follow from its excursions [rad].
+    """Return the coordinates (n_c,) of a digit that follow from the excursions of its tendons [rad].
 
     Contact may turn the joints further than the excursions show.
     """

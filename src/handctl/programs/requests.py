@@ -1,8 +1,10 @@
-"""Requests to a running controller. Each is one JSON object in a datagram, which this module validates.
+"""Requests to a running controller.
 
-Requests enter the tick as text, so a log is re-executed with exactly the same requests. Streamed
-targets are the exception, because they are frequent and must reach the drives quickly. They arrive
-as binary datagrams, enter the tick decoded, and become text in the log.
+Each request is one JSON object in a datagram. This module checks the object.
+
+Requests enter the tick as text. So a log is re-executed with exactly the same requests. Streamed
+targets are an exception, because they are frequent and must reach the drives quickly. A target
+arrives as a binary datagram, is decoded before it enters the tick, and becomes text in the log.
 """
 
 import json
@@ -193,7 +195,9 @@ def describe_request(request: Request) -> str:
 
 
 def events_for_request(by: str, events: Iterable[Mapping[str, Any]]) -> list[str] | None:
-    """Return the event texts of one sender's request, None if this tick has no request of the sender.
+    """Return the event texts of a sender's request.
+
+    If this tick has no request of the sender, return None.
 
     Args:
         by: sender of the request.
@@ -215,7 +219,7 @@ _TARGET_START = '{"do": "target", '
 
 
 def target_request_text(target: StreamTarget) -> str:
-    """Return a target as the text of a request.
+    """Return a streamed target as the text of a request.
 
     Values are written to the last bit.
     """
@@ -258,7 +262,7 @@ def alive_request_text(client: str) -> str:
 
 
 def is_routine_request(request: TickRequest) -> bool:
-    """Return True for a request that clients send many times in a run: a target, or a sign of life."""
+    """Return True for a request that clients send many times during a run: a streamed target or a sign of life."""
     if isinstance(request, StreamTarget):
         return True
     return is_stream_target(request) or request.startswith(_ALIVE_START)
@@ -279,14 +283,14 @@ def parse_target(request: TickRequest) -> StreamTarget | None:
 
 
 def _is_int64(value: object) -> bool:
-    """Return True for an integer that fits into the state block."""
+    """Return True if an integer fits into the 64 bits of the state block."""
     return type(value) is int and -(2**63) <= value < 2**63
 
 
 def parse_request(text: str) -> Request | str:
-    """Parse a request, and return a line with the reason if it is invalid.
+    """Parse a request. If the request is invalid, return a line with the reason.
 
-    The line contains printable characters only, whatever the datagram contained.
+    This line contains only printable characters, whatever the datagram contains.
     """
     try:
         return _REQUEST_ADAPTER.validate_json(text)

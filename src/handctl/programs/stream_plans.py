@@ -1,4 +1,4 @@
-"""Streams of targets from a client, and conversion of a target to goals of the digits."""
+"""Streams of targets from a client, and the conversion of a target to goals of the digits."""
 
 import functools
 from dataclasses import dataclass, replace
@@ -49,17 +49,17 @@ class StreamPlan:
     """Stream of targets.
 
     Attributes:
-        name: name of the stream, which every target repeats.
+        name: name of the stream, which every target of the stream repeats.
         client: client that opened the stream.
-        space: meaning of a target, see ``requests.OpenStream``.
-        names: names of the values.
-        interpolation: motion from target to target: "linear" or "minimum_jerk".
+        space: kind of values in a target, see ``requests.OpenStream``.
+        names: names of the joints, digits or tendons to which the values of a target belong.
+        interpolation: motion from one target to the next: "linear" or "minimum_jerk".
         period: time from one target to the next [s].
-        horizon: time between the sending of a target and the moment at which the hand shall reach
-            it [s].
-        softness: stiffness of the streamed digits [N m/rad]. If it is None, they have the stiffness
-            of the gains.
-        damping_ratio: multiple of the gains' damping ratio.
+        horizon: time from the sending of a target until the hand should reach this target [s].
+        softness: stiffness of the streamed digits [N m/rad]. If it is None, the gains determine the
+            stiffness.
+        damping_ratio: damping ratio of the streamed digits, divided by the damping ratio with the
+            gains.
     """
 
     name: str
@@ -74,7 +74,7 @@ class StreamPlan:
 
     @property
     def moves(self) -> bool:
-        """Return True for a stream of angles, False for a stream of tensions or forces."""
+        """Return True for a stream of angles, and False for a stream of tensions or forces."""
         return TARGET_UNIT_BY_SPACE[self.space] == "deg"
 
 
@@ -82,13 +82,14 @@ class StreamStatus(NamedTuple):
     """State of the stream of targets after a tick.
 
     Attributes:
-        number: number of the latest accepted target, -1 before the first.
-        age_s: time since this target was sent [s], NaN before the first target.
-        accepted: accepted targets of the stream.
-        clipped: accepted targets that were clipped to the range of a joint.
+        number: number of the latest accepted target, or -1 before the first target.
+        age_s: time since the latest accepted target was sent [s], or NaN before the first target.
+        accepted: number of accepted targets of the stream.
+        clipped: number of accepted targets that were clipped to the range of a joint.
         late: ignored targets: repeated, overtaken or too old.
         refused: refused targets: not numbers, or of a wrong shape.
-        limited: coordinates that the limits on speed and acceleration hold back in this tick.
+        limited: number of coordinates that the limits on speed and acceleration hold back in this
+            tick.
     """
 
     number: int = -1
@@ -101,7 +102,7 @@ class StreamStatus(NamedTuple):
 
 
 def target_horizon_s(rate_Hz: float, period: float) -> float:
-    """Return the time from the sending of a target to the moment at which the hand shall reach it [s].
+    """Return the time from the sending of a target until the hand should reach this target [s].
 
     Args:
         rate_Hz: rate of the stream [Hz].
@@ -111,10 +112,10 @@ def target_horizon_s(rate_Hz: float, period: float) -> float:
 
 
 class TargetMapping(NamedTuple):
-    """Linear map from the values of a target to the coordinates of the digits.
+    """Linear map from the values of a streamed target to the coordinates of the digits.
 
     Attributes:
-        matrix: (C, V) coordinates [rad] per value [deg], or [m] per value [mm].
+        matrix: (C, V) coordinate [rad] per target value [deg], or [m] per value [mm].
         driven: (C,) True where the stream sets the coordinate.
         digits: indices of the digits with a coordinate that the stream sets.
         held: indices of the streamed digits whose tendons cannot hold every posture, see
@@ -129,7 +130,7 @@ class TargetMapping(NamedTuple):
 
 @functools.lru_cache(maxsize=16)
 def mapping_of_stream(model: HandModel, space: str, names: tuple[str, ...]) -> TargetMapping:
-    """Return the map from the values of a stream's target to the coordinates of the digits."""
+    """Return the map from the values of a streamed target to the coordinates of the digits."""
     hand = model.hand
     values = np.zeros((model.coordinate_count, len(names)))
     digits = list[int]()
@@ -144,8 +145,8 @@ def mapping_of_stream(model: HandModel, space: str, names: tuple[str, ...]) -> T
             else []
         )
         if given:
-            # The result is the coordinates nearest to the given angles, because joints that springs
-            # couple turn together.
+            # Joints that springs couple turn together. So the result is the coordinates that are
+            # nearest to the given angles.
             columns = [names.index(hand.joints[digit.joints][j]) for j in given]
             values[places, columns] = np.linalg.pinv(digit.coupling[given])
             digits.append(d)
@@ -156,7 +157,7 @@ def mapping_of_stream(model: HandModel, space: str, names: tuple[str, ...]) -> T
 
 
 def stream_problem(model: HandModel, request: OpenStream) -> str:
-    """Return the reason why the hand cannot follow a stream, empty if it can."""
+    """Return the reason why a hand cannot follow a stream, or an empty text if it can."""
     hand = model.hand
     right = {"joint": hand.joints, "tension": hand.tendon_names}.get(
         request.space, hand.digit_names
@@ -178,7 +179,7 @@ def stream_problem(model: HandModel, request: OpenStream) -> str:
 
 
 def plan_of_request(model: HandModel, request: OpenStream) -> StreamPlan | str:
-    """Return the stream that a request opens, or the reason to refuse the request."""
+    """Return the stream that a request opens, or the reason why the request is refused."""
     if reason := stream_problem(model, request):
         return reason
     slowest = MIN_HOLD_PERIODS * 1e3 / model.hand.stream.hold_after_ms
@@ -202,15 +203,15 @@ Because of gravity, which the slope does not include, more than one step may be 
 
 
 def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
-    """Return the nearest coordinates that taut tendons can hold against springs and gravity [rad].
+    """Return the nearest coordinates at which taut tendons can balance springs and gravity [rad].
 
-    A tendon that flexes the outer joints also flexes the inner joints. To bend the outer joints
-    alone, an inner tendon would have to push, and the safety monitor would find this tendon slack.
+    A tendon that flexes the outer joints also flexes the inner joints. If only the outer joints
+    were bent, an inner tendon would have to push. The safety monitor would find this tendon slack.
 
     Args:
         digit: model of the digit.
         coordinates: (n_c,) coordinates of the target [rad].
-        floor: (n_t,) smallest tensions [N].
+        floor: (n_t,) smallest allowed tensions [N].
     """
     if not _is_held_by_each_tendon(digit):
         return coordinates
@@ -228,9 +229,9 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
 
 
 def _is_held_by_each_tendon(digit: DigitModel) -> bool:
-    """Return True for a digit with several coordinates and as many tendons.
+    """Return True for a digit that has several coordinates and the same number of tendons.
 
-    The posture of such a digit determines all its tensions.
+    In such a digit, the posture determines the tension of every tendon.
     """
     tendons, count = digit.reduced_moment_arms.shape
     return bool(tendons == count and count > 1)
@@ -249,9 +250,10 @@ def streamed_digits(model: HandModel, stream: StreamPlan) -> tuple[int, ...]:
 def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector]:
     """Return the fractions (N,) of the motion loop's stiffness and damping for a stream.
 
-    The stiffness of the joints is the stiffness of a tendon's loop [N/m] times the squared moment
-    arm of the tendon. A damping that falls with the root of the stiffness keeps the damping ratio.
-    Stiffness and damping never exceed the values of the gains, with which the loop is stable.
+    The stiffness of a joint is the stiffness of the tendon's loop [N/m] times the square of the
+    tendon's moment arm. If the damping is proportional to the square root of the stiffness, the
+    damping ratio stays the same. Stiffness and damping never exceed the values that follow from the
+    gains, with which the loop is stable.
     """
     stiffness = np.ones(model.tendon_count)
     damping = np.ones(model.tendon_count)
@@ -259,7 +261,8 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
         return stiffness, damping
     for d in streamed_digits(model, stream):
         digit = model.digits[d]
-        # A prismatic joint has the stiffness along a circle with the radius of its scale.
+        # The stiffness of a prismatic joint is converted as if it moved on a circle whose radius is
+        # the joint's scale.
         arms = ((digit.reduced_moment_arms * digit.coordinate_units.scale) ** 2).sum(axis=1)
         mass = (model.space.motor_mass + model.space.load_mass)[digit.tendons]
         full = arms * mass * model.motion.stiffness[digit.tendons]
@@ -277,7 +280,7 @@ def target_tensions(
 
     Args:
         model: model of the hand.
-        stream: stream of tensions or forces.
+        stream: stream whose targets are tensions or forces.
         values: (V,) values of the target [N].
         present: (N,) present tension setpoints [N]. Tendons without a value keep their present
             setpoints.
@@ -290,8 +293,8 @@ def target_tensions(
     for name, force in zip(stream.names, values.tolist(), strict=True):
         digit = model.digits[hand.digit_names.index(name)]
         angles, tendons = q[digit.joints], digit.tendons
-        # The torque consists of springs, gravity, and the tip force times its lever, in the
-        # coordinates of the digit.
+        # In the coordinates of the digit, the torque is the sum of springs, gravity, and the tip
+        # force times its lever.
         torque = digit.coupling.T @ np.asarray(static_torque(digit, angles))
         torque += max(force, 0.0) * reduced_tip_lever(digit, angles)
         arms = digit.at_angles(angles).reduced_moment_arms
@@ -304,13 +307,13 @@ def target_tensions(
 def streamed_goals(
     progress: ProgramProgress, digits: tuple[int, ...], tension: tuple[Vector, ...] | None
 ) -> ProgramProgress:
-    """Return the progress with goals of digits that follow a stream.
+    """Return the progress with new goals for the digits that follow a stream.
 
     Args:
         progress: progress with the present goals.
         digits: indices of the digits that follow the stream.
-        tension: for each digit of the hand, the present tension setpoints [N] of a stream of
-            tensions, None for a stream of angles.
+        tension: for each digit of the hand, the present tension setpoints [N] in a stream of
+            tensions. None for a stream of angles.
     """
     goals = list(progress.goals)
     contact = list(progress.contact)
@@ -338,15 +341,16 @@ def progress_at_rest(
     reach: tuple[tuple[Vector, Vector], ...],
     only_streamed: bool,
 ) -> ProgramProgress:
-    """Return the progress with goals that bring moving digits to rest.
+    """Return the progress with new goals, by which moving digits come to rest.
 
     Args:
         progress: progress with the present goals.
-        reference: for each digit, (3, n) position, rate and acceleration of the present reference.
+        reference: (3, n) position, rate and acceleration of the present motion reference, for each
+            digit.
         tension: for each digit, the present tension setpoints [N].
         t: time of the program [s].
-        reach: for each digit, lowest and highest coordinates [rad].
-        only_streamed: True if only digits that follow a stream come to rest.
+        reach: lowest and highest coordinates of each digit [rad].
+        only_streamed: True if only the digits that follow a stream shall come to rest.
     """
     goals = list(progress.goals)
     for d, goal in enumerate(goals):
@@ -376,12 +380,12 @@ def continued_move(
 ) -> MinimumJerk:
     """Return a move that begins with the position, rate and acceleration of a reference, and ends at rest.
 
-    If an earlier fast motion faded over the whole of a long move, the move would run far beyond its
-    start and end. Therefore the earlier motion fades in a shorter time. This time is halved until
-    the joints stay within their range.
+    If the speed of an earlier fast motion decreased over the whole of a long move, the move would
+    run far beyond its start and end. Therefore the speed of the earlier motion decreases in a
+    shorter time. This time is halved repeatedly until the joints stay within their range.
 
     Args:
-        reference: (3, n) position, rate and acceleration [rad, s].
+        reference: (3, n) position, rate and acceleration at the start [rad, s].
         end: (n,) coordinates at the end [rad].
         duration: duration of the move [s].
         reach: lowest and highest coordinates [rad].
@@ -402,6 +406,6 @@ def continued_move(
 
 
 def is_plausible(stream: StreamPlan, values: tuple[float, ...]) -> bool:
-    """Return True if a target has the right number of values, and all values are finite and plausible."""
+    """Return True if a target has the right number of values, and every value is finite and plausible."""
     outlier = MAX_TARGET_VALUES_BY_SPACE[stream.space]
     return len(values) == len(stream.names) and all(abs(value) <= outlier for value in values)

@@ -17,9 +17,9 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import read_toml
 
-if (
-    TYPE_CHECKING
-):  # imported for types only, because it imports numba, which the reading of a task does not need
+# Imported only for type checks, because this module imports numba, and reading a task does not need
+# numba.
+if TYPE_CHECKING:
     from handctl.hand.digit import DigitModel
 
 AngleDeg = Annotated[float, Field(ge=-30, le=150)]
@@ -149,7 +149,7 @@ class FollowPhase(Document):
                     f"{digit} must have an angle for each of the {len(self.time_s)} times"
                 )
             peak = math.degrees(_peak_speed(self.time_s, tuple(map(math.radians, angles))))
-            # The comparison is negated, so that NaN is refused.
+            # The comparison is negated so that it also refuses NaN.
             if not peak <= FOLLOW_SPEED_DEG_S:
                 raise ValueError(
                     f"at most {FOLLOW_SPEED_DEG_S:g} deg/s on the way; {digit} reaches {peak:.0f}"
@@ -158,18 +158,21 @@ class FollowPhase(Document):
 
 
 def _peak_speed(times_s: tuple[float, ...], angles: tuple[float, ...]) -> float:
-    """Return the largest speed of a curve [rad/s], inf or NaN if its times are too close together."""
+    """Return the largest speed of a curve [rad/s].
+
+    It is inf or NaN if the times of the curve are too close together.
+    """
     with np.errstate(all="ignore"):
         try:
             return curve_through(times_s, angles).peak_speed()
-        # scipy raises ValueError for slopes that are not finite.
+        # The library scipy raises ValueError for slopes that are not finite.
         except ValueError:
             return math.inf
 
 
 @functools.lru_cache(maxsize=32)
 def curve_through(times_s: tuple[float, ...], angles: tuple[float, ...]) -> CurveTrajectory:
-    """Return the curve of one coordinate through angles [rad] at times [s].
+    """Return the curve of one coordinate through given angles [rad] at given times [s].
 
     The check of a task computes the curves of its digits, up to 1 ms each. The phase begins in a
     later tick, and takes the curves from the cache.
@@ -211,11 +214,11 @@ class TrajectoryFile(Document):
 
 
 def load_trajectory(path: Path) -> Task:
-    """Read a trajectory file as a task: a slow move to its first pose, then the trajectory.
+    """Read a trajectory file as a task that first moves slowly to the first pose, and then follows the trajectory.
 
     Raises:
-        ConfigError: The file cannot be read, time does not rise, or an angle or a speed is out
-            of range.
+        ConfigError: the file cannot be read, the times do not increase, or an angle or a speed is
+            out of range.
     """
     return trajectory_from(read_toml(path), str(path))
 
@@ -246,12 +249,12 @@ def load_task(path: Path) -> Task:
 
 
 class DigitShape(NamedTuple):
-    """Shape of a digit: how many values a task may give for it.
+    """Numbers of values that a task may give for a digit.
 
     Attributes:
-        coordinates: number of reduced coordinates, each with an angle.
-        tendons: number of tendons, each with a tension. A finger of n joints may have n + 1
-            tendons.
+        coordinates: number of coordinates of the digit, each with an angle.
+        tendons: number of tendons of the digit, each with a tension. A finger of n joints may have
+            n + 1 tendons.
         joints: names of the joints.
     """
 
@@ -285,13 +288,13 @@ def check_task(
     Args:
         task: task to check.
         digits: names of the hand's digits.
-        ceiling: smallest tension limit of the hand [N].
+        ceiling: smallest of the tension limits in the hand [N].
         where: name of the file, for messages.
-        digit_shapes: shape of each digit, None to skip this check.
+        digit_shapes: numbers of values for each digit, or None to skip this check.
 
     Raises:
-        ConfigError: The task names an unknown digit, gives a digit the wrong number of values,
-            or requests too much tension.
+        ConfigError: the task names an unknown digit, gives a digit the wrong number of values, or
+            requests too much tension.
     """
     for i, phase in enumerate(task.phase):
         for key in ("angle_deg", "tension_N", "tip_force_N", "contact_tension_N", "slip_limit_N"):
@@ -368,10 +371,10 @@ def joint_values(value: float | Mapping[str, Value], digit: "DigitModel") -> dic
 def end_angles(
     value: float | dict[str, DigitAnglesDeg], digit: "DigitModel", present_angles: Vector
 ) -> DigitAnglesDeg | Vector | None:
-    """Return the coordinates of a digit at the end of a phase [deg], None if the phase gives the digit no angle.
+    """Return the coordinates of a digit at the end of a phase [deg], or None if the phase gives the digit no angle.
 
     Args:
-        value: angles of the phase, by digit or joint [deg].
+        value: angles in the phase [deg], by the name of the digit or joint.
         digit: model of the digit.
         present_angles: (n_c,) coordinates at the beginning [deg]. Joints without an angle keep their present
             angles.

@@ -35,19 +35,19 @@ CoordinateRange = tuple[Vector, Vector]
 def check_task_for_hand(
     task: Task, hand: Hand, where: str, digits: Sequence[DigitModel] = ()
 ) -> None:
-    """Check that a hand can execute a task.
+    """Check that a hand can execute a task, before the task begins.
 
     Args:
         task: task to check.
         hand: hand that shall execute the task.
-        where: name of the file, for messages.
+        where: name of the task file, for error messages.
         digits: models of the hand's digits. If they are not given, they are built, which takes
             milliseconds.
 
     Raises:
-        ConfigError: if the task names an unknown digit, or gives a wrong number of values. Also if
-            a tension or an angle is out of range, a move is too fast, a tip force is for an
-            underactuated digit, or a slip limit is below the tension.
+        ConfigError: the task names an unknown digit, or gives a digit the wrong number of values.
+            The error is also raised if a tension or an angle is out of range, a move is too fast, a
+            tip force is for an underactuated digit, or a slip limit is below the tension.
     """
     check_task(
         task,
@@ -64,21 +64,21 @@ def check_task_for_hand(
 
 
 def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
-    """Check that no move exceeds the largest joint speed, wherever the phases before the move may end.
+    """Check that no move of a task exceeds the largest joint speed, wherever the earlier phases may end.
 
     Args:
-        task: task whose numbers fit the digits.
+        task: task whose numbers of values fit the digits.
         models: models of the hand's digits.
-        where: name of the file, for messages.
+        where: name of the task file, for error messages.
 
     Raises:
-        ConfigError: A move has too short a duration.
+        ConfigError: the duration of a move is too short.
     """
     digits = {model.name: model for model in models}
     zeros = {name: np.zeros(model.coupling.shape[1]) for name, model in digits.items()}
     spans: dict[str, CoordinateRange] = {
         name: (zero, zero) for name, zero in zeros.items()
-    }  # the hand arms with open digits
+    }  # when the hand is armed, its digits are open
     for i, phase in enumerate(task.phase):
         if isinstance(phase, FollowPhase):
             _check_curves(phase, models, f"{where}: phase[{i}].angle_deg")
@@ -92,7 +92,7 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
                 units = digits[digit].coordinate_units
                 ways = np.maximum(np.abs(from_low - low), np.abs(high - from_high))
                 worst = int(np.argmax(ways / units.per_degree))
-                # A prismatic joint moves as fast as a hinge at a usual moment arm.
+                # The speed limit of a prismatic joint is that of a hinge with a usual moment arm.
                 travel = float((ways / units.per_degree)[worst])
                 min_duration = (
                     math.ceil(100.0 * minimum_jerk_duration(travel, FOLLOW_SPEED_DEG_S, 0.0))
@@ -108,7 +108,7 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
                     raise ConfigError(
                         f"{phase.duration_s:g}", f"{where}: phase[{i}].duration_s", expected
                     )
-            touches = isinstance(phase, ClosePhase)  # a close phase may stop at any angle
+            touches = isinstance(phase, ClosePhase)  # a close phase may end at any angle
             ends = (
                 (np.minimum(low, from_low), np.maximum(high, from_high))
                 if touches
@@ -118,7 +118,7 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
 
 
 def _check_curves(phase: FollowPhase, models: Sequence[DigitModel], place: str) -> None:
-    """Check that no prismatic joint is too fast on a curve.
+    """Check that no prismatic joint is too fast on the curve of a phase.
 
     The file itself is checked for hinges only, because it does not say which joints slide.
     """
@@ -139,9 +139,11 @@ def _check_curves(phase: FollowPhase, models: Sequence[DigitModel], place: str) 
 def _coordinates_after(
     phase: TaskPhase, digit: DigitModel, present_angles: Vector
 ) -> Vector | None:
-    """Return the coordinates of a digit after a phase that begins at ``present_angles`` [deg].
+    """Return the coordinates that a digit has after a phase [deg].
 
-    Return None if the digit does not move.
+    The phase begins at ``present_angles``.
+
+    If the phase does not move the digit, return None.
     """
     if isinstance(phase, FollowPhase):
         last = {name: angles[-1] for name, angles in phase.angle_deg.items()}
@@ -168,16 +170,16 @@ ROUNDING_DEG = 1e-6
 def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[DigitModel]) -> None:
     """Check that the angles of a task are within the range of each digit.
 
-    Beyond its range, a joint would press on its stop.
+    A joint beyond its range would press against its stop.
 
     Args:
         task: task that suits the hand in all other respects.
         hand: hand with the joints.
-        where: name of the file, for messages.
+        where: name of the task file, for error messages.
         digits: models of the hand's digits.
 
     Raises:
-        ConfigError: The joints of a digit cannot reach an angle together.
+        ConfigError: the joints of a digit cannot reach an angle of the task together.
     """
     reaches = {
         digit.name: (digit.coordinate_units.displayed(digit.reach), digit.coordinate_units.names)
@@ -214,10 +216,11 @@ def _check_joints(
         return
     low, high = digit.joint_units.displayed(digit.joint_limits)
     if digit.coupling.shape[1] == 1:
-        # The joints of a digit with one tendon turn together until one joint is at its limit.
+        # All joints of a digit with one tendon turn together, until one of the joints reaches its
+        # limit.
         ends = np.sort(digit.coupling @ np.array(displayed_range(described)).T, axis=1)
         low, high = np.maximum(low, ends[:, 0]), np.minimum(high, ends[:, 1])
-    # A curve has one row for each of its times.
+    # A curve has one row of angles for each of its times.
     for row in np.atleast_2d(np.array(list(given.values()), dtype=float).T):
         for j, angle in zip(given, row, strict=True):
             if not low[j] - ROUNDING_DEG <= angle <= high[j] + ROUNDING_DEG:
@@ -238,7 +241,7 @@ def _check_joints(
 
 
 def check_tip_force(task: Task, hand: Hand, where: str) -> None:
-    """Check that a task requires no tip force of an underactuated digit.
+    """Check that a task requires no tip force of a digit with fewer tendons than joints.
 
     The tensions of a digit with fewer tendons than joints do not determine the force at the tip.
     The tensions of such a digit determine only combinations of joint torques. When 4 N were
@@ -247,10 +250,10 @@ def check_tip_force(task: Task, hand: Hand, where: str) -> None:
     Args:
         task: task that suits the hand in all other respects.
         hand: hand with the digits.
-        where: name of the file, for messages.
+        where: name of the task file, for error messages.
 
     Raises:
-        ConfigError: A hold gives `tip_force_N` to a digit with fewer tendons than joints.
+        ConfigError: a hold phase gives `tip_force_N` to a digit with fewer tendons than joints.
     """
     for i, phase in enumerate(task.phase):
         if not isinstance(phase, HoldPhase) or phase.tip_force_N is None:
@@ -269,15 +272,15 @@ def check_tip_force(task: Task, hand: Hand, where: str) -> None:
 
 
 def check_slip_limit(task: Task, hand: Hand, where: str) -> None:
-    """Check that no slip limit is below the tension of its hold, because slip could then raise no tension.
+    """Check that no slip limit is below the tension of the hold phase, because slip could then not raise the tension.
 
     Args:
         task: task that suits the hand in all other respects.
         hand: hand with the digits.
-        where: name of the file, for messages.
+        where: name of the task file, for error messages.
 
     Raises:
-        ConfigError: A hold has a `slip_limit_N` below its `tension_N`.
+        ConfigError: a hold phase has a `slip_limit_N` below its `tension_N`.
     """
     for i, phase in enumerate(task.phase):
         if (
@@ -299,7 +302,7 @@ def check_slip_limit(task: Task, hand: Hand, where: str) -> None:
 def _reached_angles(
     phase: MovePhase | ClosePhase | FollowPhase, name: str
 ) -> Iterable[float | tuple[float, ...]]:
-    """Return the angles of a phase that a digit must reach: one for all its coordinates, or one for each."""
+    """Return the angles that a digit must reach in a phase: one for all its coordinates, or one for each coordinate."""
     if isinstance(phase, FollowPhase):
         angles = phase.angle_deg.get(name)
         return (min(angles), max(angles)) if angles else ()

@@ -1,4 +1,4 @@
-"""Program that carries out a task file: move, close until contact, hold, release."""
+"""Program that executes a task file: move, close until contact, hold, release."""
 
 import functools
 import math
@@ -67,9 +67,9 @@ A digit at rest touches no new object, and creeping friction can resemble a cont
 
 @dataclass(frozen=True, slots=True)
 class TaskProgram:
-    """Program that runs a task.
+    """Program that executes a task.
 
-    Step 0 takes up the slack, and step n is phase n - 1 of the task.
+    Step 0 takes up the slack of the tendons. Step n is phase n - 1 of the task.
     """
 
     task: Task
@@ -86,7 +86,7 @@ class TaskProgram:
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Advance the task by one tick. See `Program`."""
+        """Advance the task by one tick. The interface `Program` explains the arguments."""
         if progress.finished:
             return progress, ()
         if progress.phase == "start":
@@ -99,7 +99,7 @@ class TaskProgram:
     def begin(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
-        """Begin with the first phase of the task, for a hand whose tendons are taut."""
+        """Begin with the first phase of the task. The tendons of the hand are already taut."""
         untouched = (0,) * len(model.digits)
         return self._enter_phase(model, replace(progress, step=0, touching=untouched), estimate, t)
 
@@ -121,8 +121,8 @@ class TaskProgram:
     ) -> ProgressAndEvents:
         """Wait until all tendons have been taut for a while.
 
-        A tick with a slack tendon lowers the count by one, so noise delays the start but does not
-        restart the wait.
+        A tick with a slack tendon reduces the count by one. So noise delays the start of the task,
+        but does not restart the wait.
         """
         slack = slack_tendons(model, estimate)
         ticks = max(0, progress.touching[0] + (-1 if slack else 1))
@@ -141,14 +141,14 @@ class TaskProgram:
     def _enter_phase(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
-        """Enter the next phase of the task, or finish."""
+        """Begin the next phase of the task. After the last phase, finish."""
         step = progress.step + 1
         if step > len(self.task.phase):
             return replace(progress, finished=True, phase="end"), (
                 TickEvent("info", "phase", "", "task complete"),
             )
         phase = self.task.phase[step - 1]
-        # A motion begins without contact, and so does the phase after a release.
+        # A phase that moves the hand begins without contact, and so does the phase after a release.
         free = isinstance(phase, MovePhase | FollowPhase) or (
             step > 1 and isinstance(self.task.phase[step - 2], ReleasePhase)
         )
@@ -206,7 +206,7 @@ class TaskProgram:
             )
             if angle is None or progress.contact[d]:
                 return previous
-            # A prismatic joint moves with as many mm/s as a hinge with deg/s.
+            # A speed in deg/s for hinges is used in mm/s for prismatic joints.
             moved = units.si(angle) - coordinates_by_excursion(digit, estimate)
             travel = float(np.abs(units.as_angles(moved)).max())
             duration = minimum_jerk_duration(
@@ -242,8 +242,8 @@ class TaskProgram:
         if force is None:
             return None
         q = estimate.q[digit.joints]
-        # The torque consists of springs, gravity, and the tip force times its lever, in the
-        # coordinates of the digit.
+        # In the coordinates of the digit, the torque is the sum of springs, gravity, and the tip
+        # force times its lever.
         torque = digit.coupling.T @ model.tree.static_torque(estimate.q)[
             digit.joints
         ] + force * reduced_tip_lever(digit, q)
@@ -253,7 +253,7 @@ class TaskProgram:
     def _advance_hold(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
-        """Update the grip during a hold, and raise its tensions after slip."""
+        """Update the grip during a hold phase, and raise the tensions of the grip after slip."""
         phase = self.task.phase[progress.step - 1]
         if progress.grip is None or not isinstance(phase, HoldPhase):
             return progress, ()
@@ -296,7 +296,7 @@ class TaskProgram:
             touching[d] = touching[d] + 1 if above else 0
             if touching[d] >= gains.ticks:
                 contact[d] = True
-                # A digit that pulls harder than the contact tension keeps its tension.
+                # If a digit already pulls harder than the contact tension, it keeps this tension.
                 start = pull_tensions(model, d, phase.contact_tension_N, estimate)
                 side = model.redundancy.side[tendons]
                 pulled = np.maximum(side * estimate.tension[tendons], side * start)
@@ -345,7 +345,7 @@ class TaskProgram:
     def _release_warnings(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate
     ) -> tuple[TickEvent, ...]:
-        """Return warnings at the end of a release, for digits that are still under tension."""
+        """Return warnings for digits that still have tension at the end of a release."""
         phase = self.task.phase[progress.step - 1]
         if not isinstance(phase, ReleasePhase):
             return ()
@@ -363,9 +363,9 @@ def _closing_digits(
     phase: MovePhase | FollowPhase | ClosePhase | HoldPhase | ReleasePhase,
     progress: ProgramProgress,
 ) -> tuple[bool, ...]:
-    """Return for each digit True if it closes until contact.
+    """Return, for each digit, True if the digit closes until contact.
 
-    In other phases than close, the result is empty.
+    In a phase that is not a close phase, the result is empty.
     """
     if not isinstance(phase, ClosePhase):
         return ()
@@ -376,7 +376,7 @@ def _closing_digits(
 def _still_tensioned(
     model: HandModel, progress: ProgramProgress, phase: ReleasePhase, estimate: HandEstimate
 ) -> list[str]:
-    """Return the names of tension-controlled digits whose tension is still above that of a release."""
+    """Return the names of tension-controlled digits whose tension is still above the tension of the release phase."""
     limit = np.maximum(phase.tension_N, model.redundancy.balance) + RELEASED_WITHIN_N
     rows = zip(model.hand.digit_names, progress.goals, model.digit_tendons, strict=True)
     return [
@@ -392,12 +392,13 @@ def _grip_plan(
     stiffness_N_per_mm: float,
     slip_limit: float | tuple[tuple[str, float], ...] | None,
 ) -> GripPlan:
-    """Return the grip that a hold phase requires, with numbers for each tendon.
+    """Return stiffness and slip limit of the grip that a hold phase requires, with numbers for each tendon.
 
     Args:
         model: model of the hand.
         stiffness_N_per_mm: stiffness of the grip [N/mm].
-        slip_limit: largest tension after slip [N], for all digits or by digit. None without a limit.
+        slip_limit: largest tension after slip [N], as one number or by the name of the digit, or
+            None for no increase.
     """
     limit = np.full(model.tendon_count, np.nan)
     if slip_limit is not None:
@@ -409,7 +410,10 @@ def _grip_plan(
 
 
 def _distance_error(model: HandModel, phase: FollowPhase, estimate: HandEstimate) -> str:
-    """Return a message if a digit is too far from the start of its curve, else an empty text."""
+    """Return a message if a digit is too far from the start of its curve.
+
+    Otherwise return an empty text.
+    """
     for digit in model.digits:
         angle = digit.coordinate_units.displayed(coordinates_by_excursion(digit, estimate))
         joints = digit.coupling @ angle
@@ -430,7 +434,7 @@ def _distance_error(model: HandModel, phase: FollowPhase, estimate: HandEstimate
 def _curve_of_digit(
     phase: FollowPhase, digit: DigitModel, estimate: HandEstimate
 ) -> CurveTrajectory | None:
-    """Return the curve of a digit, None if the phase gives it no angle.
+    """Return the curve that a digit follows in a phase, or None if the phase gives the digit no angle.
 
     Joints without angles keep their positions.
     """
@@ -461,14 +465,14 @@ def blind_tip_force(model: HandModel, d: int) -> float:
     margin = float(model.blind_margin[digit.tendons].mean())
     if margin == 0.0:
         return 0.0
-    # The response consists of the tensions per tip force, for the open digit. The estimated tip
-    # force is a least-squares fit to these tensions.
+    # The response contains the tension of each tendon per tip force, for the open digit. The
+    # estimated tip force is the least-squares fit of this response to the estimated tensions.
     response = digit.torque_to_tension @ joint_lever(digit, digit.joint_min)
     return margin / float(np.linalg.norm(response))
 
 
 def contact_threshold(goal: DigitGoal, joints: int, threshold: float, t: float) -> float:
-    """Return the tip force that counts as contact [N].
+    """Return the smallest tip force that counts as contact [N].
 
     Args:
         goal: goal of the digit.

@@ -1,4 +1,4 @@
-"""Reconstruction of the controller of a recorded run from the log of the run."""
+"""Reconstruction of the controller of a recorded run from the log."""
 
 from importlib.metadata import version
 from typing import TypeVar
@@ -17,10 +17,10 @@ from handctl.printing import printable_text
 
 
 def logged_hand(log: RunLog) -> Hand:
-    """Return the hand of the recorded run.
+    """Return the description of the hand from the log of a run.
 
     Raises:
-        LogError: the log has no description of a hand that this version can read.
+        LogError: the log contains no description of a hand that this version of handctl can read.
     """
     try:
         return described_hand(log.header, "hand.toml in the log")
@@ -29,25 +29,25 @@ def logged_hand(log: RunLog) -> Hand:
 
 
 def logged_gains(log: RunLog) -> Gains:
-    """Return the gains of the recorded run.
+    """Return the gains from the log of a run.
 
     Raises:
-        LogError: the log has no gains that this version can read.
+        LogError: the log contains no gains that this version of handctl can read.
     """
     return _read_attachment(log, "gains.json", Gains)
 
 
 def logged_setup(log: RunLog) -> RunSetup:
-    """Return the setup of the recorded run: control rate, tares of the load cells, zeros of the motors, and program.
+    """Return the set-up of a recorded run: control rate, load-cell tares, motor zero angles, and program.
 
     Raises:
-        LogError: the log was written by a version that did not record the setup.
+        LogError: the log was written by a version of handctl that did not record the set-up.
     """
     return _read_attachment(log, SETUP_ATTACHMENT, RunSetup)
 
 
 def rebuild_controller(log: RunLog, gains: Gains | None = None) -> Controller:
-    """Return a controller like that of the recorded run, with the gains in the log or with other given gains.
+    """Return a controller like the one of a recorded run, with the gains from the log or with other gains.
 
     Raises:
         LogError: a required record is missing from the log.
@@ -78,7 +78,7 @@ def _read_attachment(log: RunLog, name: str, model: type[AttachmentT]) -> Attach
 
 
 def _versions_text(log: RunLog) -> tuple[str, str]:
-    """Return the version that wrote the log and the version that reads it, as texts for an error message."""
+    """Return two texts for an error message: the version that wrote the log, and the version that reads the log."""
     metadata = log.header.metadata
     wrote = f"handctl {metadata.get('version', UNKNOWN_IDENTITY)}, code {metadata.get('code', UNKNOWN_IDENTITY)}"
     here = f"handctl {version('handctl')}, code {code_identity()}"

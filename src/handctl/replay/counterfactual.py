@@ -1,11 +1,11 @@
 """Commands that the controller would have given in a recorded run with other gains, as numbers and as a figure.
 
-The controller runs on the measurements that the log contains. So the figure shows the command in
-each tick, but not the motion that these commands would cause.
+The controller is executed on the measurements in the log. So the figure shows the new command in
+each tick, but not the motion that the new commands would cause.
 
-The recorded measurements do not follow the new commands. The safety monitor may therefore find a
-fault that no hand has, and relax the hand. From this tick on, the commands say nothing about the
-gains, so the comparison ends there.
+The measurements in the log are the result of the old commands. To the safety monitor, the new
+commands and the old measurements may together look like a fault, which relaxes the hand. After this
+tick, the commands no longer depend on the gains. So the comparison ends with this tick.
 """
 
 from pathlib import Path
@@ -26,7 +26,7 @@ OTHER_COLOR = "#d9822b"
 
 
 class CommandCollector:
-    """Collector for the commands of each tick that is executed again.
+    """Collector of the commands that the controller gives while a log is executed again.
 
     Pass the method `add_tick` to `execute_log` as `observer`.
     """
@@ -48,13 +48,13 @@ class CommandCollector:
         self._tension.append(out.telemetry.tension_goal)
 
     def comparable_ticks(self, log: RunLog) -> int:
-        """Return the number of ticks before the first difference from the log in mode or safety reaction."""
+        """Return the number of ticks before the mode or the reaction to faults first differs from the log."""
         mode, action = np.array(self._reactions).T
         differs = (mode != log.mode) | (action != log.action)
         return int(np.argmax(differs)) if differs.any() else len(differs)
 
     def faults_at(self, tick: int) -> list[str]:
-        """Return the texts of the faults that were found in a tick, by its index."""
+        """Return the texts of the faults that became active in the tick with a given index."""
         return [event.text for at, event in self._faults if at == tick]
 
     @property
@@ -71,12 +71,12 @@ class CommandCollector:
 def command_change(
     log: RunLog, commands: CommandCollector, ticks: int
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Return RMS and peak of the difference between new and logged commands, for each motor [N m] and tendon [N].
+    """Return the RMS and the peak of the difference between new and logged commands, per motor [N m] and tendon [N].
 
     Args:
         log: log of the run.
-        commands: commands that the controller gave with the other gains.
-        ticks: number of ticks that count, see ``CommandCollector.comparable_ticks``.
+        commands: commands that the controller gave with the new gains.
+        ticks: number of ticks to compare, see ``CommandCollector.comparable_ticks``.
     """
     torque = (commands.motor_torques - log.field("motor_torque_goal"))[:ticks]
     tension = (commands.tendon_tensions - log.field("tension_goal"))[:ticks]
@@ -93,15 +93,15 @@ def command_change(
 def draw_commands(
     path: Path, log: RunLog, commands: CommandCollector, ticks: int, title: str
 ) -> None:
-    """Draw the logged commands and the commands with other gains as PNG: tension and torque of each tendon.
+    """Draw the logged commands, and the commands with other gains, as PNG: tension and torque of each tendon.
 
-    After the other gains have caused a different reaction, ticks are not comparable. The background
-    of this time is grey.
+    When the other gains have caused a different reaction to a fault, later ticks cannot be
+    compared. The later part of the figure has a grey background.
 
     Args:
         path: PNG file to write.
         log: log of the run.
-        commands: commands that the other gains gave.
+        commands: commands that the controller gave with the other gains.
         ticks: number of comparable ticks.
         title: title of the figure.
     """

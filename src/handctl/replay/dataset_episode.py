@@ -2,10 +2,10 @@
 
 The joint angles in the actions of the episode must pass the same checks as a trajectory file.
 
-The dataset has the layout of codebase version 3.0. An action has an element such as
-`index_j1.pos_rad` for every hinge of the hand, and `jaw_j1.pos_m` for every prismatic joint. The
-plug-in `lerobot_robot_handctl` and the command `log export --lerobot` write such actions. Other
-elements of an action, such as tensions, are ignored.
+The dataset must have the file layout of LeRobot's codebase version 3.0. An action has an element
+such as `index_j1.pos_rad` for every hinge of the hand, and `jaw_j1.pos_m` for every prismatic
+joint. The plug-in `lerobot_robot_handctl` and the command `log export --lerobot` write such
+actions. All other elements of an action, such as tensions, are ignored.
 """
 
 import json
@@ -60,8 +60,8 @@ def find_episode(
             refused.
 
     Raises:
-        ConfigError: the dataset or the episode does not exist, the episode lacks joints of the
-            hand, or an angle or a speed is out of range.
+        ConfigError: the dataset or the episode does not exist, the episode contains no angles for
+            some joint of the hand, or an angle or a speed is out of range.
     """
     info = _read_info(dataset)
     rate = info.get("fps")
@@ -91,7 +91,7 @@ def find_episode(
 
 
 def _info_path(dataset: Path) -> Path:
-    """Return the path of the file that describes a dataset, `info.json`."""
+    """Return the path of `info.json`, the file that describes a dataset."""
     return dataset / "meta" / "info.json"
 
 
@@ -118,7 +118,7 @@ def _read_info(dataset: Path) -> Mapping[str, Any]:
 
 
 def _read_actions(dataset: Path, info: Mapping[str, Any], episode: int) -> Array:
-    """Return the actions (frames, n) of an episode, in the order of the frames.
+    """Return the actions (frames, n) of an episode, in the order of the episode's frames.
 
     Raises:
         ConfigError: the dataset does not have the episode, or a file of the dataset is damaged.
@@ -212,12 +212,12 @@ def _clip_to_range(angles: Array, hand: Hand, where: str) -> Array:
     Angles that are slightly outside of the range of their joint are clipped.
 
     Raises:
-        ConfigError: an angle is not finite or lies far outside the joint's range.
+        ConfigError: an angle is not finite or lies far outside the range of the joint.
     """
     low, high = hand.joint_limits
     units = hand.display_units
     beyond = units.displayed(np.maximum(low - angles, angles - high))
-    wrong = ~(beyond <= MAX_CLIPPED_DEG)  # the negated comparison also finds NaN
+    wrong = ~(beyond <= MAX_CLIPPED_DEG)  # this negated comparison also finds NaN
     if wrong.any():
         frame, joint = (int(index) for index in np.argwhere(wrong)[0])
         unit = units.names[joint]
@@ -229,7 +229,7 @@ def _clip_to_range(angles: Array, hand: Hand, where: str) -> Array:
 
 
 def _limit_rate(angles: Array, step: Array) -> Array:
-    """Return angles (frames, J) that follow the given angles, but change by at most `step` (J,) per frame [rad]."""
+    """Return angles (frames, J) that follow the given angles, but change by at most `step` (J,) [rad] per frame."""
     slowed = angles.copy()
     for i in range(1, len(slowed)):
         slowed[i] = slowed[i - 1] + np.clip(angles[i] - slowed[i - 1], -step, step)
@@ -262,5 +262,5 @@ def _smooth_curve(
 
 
 def _value_text(value: object) -> str:
-    """Return a wrong value of a dataset as text for an error message."""
+    """Return a wrong value from a dataset as text for an error message."""
     return printable_text(repr(value))[:40]

@@ -1,9 +1,9 @@
 """Re-execution of a log.
 
-The controller runs again on the logged inputs, and each byte of its output is compared with the
-log.
+The controller is executed again on the inputs in the log, and each byte of the new output is
+compared with the log.
 
-A re-execution uses no bus and reads no file except the log. No decision depends on a clock.
+A re-execution uses no bus, and reads no file except the log. No decision depends on a clock.
 """
 
 import gc
@@ -29,16 +29,17 @@ class LogExecution:
 
     Attributes:
         ticks: number of executed ticks.
-        differing_ticks: number of ticks in which at least one byte of the output differs.
-        different_decisions: number of ticks in which a decision differs: mode, phase, action or
-            events.
-        first_difference: the first difference from the logged output. None if there is no
+        differing_ticks: number of ticks in which at least one byte of the output differs from the
+            log.
+        different_decisions: number of ticks in which a decision differs from the log: mode, phase,
+            reaction or events.
+        first_difference: first difference from the logged output, or None if there is no
             difference.
-        first_state_difference: first field of the controller's state that differs from the snapshot
-            in the log. None if all snapshots are equal.
+        first_state_difference: first field of the controller's state that differs from a snapshot
+            in the log, or None if all snapshots are equal.
         largest_difference: the largest difference of a number, measured by `relative_error`. The
             value is None if there is no difference.
-        wall_s: time that the re-execution took, without the design of the gains [s].
+        wall_s: time that the re-execution took, without the time for the design of the gains [s].
         cpu_s: processor time of all processes together [s]. A single core without other work would
             need this time.
         logged_s: duration of the recorded run [s].
@@ -56,14 +57,14 @@ class LogExecution:
 
     @property
     def times_real_time(self) -> float:
-        """Return how many times faster than the recorded run the re-execution was."""
+        """Return the duration of the recorded run divided by the time of the re-execution."""
         return self.logged_s / self.wall_s if self.wall_s else math.inf
 
 
 def is_within_tolerance(execution: LogExecution, tolerance: float) -> bool:
-    """Return True if all decisions equal the log, and no number differs from it by more than `tolerance`.
+    """Return True if all decisions are those in the log, and no number differs from the log by more than `tolerance`.
 
-    A tolerance is useful because another kind of machine may round differently.
+    A tolerance is useful because another kind of processor may round differently.
     """
     largest = relative_error(execution.largest_difference) if execution.largest_difference else 0.0
     return not execution.different_decisions and largest <= tolerance
@@ -76,11 +77,11 @@ def execute_log(
     progress: ProgressCallback | None = None,
     workers: int = 1,
 ) -> LogExecution:
-    """Execute the controller of a log on the inputs in the log.
+    """Execute the controller of a recorded run again, on the inputs in the log.
 
     Args:
         log: log of the run.
-        gains: gains to use instead of those of the run.
+        gains: gains to use instead of the gains in the log.
         observer: function called with the input and the output of every tick.
         progress: function called at intervals with the number of ticks executed so far.
         workers: number of processes. With other gains or with an observer, the log is executed in a
@@ -136,7 +137,7 @@ def gc_disabled() -> Iterator[None]:
 
     Also disable the warnings of numpy about wrong numbers in a log.
 
-    Ticks create no reference cycles, so no garbage accumulates.
+    A tick creates no reference cycles. So no garbage accumulates.
     """
     gc.disable()
     try:

@@ -55,7 +55,7 @@ class LimitStop(NamedTuple):
         fault, title: id and title of the fault.
         instance: motor, tendon or bus that has the fault.
         value: reading that exceeds the limit, in the unit of the limit.
-        action: the safety action of the fault.
+        action: reaction to the fault.
         in_logged_run: True if the fault also occurred in this tick with the limits of the run
             itself.
     """
@@ -91,7 +91,7 @@ class LimitsJudgement:
 
 
 def load_limits(path: Path, controller: Controller) -> SafetyLimits:
-    """Return the limits of a controller, with the values of a limits file in place of the former values.
+    """Return the limits of a controller, where the values of a limits file replace the old values.
 
     Raises:
         ConfigError: the file cannot be read or names a tendon that the hand does not have.
@@ -155,7 +155,7 @@ def _judge_ticks(
     limits: SafetyLimits,
     progress: Callable[[int], None] | None,
 ) -> LimitsJudgement:
-    """Judge each tick from its logged state, but with the debounce counters and latches of the new limits."""
+    """Judge each tick from its logged state, but debounce and latch faults with the new limits."""
     other = replace(controller, other_limits=limits)
     state = controller.initial_state()
     shadow = other.initial_state()
@@ -163,8 +163,9 @@ def _judge_ticks(
     ticks = stopped = stopped_logged = 0
     for logged in log.ticks():
         entry = logged.tick_in
-        # Every tick starts from the state that the run had. Only the debounce counters and latches
-        # of the new limits carry over from tick to tick.
+        # In every tick, the controller starts from the state that it had in the recorded run. Only
+        # the debounce counters and latched faults that follow from the new limits are carried from
+        # tick to tick.
         judged = state.copy()
         judged.view("fault_ticks")[...] = shadow.view("fault_ticks")
         judged.decide(latched=shadow.latched, reported_faults=shadow.decisions.reported_faults)
@@ -205,5 +206,5 @@ def _judge_ticks(
 
 
 def _fault_id(event: TickEvent) -> str:
-    """Return the fault id that a fault event names."""
+    """Return the id of the fault that the text of a fault event names."""
     return event.text.partition(" ")[0]

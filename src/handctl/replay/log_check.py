@@ -62,9 +62,9 @@ def _check_clock(log: RunLog) -> Iterator[str]:
 
 
 def _check_frames(log: RunLog) -> Iterator[str]:
-    """Search for CAN frames whose time stamp is later than the tick that read the frame.
+    """Yield a line for each CAN frame whose time stamp is later than the tick that read the frame.
 
-    The time stamps of such frames come from another clock than that of the controller.
+    The time stamp of such a frame comes from another clock than the clock of the controller.
     """
     future = 0
     last = -1
@@ -103,8 +103,8 @@ def _check_chain(log: RunLog) -> Iterator[str]:
     for k, message, numbers, digest in ticks:
         if tick_hash(before, message, numbers) != digest:
             broken.append(k)
-        # After a wrong hash, the chain continues with the logged hash, so that a single changed
-        # tick is reported only once.
+        # After a wrong hash, the check continues with the hash in the log. So a single changed tick
+        # is reported only once.
         before = digest
     if broken:
         others = f", and {len(broken) - 1} more" if len(broken) > 1 else ""

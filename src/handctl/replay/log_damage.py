@@ -1,4 +1,4 @@
-"""Search for the damage in a log that the reader refuses.
+"""Search for the damage in a log that the log reader refuses to read.
 
 The search finds the first tick in which a byte was changed.
 """
@@ -24,7 +24,7 @@ Logs of earlier versions, for example, lack the hash chain.
 
 
 class _StoredTick(NamedTuple):
-    """Tick with the data that a log stores for it: number, Tick message, packed telemetry, chain hash."""
+    """Tick as a log stores it: number, Tick message, packed telemetry, and hash in the hash chain."""
 
     k: int
     message: bytes
@@ -37,9 +37,9 @@ def first_damage(path: Path) -> str:
 
     If there is no damage, the text is empty.
 
-    The hash chain reveals a changed tick even if somebody has adjusted the checksums. If the chain
-    is intact, the damage is in topics that are derived from the ticks. The result then names the
-    ticks of the damaged chunk.
+    The hash chain shows a changed tick even if somebody has adjusted the checksums of the file. If
+    all hashes of the chain are right, the damage is in topics that are computed from the ticks. The
+    result then names the ticks of the damaged chunk.
 
     Raises:
         LogError: the file is not a log of handctl.
@@ -90,7 +90,7 @@ def _intact_content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
 
 
 def _channel_ids(content: bytes) -> tuple[int, ...]:
-    """Return the channel numbers of the ticks, the telemetry and the chain hashes."""
+    """Return the channel numbers of the tick messages, the telemetry and the chain hashes in a chunk."""
     channels = {topic: number for number, _, topic, _, _ in schemas_and_channels(content).channels}
     return tuple(
         channels.get(topic, NO_CHANNEL) for topic in (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC)
@@ -117,7 +117,7 @@ def _chunk_ticks(
     if channels[2] == NO_CHANNEL:
         digests = [b""] * len(messages)
     for message, values, digest in zip(messages, values_of, digests, strict=True):
-        # In the message, the tick number comes after the four bytes of CDR encapsulation.
+        # In the message, the tick number comes after the four bytes that CDR puts before all data.
         k = int.from_bytes(message[4:12], "little", signed=True)
         yield _StoredTick(
             k, message, values[VALUES_START_OFFSET:VALUES_END_OFFSET], digest[-HASH_SIZE:]
@@ -125,7 +125,7 @@ def _chunk_ticks(
 
 
 def _last_intact_tick_text(before: bytes) -> str:
-    """Return a text about the last intact tick before the damage."""
+    """Return a text about the last undamaged tick before the damage."""
     return (
         f"after tick {int.from_bytes(before[:8], 'little', signed=True)}"
         if before

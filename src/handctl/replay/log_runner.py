@@ -1,6 +1,6 @@
 """Execution of the controller on the inputs in a log.
 
-A tally counts the differences between the computed and the logged outputs.
+The differences between the computed outputs and the logged outputs are counted.
 """
 
 import math
@@ -36,12 +36,13 @@ ProgressCallback = Callable[[int], None]
 
 
 def relative_error(difference: TickDifference) -> float:
-    """Return the size of a difference between a logged and a computed value.
+    """Return the size of the difference between a logged value and a computed value.
 
-    For logged numbers below 1 the size is absolute, and for larger numbers it is relative.
+    For logged numbers below 1, the size is the absolute difference. For larger numbers, it is the
+    relative difference.
 
     Returns:
-        the size. The value is 0 for texts, and infinity if a number is NaN.
+        the size: 0 for texts, and infinity if a number is NaN.
     """
     logged = difference.logged
     computed = difference.computed
@@ -83,7 +84,7 @@ class DifferenceTally:
 
         Args:
             tick_differences: the differences between the logged and the computed tick.
-            same_decisions: True if both ticks have the same decisions.
+            same_decisions: True if the logged and the computed tick contain the same decisions.
         """
         self.differing_ticks += 1
         self.different_decisions += not same_decisions
@@ -119,12 +120,12 @@ class LogRunner:
 
     @staticmethod
     def from_log(log: RunLog, gains: Gains | None = None) -> "LogRunner":
-        """Rebuild the controller of a log, with the gains in the log or with the given gains.
+        """Rebuild the controller of a logged run, with the gains from the log or with the given gains.
 
-        The errors are those of `rebuild_controller`.
+        The function raises the errors of `rebuild_controller`.
         """
-        # With other gains, the states differ from the snapshots in the log. The snapshots are not
-        # used in this case.
+        # With other gains, the states of the controller differ from the snapshots in the log. In
+        # this case, the snapshots are not used.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
         return LogRunner(
             log, rebuild_controller(log, gains), TelemetryColumns.from_header(log.header), snapshots
@@ -149,8 +150,7 @@ class LogRunner:
                 call.
 
         Returns:
-            the state of the controller after the last tick of the part, and the tally of the
-            differences.
+            the controller's state after the last tick of the part, and the counted differences.
 
         Raises:
             LogError: the log is damaged, or the controller refuses an input in the log.
@@ -179,8 +179,8 @@ class LogRunner:
     def _logged_ticks(self, start: int, stop: int) -> Iterator[tuple[TickRecord, bytes]]:
         """Yield the logged ticks from index `start` up to, but not including, `stop`, each with its telemetry."""
         firsts = self.log.first_of_chunk
-        # Chunks are read as a whole. Ticks of these chunks that are outside of the part are cut off
-        # below.
+        # A chunk of the log is always read as a whole. The ticks of a chunk that do not belong to
+        # the part are dropped below.
         chunk, last = np.searchsorted(firsts, (start, stop), side="right") - 1
         chunks = slice(int(chunk), int(last) + 1)
         both = zip(self.log.ticks(chunks), self.log.packed_telemetry(chunks), strict=True)
@@ -193,7 +193,7 @@ class LogRunner:
         try:
             was = restore_state(self.controller.derived.layout, self.snapshots[logged.tick_in.k])
         except ValueError:
-            return None  # a state of another version has other fields
+            return None  # if another version wrote the state, its fields are different
         return state_difference(self.log.header, logged, was, state)
 
 

@@ -21,7 +21,7 @@ MAX_GAP_S = 0.05
 
 
 def active_interval(log: RunLog) -> tuple[float, float]:
-    """Return the start and the end of the time in which the hand was active in a run [s].
+    """Return the times at which the active part of a run begins and ends [s].
 
     The phases that prepare the motion, such as the tightening of the tendons, are not included.
 
@@ -54,7 +54,7 @@ def count_missing_ticks(log: RunLog) -> int:
     The targets of a missing tick are interpolated linearly between the neighbouring ticks.
 
     Raises:
-        LogError: too many ticks are missing in a row, or the run has no active interval.
+        LogError: too many consecutive ticks are missing, or the hand was never active in the run.
     """
     start, end = active_interval(log)
     times = log.times
@@ -70,10 +70,10 @@ def count_missing_ticks(log: RunLog) -> int:
 
 
 def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
-    """Return the targets of a recorded run, resampled to another control period.
+    """Return the targets of a recorded run, converted to another control period.
 
-    A digit that held a tension had no joint targets. If this was so in a neighbouring tick, the
-    joint targets of this digit are NaN.
+    A digit that held a tension had no joint targets. If a digit held a tension in the tick before
+    or after the requested time, its joint targets are NaN.
 
     Args:
         log: log of the run.
@@ -85,7 +85,7 @@ def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
     count_missing_ticks(log)
     start, end = active_interval(log)
     steps = np.rint(np.arange(round((end - start) / period) + 1) * (period * 1e9))
-    # These times are equal to `log.times` to the last bit. So no interpolation is needed if both
+    # These times are equal to `log.times` in every bit. So no interpolation is necessary if both
     # control periods are equal.
     times = np.asarray((round(start * 1e9) + steps.astype(np.int64)) * 1e-9, np.float64)
     q, dq, tension = (
@@ -102,10 +102,10 @@ def _interpolate_field(log: RunLog, name: str, times: Array) -> Array:
 
 
 def _interpolate(log: RunLog, values: Array, times: Array) -> Array:
-    """Return values (ticks, n) of a log, interpolated at the given times [s].
+    """Interpolate values (ticks, n) of a log at the given times [s].
 
-    A result is NaN if the value before or after this time is NaN. Before the first and after the
-    last tick, the value of the nearest tick is used.
+    If the value before or after a given time is NaN, the result is NaN. Before the first tick and
+    after the last tick, the result is the value of the nearest tick.
     """
     return np.column_stack([np.interp(times, log.times, column) for column in values.T])
 
@@ -155,5 +155,8 @@ def followed_duration_s(before: RunLog, after: RunLog) -> float:
 
 
 def _playback_start(after: RunLog) -> float | None:
-    """Return the time at which a replay began to follow the recorded run [s], or None if it never did."""
+    """Return the time at which a replay began to follow the recorded run [s].
+
+    If it never began, return None.
+    """
     return next((change.t_ns * 1e-9 for change in after.phases if change.name == "playback"), None)

@@ -33,7 +33,7 @@ PROGRESS_PERIOD_S = 0.2
 
 
 class LogPart(NamedTuple):
-    """Part of a log: ticks from index `start` up to `stop`, and the state of the controller before them."""
+    """Part of a log: the ticks from index `start` up to `stop`, and the controller's state before the first of them."""
 
     start: int
     stop: int
@@ -58,14 +58,15 @@ class ProgressCounts:
             processes: number of processes.
             progress: function called with the number of ticks that all processes have executed.
         """
-        # A process shares an anonymous memory mapping with the processes that it forks.
+        # An anonymous memory mapping is shared with the processes that this process forks.
         self._done: NDArray[np.int64] = np.frombuffer(mmap.mmap(-1, 8 * processes), np.int64)
         self._progress = progress
 
     def counter_of_process(self, process: int) -> Callable[[int], None]:
         """Return a function that counts the executed ticks of a process.
 
-        For the first process, which is the calling process, this function also reports progress.
+        In the first process, which is the calling process, this function also reports the total
+        progress.
         """
 
         def count_ticks(ticks: int) -> None:
@@ -83,10 +84,12 @@ class ProgressCounts:
 def run_parallel(
     runner: LogRunner, workers: int, progress: Callable[[int], None]
 ) -> DifferenceTally:
-    """Execute a whole log in several processes. The errors are those of `LogRunner.execute_part`.
+    """Execute a whole log in several processes.
+
+    The function raises the errors of `LogRunner.execute_part`.
 
     Args:
-        runner: the log and the controller to execute.
+        runner: log and controller to execute.
         workers: largest number of processes.
         progress: function called at intervals with the number of ticks executed so far.
     """
@@ -102,8 +105,8 @@ def run_parallel(
             parts[0].start, parts[0].stop, parts[0].state, None, counts.counter_of_process(0)
         )
         for worker in running:
-            # If the hashes are equal, the worker process started its part from the state that a
-            # serial execution has at this tick.
+            # If the hashes are equal, the worker process started from the state that a serial
+            # execution has at this tick.
             result = (
                 _wait_for_result(runner, worker, counts)
                 if state.digest() == worker.part.state.digest()
@@ -153,7 +156,7 @@ def _state_after(runner: LogRunner, index: int) -> ControllerState | None:
     """Return the controller's state in the snapshot after a tick.
 
     Returns:
-        the state. None if this version cannot read the snapshot, or if the hash of the state
+        the state, or None if this version cannot read the snapshot, or if the hash of the state
         differs from the logged hash.
     """
     try:

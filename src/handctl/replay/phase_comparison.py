@@ -1,4 +1,4 @@
-"""Comparison of two runs of one hand, phase by phase."""
+"""Comparison of two runs of the same hand, phase by phase."""
 
 from typing import Any, NamedTuple
 
@@ -31,7 +31,7 @@ class PhaseSpan(NamedTuple):
 def phase_spans(log: RunLog) -> list[PhaseSpan]:
     """Return all phases of a run in order.
 
-    If a phase occurs several times, its occurrences are numbered: `hold`, `hold (2)`.
+    If several phases have the same name, the later ones are numbered: `hold`, `hold (2)`.
     """
     changes = log.phases
     spans = []
@@ -48,12 +48,12 @@ def phase_spans(log: RunLog) -> list[PhaseSpan]:
 
 
 def compare_logs(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
-    """Compare two runs of one hand, phase by phase.
+    """Compare two runs of the same hand, phase by phase.
 
     Args:
         a: log of the first run.
         b: log of the second run, of the same hand.
-        where: name of the file of the second log, for the error message.
+        where: file name of the second log, for the error message.
 
     Returns:
         The gains that differ, the phases that only one of the runs has, and a comparison of each

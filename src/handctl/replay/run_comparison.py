@@ -1,6 +1,7 @@
 """Comparison of two runs.
 
-For each joint and tendon: RMS and peak of the difference, and the delay of the second run.
+For each joint and tendon, the comparison gives the RMS and the peak of the difference, and the
+delay of the second run.
 """
 
 import math
@@ -35,7 +36,7 @@ COMPARED_SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendo
 
 
 def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
-    """Raise an error if a log is of another hand than the given hand.
+    """Raise an error if a log was recorded with another hand than the given hand.
 
     Args:
         a: log to check.
@@ -44,7 +45,7 @@ def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
         where: file of the given hand, for the error message.
 
     Raises:
-        IncomparableError: the identity of the log's hand differs from the given one.
+        IncomparableError: the identity of the hand in the log differs from the given identity.
     """
     logged_identity = a.header.metadata.get("identity", "?")
     logged_name = a.header.metadata.get("hand", "?")
@@ -59,12 +60,12 @@ def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
 def compare_signals(
     names: tuple[str, ...], before: Array, after: Array, period: float
 ) -> dict[str, dict[str, float]]:
-    """Compare two signals whose rows belong to the same times.
+    """Compare two signals, where equal rows belong to equal times.
 
     Args:
         names: names of the columns of both signals.
-        before: (ticks, n) first signal, NaN where unknown.
-        after: (ticks, n) second signal, NaN where unknown.
+        before: (ticks, n) first signal, with NaN for unknown values.
+        after: (ticks, n) second signal, with NaN for unknown values.
         period: time between two rows [s].
 
     Returns:
@@ -81,9 +82,9 @@ def compare_signals(
 
 
 def rms_and_peak(change: Array) -> dict[str, float]:
-    """Return RMS and peak of a difference. NaN values are ignored.
+    """Return the RMS and the peak of a difference. NaN values are ignored.
 
-    RMS and peak are NaN if every value is NaN.
+    If all values are NaN, the RMS and the peak are NaN.
     """
     finite = change[~np.isnan(change)]
     if not finite.size:
@@ -107,7 +108,8 @@ def signal_delay(before: Array, after: Array, period: float) -> float:
     if reach < 1 or not np.ptp(before) > MIN_SIGNAL_SPAN * np.abs(before).max():
         return float("nan")
     inner = slice(reach, len(before) - reach)
-    # `roll` moves rows from one end of a signal to the other end. `inner` excludes these rows.
+    # `roll` moves rows from one end of a signal to the other end. The slice `inner` excludes these
+    # rows.
     residual = np.array(
         [
             np.var(np.roll(after, -shift)[inner] - before[inner])
@@ -120,21 +122,21 @@ def signal_delay(before: Array, after: Array, period: float) -> float:
     ):
         return float("nan")
     earlier, lowest, later = residual[best - 1 : best + 2]
-    # The bend is the second difference of the variance over the shifts. If the bend is not
-    # positive, the minimum is flat, and the shift is not refined.
+    # Here, `bend` is the second difference of the variance with respect to the shift. If `bend` is
+    # not positive, the minimum is flat, and the best shift is not refined.
     bend = earlier - 2.0 * lowest + later
     return float((best - reach + (0.5 * (earlier - later) / bend if bend > 0 else 0.0)) * period)
 
 
 def resampled_field(log: RunLog, field: str, start: float, times: Array) -> Array:
-    """Return a telemetry field of a log, interpolated at the given times (times, n).
+    """Interpolate a telemetry field of a log at the given times, and return the values (times, n).
 
     Args:
         log: log to read.
         field: name of the telemetry field.
-        start: time in the run to which the time 0 in `times` corresponds [s].
-        times: times after `start` [s]. For times outside the log, the value at the nearer end of
-            the log is used.
+        start: time in the run that corresponds to the time 0 in `times` [s].
+        times: times after `start` [s]. For times outside the log, the result is the value at the
+            nearer end of the log.
     """
     values = log.field(field)
     return np.column_stack([np.interp(times + start, log.times, column) for column in values.T])

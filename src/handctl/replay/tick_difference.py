@@ -1,4 +1,4 @@
-"""Differences between a logged and a computed tick: fields, values, and distances in units in the last place."""
+"""Differences between a logged tick and a computed tick: fields, values, and distances in units in the last place."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -24,8 +24,8 @@ class TickDifference(NamedTuple):
         field: name of the field of TickOut or of the telemetry, e.g. `frames[3]`, `mode`,
             `tension_goal`.
         name: joint, tendon, motor or digit to which the value belongs, or an empty text.
-        logged, computed: the two values of the field, as numbers in SI units or as texts.
-        ulps: distance between two numbers in units in the last place. None for texts.
+        logged, computed: both values of the field, as numbers in SI units or as texts.
+        ulps: distance between both numbers in units in the last place, or None for texts.
     """
 
     k: int
@@ -38,9 +38,9 @@ class TickDifference(NamedTuple):
 
 
 class TelemetryColumns(NamedTuple):
-    """Names for the columns of `Telemetry.packed`.
+    """Names for the columns of `Telemetry.packed`, the array with all telemetry of a tick.
 
-    A name consists of the telemetry field, and of the joint, tendon, motor or digit.
+    A name consists of the telemetry field, and of a joint, tendon, motor or digit.
     """
 
     field_names: tuple[str, ...]
@@ -62,28 +62,28 @@ class TelemetryColumns(NamedTuple):
 def distance_in_ulps(a: float, b: float) -> int:
     """Return the distance between two numbers in units in the last place.
 
-    Neighbouring float64 have distance 1.
+    Two neighbouring float64 numbers have the distance 1.
     """
     return abs(_float_ordinal(a) - _float_ordinal(b))
 
 
 def _float_ordinal(value: float) -> int:
-    """Return the position of a number in the ordered sequence of all float64.
+    """Return the position of a number in the ordered sequence of all float64 numbers.
 
-    The position of 0.0 and of -0.0 is 0.
+    The numbers 0.0 and -0.0 both have the position 0.
     """
     bits = int(np.float64(value).view(np.int64))
-    # If the bits of positive floats are read as integers, the integers have the same order as the
-    # floats. The bits of negative floats have the reverse order, and their sign bit is set.
+    # If the bits of positive floats are read as integers, these integers have the same order as the
+    # floats. For negative floats, the order of the integers is reversed, and the sign bit is set.
     return bits if bits >= 0 else -(bits & 0x7FFF_FFFF_FFFF_FFFF)
 
 
 def differing_fields(
     columns: TelemetryColumns, logged: TickRecord, numbers: bytes, computed: TickOut
 ) -> Iterator[TickDifference]:
-    """Yield every field that differs between the two ticks.
+    """Yield every field in which a logged tick and a computed tick differ.
 
-    The decisions come first, and the state hash comes last.
+    The decisions come first, and the hash of the state comes last.
 
     Args:
         columns: names of the telemetry columns.
@@ -102,7 +102,7 @@ def differing_fields(
     yield from text_difference("action", logged.action.name, computed.action.name)
     yield from text_difference("phase", logged.phase, computed.phase)
     yield from text_difference("events", _events_text(logged.events), _events_text(computed.events))
-    # an earlier version does not have the last fields
+    # logs of earlier versions do not have the last fields
     packed = computed.telemetry.packed()[: len(numbers)]
     if packed != numbers:
         for column, was, now in _changed_numbers(numbers, packed):
@@ -124,12 +124,12 @@ def differing_fields(
 def state_difference(
     header: RunHeader, logged: TickRecord, was: ControllerState, now: ControllerState
 ) -> TickDifference | None:
-    """Return the first field that differs between two states of the controller, in the order of the state's schema.
+    """Return the first field in which two states of the controller differ, in the order of the schema.
 
     Args:
         header: header of the log.
-        logged: logged tick after which the controller had the two states.
-        was: state according to the snapshot in the log.
+        logged: logged tick to which both states belong.
+        was: state from the snapshot in the log.
         now: computed state.
     """
     k = logged.tick_in.k
@@ -163,8 +163,8 @@ def are_outputs_equal(logged: TickRecord, numbers: bytes, computed: TickOut) -> 
 def are_decisions_equal(logged: TickRecord, computed: TickOut) -> bool:
     """Return True if the decisions of a tick are the same in the log and in the re-execution.
 
-    The decisions are mode, action, phase and events. The texts of the events are not compared,
-    because they contain numbers.
+    The decisions are the mode, the reaction, the phase and the events. The texts of the events are
+    not compared, because they contain numbers.
     """
     was, now = ([event[:3] for event in events] for events in (logged.events, computed.events))
     return (logged.mode, logged.action, logged.phase, was) == (

@@ -1,4 +1,4 @@
-"""Counts of late frames, lost frames and silent ticks in the log of a run."""
+"""Counts of late frames, lost frames and ticks without replies in the log of a run."""
 
 from typing import NamedTuple
 
@@ -8,12 +8,14 @@ from handctl.log.read.reader import RunLog
 
 
 class FrameCounts(NamedTuple):
-    """Numbers of late frames, lost frames and silent ticks of a run. Silent ticks may explain late frames.
+    """Numbers of late frames, lost frames, and ticks without replies during a run.
+
+    Ticks without replies may explain late frames.
 
     Attributes:
-        late_frames: number of load-cell frames that reply to an older SYNC frame than the last one.
-        lost_frames: number of tension frames that never arrived, plus the number of frames that a
-            bus has refused to send.
+        late_frames: number of load-cell frames that answer an older SYNC frame than the latest one.
+        lost_frames: number of frames with tensions that never arrived, plus the number of frames
+            that a bus refused to send.
         silent_ticks: number of ticks in which no frame of any node came after a SYNC frame. In such
             a tick, either the nodes or the host had paused. The replies then arrive late, in the
             next tick.
@@ -25,7 +27,7 @@ class FrameCounts(NamedTuple):
 
 
 def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
-    """Return the numbers of late frames, lost frames and silent ticks of a run.
+    """Return the numbers of late frames, lost frames and ticks without replies during a run.
 
     Each frame with load-cell readings is compared with the last SYNC before the frame.
     """
@@ -59,7 +61,8 @@ def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
             ):
                 sync_counter = frame.data[0] & 0xF if frame.data else 0
                 sync_ns = tick.tick_in.t_ns
-                # An amplifier of load cells replies to a SYNC only after its set-up is complete.
+                # The amplifier of the load cells replies to a SYNC frame only after the set-up of
+                # the amplifier is complete.
                 sync_frames += not silent_ids
         refused += sum(event.number for event in tick.tick_in.io_events if event.kind == "enobufs")
     return FrameCounts(

@@ -1,8 +1,8 @@
 """Picture of the structure of a hand: buses, motors with spools, load cells, tendons, joints with encoders.
 
 The picture shows each digit as a chain of links. Below the chain, the picture has a row for each
-tendon of the digit. The row begins at the bus, and leads through the motor, the spool and the load
-cell to the joints that the tendon crosses. The moment arm is shown at each joint.
+tendon of the digit. Each row shows the bus, the motor, the spool, the load cell, and then the
+joints that the tendon crosses. The moment arm of the tendon is written at each joint.
 """
 
 from collections.abc import Iterator
@@ -120,9 +120,9 @@ def _sensors_text(hand: Hand) -> str:
 def _moment_arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> str:
     """Return a moment arm in mm as text.
 
-    If ``sign`` is "+", a positive moment arm gets a plus sign.
+    If ``sign`` is "+", a positive moment arm is written with a plus sign.
 
-    If the moment arm varies, the text contains its values at both joint limits.
+    If the moment arm depends on the joint angle, the text contains the values at both joint limits.
     """
     arm = tendon.arms[joint]
     if joint in tendon.excursion_ratio:
@@ -140,7 +140,7 @@ def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:
 
 
 def _tendon_label(tendon: Tendon) -> str:
-    """Return the label of a tendon: its name, and for a spool pair also the pretension."""
+    """Return the label of a tendon: the name, and for the two tendons of a spool pair also the pretension."""
     if tendon.pretension_N is None:
         return tendon.name
     return f"{tendon.name}, pair, {tendon.pretension_N:g} N"
@@ -180,7 +180,7 @@ def _sensor_node(axes: Any, hand: Hand) -> float:
 def _draw_digit(
     axes: Any, hand: Hand, digit: Digit, y: float, ends: dict[str, list[float]]
 ) -> float:
-    """Draw a digit at row ``y`` and the tendons of the digit below, and return the row after the last tendon."""
+    """Draw a digit at row ``y`` with all tendons of the digit below, and return the next free row."""
     columns = dict(_joint_xs(digit))
     axes.text(
         FIRST_JOINT_COLUMN_X - 0.35,

@@ -1,6 +1,6 @@
 """Judgement of a grasp in a scene where the table under the object sinks.
 
-The grasp succeeds if the object stays in the hand.
+The grasp succeeds if the hand still holds the object at the end.
 """
 
 from collections.abc import Collection
@@ -30,7 +30,7 @@ def judge_lift(
 
     Args:
         log: log of the run.
-        truth: true values from the simulator. None on hardware.
+        truth: true values from the simulator, or None on hardware.
         offset_ns: time on the clock of the simulator at which the time of the run is 0 [ns].
         hold_phases: names of the hold phases of the task.
 

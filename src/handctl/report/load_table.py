@@ -2,15 +2,15 @@
 
 The time includes the frames with commands, feedback and load-cell readings, and SYNC frames if the
 protocol needs them. A load-cell frame contains four tendons in 8 bytes, or all tendons in one CAN
-FD frame. For the load of one hand file, see ``controller.bus_load``.
+FD frame. The bus load of one particular hand file is computed by ``controller.bus_load``.
 """
 
 from typing import Any, NamedTuple
 
 from handctl.drives.frame_time import MAX_BUS_LOAD, bus_time_s
 
-# Bit rates for which the table is computed: the nominal rate, and the rate of the data phase of CAN
-# FD [bit/s].
+# Bit rates for which the table is computed [bit/s]: the nominal rate, and the rate in the data
+# phase of CAN FD.
 BITRATE_BIT_PER_S = 1_000_000
 DATA_BITRATE_BIT_PER_S = 5_000_000
 TABLE_RATES_HZ = (250.0, 500.0, 1000.0)
@@ -24,9 +24,9 @@ class LoadTableRow(NamedTuple):
         protocol: name and variant of the drive protocol.
         fd: True for CAN FD at 1/5 Mbit/s, and False for classical CAN at 1 Mbit/s.
         motors: number of motors on the bus.
-        per_motor: payload of each frame in a tick that belongs to one motor [bytes].
-        shared: payload of each frame that occurs only once in a tick for all motors, such as
-            tensions and SYNC [bytes].
+        per_motor: payload [bytes] of each frame that is sent once per tick for every motor.
+        shared: payload [bytes] of each frame that is sent once per tick for all motors together,
+            such as SYNC frames.
     """
 
     protocol: str

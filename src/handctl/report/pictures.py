@@ -69,8 +69,8 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
         turned = link_rotations(tree.poses(q[index]))
         # In this projection, a digit with a larger z lies behind the others, so it is drawn first.
         for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
-            # The object pushes the fingertip against the closing direction of the digit, which is
-            # the y axis of the last link.
+            # The object pushes the fingertip against the direction in which the digit closes, which
+            # is the y axis of the last link.
             push = -max(float(force[index, d]), 0.0) * turned[digits[d].joints][-1, :, 1]
             shown = [meshes.get(f"{digits[d].name}_link{i + 1}") for i in range(len(paths[d]) - 1)]
             for mesh, position, rotation in zip(
@@ -90,7 +90,7 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
 def _project_points(points_m: Array) -> Array:
     """Project points (.., 3) in the palm frame [m] to the plane of the picture, and return the result (.., 2) [mm].
 
-    The viewer looks along the hinge axes, at an oblique angle.
+    The viewer looks at an oblique angle along the axes of the joints.
     """
     return np.asarray(
         1e3 * (points_m[..., :2] + points_m[..., 2:] * np.array(OBLIQUE_SHIFT)), np.float64
@@ -129,7 +129,8 @@ def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
     bright = 0.55 + 0.45 * np.abs(normals @ LIGHT_DIRECTION)
-    # Points at the same place of the picture differ only in z. The viewer looks towards positive z.
+    # Points that are drawn at the same place of the picture differ only in z. The viewer looks
+    # towards positive z.
     order = np.argsort(-triangles[:, :, 2].mean(axis=1))
     faces = np.clip(bright[order, None] * np.array(to_rgb(colour)), 0.0, 1.0)
     # The mesh is drawn as a bitmap. As vector graphics, the triangles of eight poses would take
@@ -176,7 +177,7 @@ def _draw_digit(
 def _write_force_values(axes: Any, force: Array, colours: list[str]) -> None:
     """Write the values of the forces on the fingertips [N] in the corner of the picture.
 
-    Next to the arrows, the texts would overlap.
+    If the values were written next to the arrows, the texts would overlap.
     """
     for d, value in enumerate(force.tolist()):
         if value >= MIN_ARROW_N:
@@ -207,7 +208,7 @@ def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
     ]
     inside = [
         (name, i) for name, i in middles if name not in PASSIVE_PHASES and i < len(log)
-    ]  # the ticks in the log may be unordered
+    ]  # the log may contain the ticks in a different order
     return [(name, i) for name, i in inside if log.mode[i] == int(HandMode.ACTIVE)][
         : 2 * POSES_PER_ROW
     ]
@@ -216,7 +217,7 @@ def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
 def draw_lateness(log: RunLog) -> str:
     """Draw a histogram of the lateness of the ticks, with a line at a quarter of the control period.
 
-    A tick whose lateness is beyond this line counts as late.
+    A tick with a larger lateness counts as late.
     """
     late = log.late_ns / 1e3
     if not late.any():
@@ -243,11 +244,13 @@ def draw_lateness(log: RunLog) -> str:
 
 
 def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
-    """Draw the load of each bus over time. The load is computed from the worst-case time of each frame.
+    """Draw the load of each bus over time.
+
+    The load is computed from the worst-case time of each frame.
 
     Returns:
-        the picture, and for each bus (buses,) the largest load in a window of `LOAD_WINDOW_S`. If
-        the run is shorter than the window, the whole run is one window.
+        the picture, and the largest load of each bus (buses,) in any time window of
+        `LOAD_WINDOW_S`. If the run is shorter than the window, the whole run is one window.
     """
     busy = np.zeros((len(log), len(hand.bus)))
     for i, tick in enumerate(log.ticks()):
@@ -281,7 +284,8 @@ def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
 
 def _new_figure(columns: int, width: float, height: float, rows: int = 1) -> tuple[Any, list[Any]]:
     """Create a figure with a grid of axes, and return the figure and the axes."""
-    # Matplotlib is imported here because its import is slow and few commands draw.
+    # The import of Matplotlib is slow and few commands draw. So only this function imports
+    # Matplotlib.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

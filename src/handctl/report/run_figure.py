@@ -68,7 +68,7 @@ def draw_run(
         path: path of the file to write.
         log: log of the run.
         hand: hand of the run.
-        truth: true values from the simulator. None on hardware.
+        truth: true values from the simulator, or None on hardware.
         offset_ns: time on the clock of the simulator at which the time of the run is 0 [ns].
         title: title of the figure.
     """
@@ -106,7 +106,7 @@ def draw_run(
 def _add_titles_and_phases(grid: Any, late: list[Any], log: RunLog, hand: Hand) -> None:
     """Add titles, grid lines and phase marks.
 
-    Limit the time axis to the interval in which the hand is active.
+    The time axis shows only the interval in which the hand is active.
     """
     for column, name in zip(grid.T, hand.digit_names, strict=True):
         column[0].set_title(name, fontsize=11, fontweight="bold")
@@ -115,7 +115,8 @@ def _add_titles_and_phases(grid: Any, late: list[Any], log: RunLog, hand: Hand) 
         row[0].set_ylabel(label)
     slides = [bool(hand.displayed_mean(name).is_prismatic[0]) for name in hand.digit_names]
     for d, axes in enumerate(grid[0]):
-        if d == 0 or len(set(slides)) > 1:  # otherwise the label of the first digit is for all
+        # Otherwise, the label of the first digit is the label of all digits.
+        if d == 0 or len(set(slides)) > 1:
             axes.set_ylabel("mean joint position [mm]" if slides[d] else ROW_LABELS[0])
     for axes in (*grid.flat, *late):
         axes.grid(alpha=0.3)
@@ -133,9 +134,9 @@ def _add_titles_and_phases(grid: Any, late: list[Any], log: RunLog, hand: Hand) 
 
 
 def _fit_height(row: Sequence[Any], start: float, end: float) -> None:
-    """Limit the height of a row to the values that occur while the hand is active.
+    """Limit the height of a row of plots to the values that occur while the hand is active.
 
-    Later, a hand without tension may move far.
+    Later, the tendons have no tension and the joints may move far.
     """
     lines = [line.get_data() for axes in row for line in axes.lines]
     visible = np.concatenate([y[(x >= start) & (x <= end)] for x, y in lines])
@@ -146,7 +147,7 @@ def _fit_height(row: Sequence[Any], start: float, end: float) -> None:
 
 
 def _legend_entries(truth: bool) -> tuple[list[Any], list[str]]:
-    """Return the sample lines of the legend and their meanings."""
+    """Return the sample lines of the legend, and the meaning of each line as text."""
     from matplotlib.lines import Line2D
 
     marks = [
@@ -184,7 +185,7 @@ def _draw_angles(
 def _draw_command_and_truth(
     axes: Any, log: RunLog, goal: Array | None, true_values: Array | None
 ) -> None:
-    """Beside the estimate, draw the command and the true value of the simulated plant."""
+    """Draw the command and the true value of the simulated plant beside the estimate."""
     if true_values is not None:
         axes.plot(log.times, true_values, color=PLANT_COLOUR, linewidth=0.7)
     if goal is not None:
@@ -219,7 +220,8 @@ def _draw_tensions(
             _draw_command_and_truth(axes, log, goal[:, i], real)
         if len(names) > 1:
             axes.legend(loc="upper left", fontsize=6, frameon=False)
-    # With a wrong load cell, the command and the true tension may be far above the estimate.
+    # If a load cell is wrong, the command and the true tension may be far above the estimated
+    # tension.
     drawn = np.concatenate([line.get_ydata() for axes in row for line in axes.lines])
     row[0].set_ylim(-2, float(np.fmax.reduce(drawn, initial=9.0)) * 1.15)
 
@@ -238,8 +240,8 @@ def _draw_forces(
         high = estimate[:, d] + sigma[:, d]
         axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
         if truth is not None:
-            # The truth file contains the three components of the contact force. The estimate is
-            # only the size of the contact force.
+            # The truth file contains the three components of the contact force. The estimate
+            # contains only the size of the contact force, without the direction.
             parts = [
                 truth.column_at(f"contact_force/{name}/{axis}", log.t_ns + offset_ns)
                 for axis in "xyz"
@@ -250,13 +252,14 @@ def _draw_forces(
 
 
 def _mark_phases(grid: Any, log: RunLog) -> None:
-    """In all rows, mark the start of each phase and the first fault.
+    """Mark the start of each phase and the first fault in all rows.
 
     The names are written in the first row.
     """
     error = ("error", "fault")
     faults = [event for event in log.events if (event.event.level, event.event.name) == error]
-    # The name of a fault is placed first, so that it always has a place.
+    # The name of a fault gets its place before the names of phases. So there is always space for
+    # the fault.
     marks = [
         (event.t_ns / 1e9, event.event.text.partition(" ")[0], FAULT_COLOUR) for event in faults[:1]
     ]
@@ -287,7 +290,8 @@ def _mark_positions(
     width = MARK_WIDTH_FRACTION * (limits[1] - limits[0])
     positions: list[tuple[float, float] | None] = []
     for t_s in times_s:
-        # If a mark is near the end of the axis, its name is written to the left of its line.
+        # If a mark is near the end of the axis, the name is written to the left of the line that
+        # marks the time.
         left = t_s if t_s + width <= limits[1] else t_s - width
         taken = {place[1] for place in positions if place and abs(place[0] - left) < width}
         free = [height for height in MARK_HEIGHTS if height not in taken]
@@ -297,7 +301,7 @@ def _mark_positions(
 
 
 def _write_mark(row: Sequence[Any], position: tuple[float, float], name: str, colour: str) -> None:
-    """Write the name of a mark into each plot of a row, at a given time [s] and height."""
+    """Write the name of a mark at the given time [s] and height into each plot of a row."""
     for axes in row:
         style = {
             "fontsize": 7,

@@ -52,7 +52,7 @@ def write_page(
         path: path of the file to write.
         log: log of the run.
         hand: hand of the run.
-        truth: true values from the simulator. None on hardware.
+        truth: true values from the simulator, or None on hardware.
         offset_ns: time on the clock of the simulator at which the time of the run is 0 [ns].
         name: name of the log that the page shows.
 
@@ -208,7 +208,7 @@ def _contact_times(log: RunLog) -> str:
 
 
 def _events_named(log: RunLog, name: str) -> Iterator[LoggedEvent]:
-    """Return those events of a run that have a given name."""
+    """Return the events of a run that have the given name."""
     return (event for event in log.events if event.event.name == name)
 
 

@@ -83,9 +83,9 @@ def _percentile(values: NDArray[Any], percent: float) -> float:
 
 
 def root_mean_square(values: Array) -> float:
-    """Return the root mean square of the values that are not NaN.
+    """Return the root mean square of those values that are not NaN.
 
-    If all values are NaN, so is the result.
+    If all values are NaN, the result is NaN.
     """
     finite = values[~np.isnan(values)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
@@ -96,8 +96,9 @@ def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
 
     A mask is True where the hold is settled.
 
-    A hold is settled while a digit is in contact and the targets of the tension-controlled tendons
-    have been constant for some time. If a tendon keeps an angle, its tension goal follows the load.
+    A hold is settled while a digit touches an object and the tension targets of the
+    tension-controlled tendons have been constant for SETTLING_TIME_S. If a tendon holds an angle
+    instead, the target tension of this tendon changes with the load.
     """
     goal = np.where(_holding_mask(log, hand), np.nan_to_num(log.field("tension_goal")), 0.0)
     in_contact = log.field("contact").any(axis=1)
@@ -106,7 +107,8 @@ def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
     changes = log.phases
     kinds = _kinds_of_phases(log)
     for i, change in enumerate(changes):
-        # The phases of a task have any names. Other programs call their holds "hold".
+        # The phases of a task can have any names, so the kind of a phase comes from the task. Other
+        # programs call their hold phases "hold".
         if kinds.get(change.name, change.name[:4]) != "hold":
             continue
         end = changes[i + 1].k if i + 1 < len(changes) else log.k[-1] + 1
@@ -136,7 +138,7 @@ def _kinds_of_phases(log: RunLog) -> dict[str, str]:
 def _settled_mask(
     moving: NDArray[np.bool_], inside: NDArray[np.bool_], log: RunLog
 ) -> NDArray[np.bool_]:
-    """Return a mask (ticks,) that is True where the targets of a hold have been constant for SETTLING_TIME_S."""
+    """Return a mask (ticks,) that is True where the targets of a hold phase have been constant for SETTLING_TIME_S."""
     last = np.flatnonzero(moving)
     settled: NDArray[np.bool_] = (
         log.times >= log.times[last[-1] if len(last) else np.argmax(inside)] + SETTLING_TIME_S
@@ -171,7 +173,7 @@ def judge_tracking(
     Args:
         log: log of the run.
         hand: hand of the run.
-        truth: true values from the simulator. None on hardware.
+        truth: true values from the simulator, or None on hardware.
         offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
         active: mask (ticks,) that is True where the hand is active.
     """
@@ -223,17 +225,15 @@ def judge_tension(
     active: NDArray[np.bool_],
     holds: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
-    """Return the errors of the estimated and the measured tensions.
+    """Return the errors of the estimated tensions, the measured tensions and, in holds, the true tensions.
 
-    In holds, also return the errors of the true tensions.
-
-    The estimates and the load-cell readings are compared with the true tensions, and the true
-    tensions are compared with the commands.
+    The errors of estimates and load-cell readings are their differences from the true tensions. The
+    errors of the true tensions are their differences from the commanded tensions.
 
     Args:
         log: log of the run.
         hand: hand of the run.
-        truth: true values from the simulator. None if there are none.
+        truth: true values from the simulator, or None if there are none.
         offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
         active: mask (ticks,), True where the hand is active.
         holds: for each hold, a mask (ticks,) that is True where the hold is settled.
@@ -242,7 +242,7 @@ def judge_tension(
         return dict.fromkeys(TENSION_ERROR_KEYS, float("nan"))
     names = [f"tension/{tendon}" for tendon in log.header.tendons]
     real = truth.columns_at(names, log.t_ns + offset_ns)
-    # A reading of a load cell is one control period old when the tick reads it.
+    # When a tick uses a load-cell reading, the reading is one control period old.
     before = truth.columns_at(names, log.t_ns - log.header.period_ns + offset_ns)
     # One of the two tendons of a spool pair is always taut.
     taut = active[:, None] & ((real > 0.5) | hand.is_pair)
@@ -259,7 +259,7 @@ def judge_tension(
 
 
 def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
-    """Return a mask (ticks, N) that is True where a tendon follows a tension target because its digit is in contact.
+    """Return a mask (ticks, N) that is True where a tendon follows a tension target because the digit is in contact.
 
     A spool pair for sideways motion is excluded, because such a pair holds a position instead. A
     digit that carries other digits is also excluded.
@@ -342,7 +342,7 @@ def judge_angles(
 ) -> dict[str, dict[str, Any]]:
     """Return the errors of the estimated joint angles of each digit in the settled ticks of holds.
 
-    In a run without settled ticks, all ticks in which the hand is active are used.
+    If a run has no settled ticks, the errors of all ticks in which the hand is active are used.
 
     Args:
         log: log of the run.
@@ -386,8 +386,8 @@ def judge_angles(
 def angle_source(hand: Hand, name: str) -> str:
     """Return the source of the estimated joint angles of a digit: "excursion", "encoders" or "assumed"."""
     digit = DigitModel.from_hand(hand, name)
-    # If a digit has as many independent tendons as joints, the tendon excursions determine its
-    # joint angles.
+    # If a digit has as many independent tendons as joints, the joint angles follow from the tendon
+    # excursions.
     if np.linalg.matrix_rank(digit.moment_arms) == digit.joint_count:
         return "excursion"
     return "encoders" if set(digit.joint_names) <= set(hand.sensor_node.joints) else "assumed"
@@ -402,7 +402,7 @@ ANGLE_SOURCE_TEXTS = {
 
 
 def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
-    """Return one row (title and text) for each digit that has a standard deviation of its joint angles."""
+    """Return one row (title and text) for each digit whose joint angles have an estimated standard deviation."""
     rows = []
     for name, angle in angles.items():
         if angle["sigma_deg"] != angle["sigma_deg"]:
@@ -410,7 +410,7 @@ def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
         error = ""
         unit = angle.get("unit", "deg")
         digits = 1 if unit == "deg" else 2
-        if angle["error_deg"] == angle["error_deg"]:  # not NaN
+        if angle["error_deg"] == angle["error_deg"]:  # a number that equals itself is not NaN
             error = f", {angle['error_deg']:.{digits}f} {unit} rms error"
         source = ANGLE_SOURCE_TEXTS[angle["source"]]
         text = f"{source}: sigma {angle['sigma_deg']:.{digits}f} {unit}{error}"
@@ -421,8 +421,8 @@ def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
 def tracking_text(summary: Mapping[str, Any]) -> tuple[float, str]:
     """Return the factor and the unit with which ``tracking_rmse_rad`` is shown to a user.
 
-    The unit is mm if all digits have only prismatic joints. Otherwise a prismatic joint counts 10
-    mm per rad.
+    The unit is mm if all digits have only prismatic joints. Otherwise the text counts 10 mm of a
+    prismatic joint as 1 rad.
     """
     units = {angle.get("unit", "deg") for angle in summary["joint_angles"].values()}
     if units == {"mm"}:
@@ -433,12 +433,12 @@ def tracking_text(summary: Mapping[str, Any]) -> tuple[float, str]:
 def measured_bus_load(
     log: RunLog, bitrate: int, data_bitrate: int | None, sent: Sequence[tuple[int, bool]]
 ) -> float:
-    """Return the fraction of the duration of a run during which the frames occupy a bus in the worst case.
+    """Return the largest fraction of a run's duration during which a bus can have been busy with the given frames.
 
     Args:
-        log: log of the run. Its duration is used.
+        log: log of the run, which gives the duration.
         bitrate: bit rate of the bus [bit/s].
-        data_bitrate: bit rate of the data phase [bit/s]. None for classical CAN.
+        data_bitrate: bit rate of the data phase of CAN FD [bit/s], or None for classical CAN.
         sent: for every frame in both directions, the number of payload bytes, and True if it is a
             CAN FD frame.
     """

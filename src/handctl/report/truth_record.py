@@ -1,4 +1,4 @@
-"""Reader of the truth file of the simulator, which is used to evaluate a finished run.
+"""Reader of the truth file, in which the simulator writes the true values of a run.
 
 The controller never opens this file.
 """
@@ -56,8 +56,8 @@ class TruthRecord:
                 f"no column {name!r}", "the simulator's truth", "a truth file of the same hand"
             )
         values = self.values[:, self.columns.index(name)]
-        # Differences of the int64 times are exact in float64. The times themselves are too large to
-        # be exact in float64.
+        # The difference of two int64 times is exact in float64. The times themselves are too large
+        # to be exact in float64.
         base = int(self.t_ns[0])
         return np.interp(
             (t_ns - base).astype(np.float64),
@@ -152,7 +152,7 @@ def find_truth(named: Path | None, log_path: Path, log: RunLog) -> TruthRecord |
     If no file is named and there is no truth file of this run next to the log, return None.
 
     Args:
-        named: truth file that the user has named. None if the user has named none.
+        named: truth file that the user has named, or None if the user has named no file.
         log_path: path of the log.
         log: open log of the run.
 
@@ -172,9 +172,9 @@ def find_truth(named: Path | None, log_path: Path, log: RunLog) -> TruthRecord |
 
 
 def _complete_rows(data: bytes, columns: int) -> bytes:
-    """Return the data up to the last complete row.
+    """Return the part of the data that ends with the last complete row.
 
-    If a simulator is killed, its last row may be incomplete.
+    If a simulator is killed, the last row in the file may be incomplete.
     """
     size = 8 * (columns + 1)
     return data[: len(data) // size * size]

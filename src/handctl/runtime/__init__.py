@@ -1,1 +1,1 @@
-"""Execution of the controller: clocks, CAN buses, control loop, and requests from other processes."""
+"""Execution of the controller: clocks, CAN buses, the control loop, and requests from other processes."""

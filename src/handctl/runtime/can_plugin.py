@@ -1,6 +1,6 @@
-"""The local bus of a simulator as an interface of python-can.
+"""The local bus of a simulator, as an interface of python-can.
 
-Programs that use python-can can open it.
+Every program that uses python-can can open this bus.
 
 Examples: ``can.Bus(interface="local", channel="NAME")``, ``can.viewer -i local``.
 """
@@ -25,7 +25,7 @@ SEND_RETRY_PERIOD_S = 1e-3
 
 
 class LocalCanBus(can.BusABC):
-    """Local bus with the interface of ``can.BusABC``."""
+    """Local bus of a simulator, with the interface of ``can.BusABC``."""
 
     def __init__(
         self,
@@ -35,25 +35,25 @@ class LocalCanBus(can.BusABC):
         fd: bool = True,
         **kwargs: Any,
     ) -> None:
-        """Connect to the hub.
+        """Connect to the hub of the bus.
 
         Args:
             channel: name of the bus, as in ``local:NAME``.
             can_filters: filters in the format of python-can.
-            receive_own_messages: True if this client also receives the messages that it sends.
+            receive_own_messages: True if this client also receives the messages that it has sent.
             fd: True to send and receive CAN FD frames in addition to classical frames.
             **kwargs: options of other interfaces, such as the bit rate. This interface ignores
                 them.
 
         Raises:
-            can.CanInitializationError: no hub of this name is running.
+            can.CanInitializationError: no process serves a bus of this name.
         """
         offset = (
             time.time_ns() - time.monotonic_ns()
-        )  # python-can stamps messages with wall-clock time
+        )  # python-can stamps messages with the time of the wall clock
         try:
-            # Each read takes one record. A program that waits on ``fileno`` takes one message and
-            # then waits again.
+            # Each read takes only one record from the socket. So a program that waits on ``fileno``
+            # can take one message and wait again.
             self._link = LocalBus(channel, 0, lambda t_ns: t_ns + offset, max_records=1)
         except BusError as error:
             raise can.CanInitializationError(str(error)) from None
@@ -65,9 +65,9 @@ class LocalCanBus(can.BusABC):
         super().__init__(channel=channel, can_filters=can_filters, **kwargs)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        """Return the next message, or None after the timeout [s].
+        """Return the next message, or None if the timeout [s] has passed.
 
-        Also return False, so that python-can applies its filters.
+        The second value is False, so that python-can applies its filters.
         """
         if not self._waiting:
             if not self._link.early_frames:
@@ -93,8 +93,8 @@ class LocalCanBus(can.BusABC):
 
         Args:
             msg: message to send.
-            timeout: longest wait for free space in the queue [s]. If it is None, the wait has no
-                limit.
+            timeout: longest time to wait for free space in the queue [s]. If it is None, the wait
+                has no limit.
 
         Raises:
             can.CanOperationError: the queue stayed full, the hub has ended, or a CAN FD message was
@@ -124,8 +124,9 @@ class LocalCanBus(can.BusABC):
 
     @staticmethod
     def _detect_available_configs() -> list[Any]:
-        """List the local buses of this user that have a socket on this machine."""
-        with suppress(BusError):  # if the folder of the sockets is not safe, no buses are listed
+        """List the local buses of this user whose sockets exist on this machine."""
+        # If the folder of the sockets cannot be trusted, no buses are listed.
+        with suppress(BusError):
             return [
                 {"interface": "local", "channel": path.stem}
                 for path in sorted(run_dir().glob("*.bus"))

@@ -2,7 +2,7 @@
 
 A sent datagram may never be received. The controller may be paused, its mailbox may be full, or the
 socket may be left from a killed process. Therefore every request contains a unique name. The
-controller confirms the request with a status line that repeats this name.
+controller confirms the request by a status line that contains the same name.
 """
 
 import itertools
@@ -41,7 +41,7 @@ StatusLine = dict[str, Any]
 
 
 def open_watcher(bus: str, word: str) -> StatusWatcher:
-    """Return an open watcher of the controller of a bus, for a single request.
+    """Return an open watcher of the controller on a bus, for a single request.
 
     Raises:
         UnconfirmedError: the folder of the sockets cannot be trusted.
@@ -63,7 +63,7 @@ def absent_controller_reported(bus: str) -> Iterator[None]:
         bus: bus to which the block sends a request.
 
     Raises:
-        BusError: the bus is local, and had no mailbox before the block nor after it.
+        BusError: the bus is local, and had no mailbox before the block and none after it.
     """
     simulated = bus.startswith(LOCAL_BUS_PREFIX)
     had_mailbox = not simulated or os.path.lexists(mailbox_path(bus))
@@ -84,9 +84,9 @@ def send_with_confirmation(
 
     Args:
         watcher: watcher of the controller.
-        request: content of the request, without its name ``by``.
-        repeat: True to repeat the request, even while no controller answers yet. Use it only if the
-            request may arrive twice without another effect.
+        request: content of the request, without the name ``by`` of the sender.
+        repeat: True to send the request repeatedly, even while no controller answers yet. This is
+            allowed only if a request that arrives twice has no other effect.
 
     Returns:
         the status line of the tick in which the controller took the request, and the texts of this
@@ -135,7 +135,7 @@ def _try_send(watcher: StatusWatcher, data: bytes, timeout_s: float) -> tuple[bo
 def request_action(bus: str, word: str) -> StatusLine:
     """Send the request ``clear``, ``stop`` or ``cut`` to a controller.
 
-    After ``stop`` and ``cut``, wait until all drives are off.
+    After ``stop`` and ``cut``, wait until all drives are disabled.
 
     Args:
         bus: bus of the controller.
@@ -147,7 +147,7 @@ def request_action(bus: str, word: str) -> StatusLine:
     Raises:
         BusError: no controller runs on this local bus.
         UnconfirmedError: the controller has not confirmed the request, or has not reported that
-            every drive is off.
+            every drive is disabled.
         PowerError: a drive did not confirm that it is disabled.
     """
     watcher = open_watcher(bus, word)
@@ -160,7 +160,7 @@ def request_action(bus: str, word: str) -> StatusLine:
 
 
 def follow_until_off(watcher: StatusWatcher, word: str, line: StatusLine) -> StatusLine:
-    """Wait until a controller that stops its hand reports that every drive is off.
+    """Wait until a controller that stops its hand reports that every drive is disabled.
 
     Args:
         watcher: watcher of the controller.
@@ -171,7 +171,7 @@ def follow_until_off(watcher: StatusWatcher, word: str, line: StatusLine) -> Sta
         the last status line of the controller.
 
     Raises:
-        UnconfirmedError: the controller has not reported that every drive is off.
+        UnconfirmedError: the controller has not reported that every drive is disabled.
         PowerError: a drive did not confirm that it is disabled.
     """
     start_s = float(line["t_s"])
@@ -210,6 +210,6 @@ def _mode_texts(line: StatusLine) -> list[str]:
 
 
 def _subscribe_again(watcher: StatusWatcher) -> StatusLine | None:
-    """Subscribe to status lines again, and return the next status line."""
+    """Subscribe to the status lines again, and return the next status line."""
     _try_send(watcher, WATCH_REQUEST, REQUEST_REPEAT_S)
     return watcher.next_line(REQUEST_REPEAT_S)

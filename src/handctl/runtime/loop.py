@@ -1,12 +1,13 @@
 """The control loop with a fixed rate.
 
-In each tick, the loop waits, receives frames, begins the tick, reads requests, reads streamed
+In each tick, the loop waits for the deadline, receives frames, begins the tick, reads requests, reads streamed
 targets, sends commands, concludes the tick, and records it. The same loop runs in real time and in lockstep.
 
-The loop never executes a missed tick later. After missed deadlines, it skips their tick numbers.
-The next tick decides whether the gap is a fault. This module has the only broad ``except`` of the
-project. After any error inside a tick, the loop disables the drives, and polls them until they
-report that they are off. Then it raises the error again.
+If a tick is missed, the loop never executes it later. After missed deadlines, the loop skips the
+numbers of the missed ticks. The next tick decides whether this gap is a fault. Only this module of
+the project catches exceptions of every kind. After any error inside a tick, the loop disables the
+drives, and polls them until they report that they are disabled. Then the loop raises the error
+again.
 """
 
 import gc
@@ -36,7 +37,7 @@ class TickInProgress(Protocol[T]):
 
     @property
     def state(self) -> T:
-        """Return the state of the controller after the steps so far."""
+        """Return the state of the controller after the steps that have been executed."""
         ...
 
     def decide(self, requests: tuple[TickRequest, ...]) -> None:
@@ -88,7 +89,7 @@ class LoopBus(Protocol):
 
 @dataclass
 class LoopStats:
-    """Statistics of a run of the loop.
+    """Statistics about the ticks of a run.
 
     Attributes:
         ticks: number of executed ticks.
@@ -98,7 +99,7 @@ class LoopStats:
         frames_tx: number of sent frames.
         frames_rx: number of received frames.
         refused_frames: number of frames refused by the bus.
-        cpu_s: CPU time of this process during the loop [s].
+        cpu_s: processor time of this process during the loop [s].
     """
 
     ticks: int = 0
@@ -124,7 +125,7 @@ class StopSignals:
     """
 
     def __init__(self) -> None:
-        """Start without a signal."""
+        """Start with no signal received."""
         self.received_count = 0
         self.converted_count = 0
 
@@ -153,11 +154,14 @@ class StopSignals:
 
 
 def _no_snapshot(entry: TickIn, state: object) -> None:
-    """Do nothing. This function stands for a recorder of snapshots if there is none."""
+    """Do nothing. This function takes the place of a recorder of snapshots, if the run has none."""
 
 
 def _no_observer(entry: TickIn, out: TickOut, state: object, sent_ns: int) -> None:
-    """Do nothing. This function stands for the programs that observe the hand if there are none."""
+    """Do nothing.
+
+    This function takes the place of the programs that observe the run, if there are none.
+    """
 
 
 @dataclass
@@ -165,16 +169,17 @@ class ControlLoop(Generic[S]):
     """Fixed-rate loop of one run of the controller.
 
     Attributes:
-        clock: clock in real time or in lockstep.
+        clock: clock of the run, in real time or in lockstep.
         period_ns: control period [ns].
-        buses: buses in the order of the hand file. A single object may serve all buses of a hand.
-        begin_tick: function that begins a tick, from the last state of the controller and the
+        buses: buses in the order of the hand file. In lockstep, a single object stands for all
+            buses of a hand.
+        begin_tick: function that begins a tick, given the last state of the controller and the
             received frames.
-        cut_frames: frames that remove the torque, built before the run.
-        take_requests: function that returns the requests of operators and programs since its last
-            call.
-        take_host_events: function that returns the events of the recorder and the host since its
-            last call.
+        cut_frames: frames that remove the torque of all motors, which are built before the run.
+        take_requests: function that returns the requests of operators and programs since the last
+            call of the function.
+        take_host_events: function that returns the events of the recorder and the host since the
+            last call of the function.
         record_tick: function that passes each tick to the recorder.
         keep_snapshot: function that passes the state after a tick to the recorder. This function
             skips most ticks.
@@ -212,19 +217,20 @@ class ControlLoop(Generic[S]):
     _k: int = 0
 
     def run(self, state: S) -> S:
-        """Run ticks until the run is done and the hand is disarmed.
+        """Run ticks until the run has ended and the hand is disarmed.
 
-        Returns the final state of the controller.
+        Return the final state of the controller.
         """
         self._warm_up(state)
-        gc.collect()  # otherwise a garbage collection could make a tick late
+        gc.collect()  # a garbage collection during the run could make a tick late
         gc.freeze()
         gc.disable()
         cpu_s = time.process_time()
         try:
             with self.tick_priority():
                 self.clock.start()
-                for bus in self.buses:  # frames that were received before the run belong to no tick
+                # Frames that were received before the run do not belong to any tick.
+                for bus in self.buses:
                     bus.drain()
                 return self._run_guarded(state)
         finally:
@@ -233,11 +239,11 @@ class ControlLoop(Generic[S]):
             self.stats.cpu_s = time.process_time() - cpu_s
 
     def _run_guarded(self, state: S) -> S:
-        """Run the ticks. After any error, disable the drives and raise the error again.
+        """Run the ticks of the run. After any error, disable the drives and raise the error again.
 
         Raises:
-            PowerError: after an error, a drive has not reported that it is off. The first error is
-                the cause of this one.
+            PowerError: after an error, a drive has not reported that it is disabled. The error in
+                the tick is the cause of this exception.
         """
         last = [state]
         try:
@@ -255,10 +261,10 @@ class ControlLoop(Generic[S]):
             raise
 
     def _poll_until_off(self, state: S) -> tuple[str, ...]:
-        """Disable the drives after an error.
+        """Disable all drives after an error.
 
-        Poll them until all report that they are off, but no longer than CUT_CONFIRMATION_NS.
-        Returns the names of the drives that have not reported that they are off.
+        Poll the drives until all of them report that they are disabled, but no longer than
+        CUT_CONFIRMATION_NS. Return the names of the drives that have not reported this.
         """
         if self.disable_drives is None:
             return ()
@@ -273,9 +279,9 @@ class ControlLoop(Generic[S]):
         return left
 
     def _send_cut(self) -> None:
-        """Send the frames of the torque cut on every bus.
+        """Send the frames that remove the torque on every bus.
 
-        If a queue full of commands refuses some of them, they are sent again.
+        If a queue is full of commands and refuses some of these frames, they are sent again.
         """
         alone = len(self.buses) == 1
         left = [
@@ -291,22 +297,22 @@ class ControlLoop(Generic[S]):
     def _send_cut_once(self, left: list[tuple[LoopBus, list[Frame]]]) -> None:
         """Send the frames in ``left`` on their buses, and remove the accepted frames from ``left``.
 
-        If one bus raises an exception, the cut is still sent on the other buses.
+        If one bus raises an exception, the frames are still sent on the other buses.
         """
         if not left:
             return
         (bus, frames), *others = left
-        try:  # the recursion in ``finally`` sends to the other buses before the error is raised
+        try:  # the recursion in ``finally`` sends on the other buses before the error is raised
             if frames:
                 del frames[: bus.send(frames)]
         finally:
             self._send_cut_once(others)
 
     def _warm_up(self, state: S) -> None:
-        """Run a tick before the run, and discard its result.
+        """Execute a tick before the run, and discard the result.
 
-        This tick makes all imports and objects of a first use, which would otherwise delay the
-        first tick of the run.
+        In this tick, everything is imported and created that is needed for the first time.
+        Otherwise the first tick of the run would be late.
         """
         tick = self.begin_tick(state, TickIn(0, 0))
         tick.decide(())
@@ -314,7 +320,7 @@ class ControlLoop(Generic[S]):
         tick.conclude()
 
     def _run(self, last: list[S]) -> S:
-        """Run ticks from the state in ``last`` to the end of the run.
+        """Run ticks until the end of the run, beginning with the state in ``last``.
 
         ``last`` has a single entry: the state after the last commands. After an error, the drives are
         disabled from this state.
@@ -324,7 +330,8 @@ class ControlLoop(Generic[S]):
         while mode != HandMode.DONE:
             self._k = k
             late = self.clock.wait(k)
-            skipped = late // self.period_ns  # missed ticks are skipped, and not executed later
+            # Ticks that were missed are skipped and not made up for.
+            skipped = late // self.period_ns
             k += skipped
             self._k = k
             entry = self._collect(k, late - skipped * self.period_ns)
@@ -335,8 +342,9 @@ class ControlLoop(Generic[S]):
             if requests or targets:
                 entry = entry._replace(requests=requests + targets)
             frames = tick.command(targets)
-            # After an error, a drive that may have received an enable command must report that it is
-            # off. So the loop keeps the state with the commands before it sends them.
+            # After an error, every drive that may have received an enable command must report that
+            # it is disabled. Therefore the loop stores the state before it sends the commands that
+            # belong to this state.
             last[0] = tick.state
             self._send(frames)
             sent_ns = time.monotonic_ns()
@@ -351,7 +359,7 @@ class ControlLoop(Generic[S]):
         return last[0]
 
     def _collect(self, k: int, late_ns: int) -> TickIn:
-        """Collect the received frames and the events since the last tick."""
+        """Return the inputs of a tick: the frames and the events since the last tick."""
         parts: list[Frames] = []
         events = self.take_host_events()
         for bus in self.buses:
@@ -361,7 +369,7 @@ class ControlLoop(Generic[S]):
         return TickIn(k, k * self.period_ns, late_ns, frames, tuple(events))
 
     def _send(self, frames: Sequence[Frame]) -> None:
-        """Send each frame on its bus, and count accepted and refused frames."""
+        """Send each frame on its bus, and count the accepted and the refused frames."""
         if len(self.buses) == 1:
             accepted = self.buses[0].send(frames)
         else:
@@ -373,7 +381,7 @@ class ControlLoop(Generic[S]):
         self.stats.refused_frames += len(frames) - accepted
 
     def _count_tick(self, entry: TickIn, skipped: int, late: int) -> None:
-        """Count a tick in the statistics, and record its lateness."""
+        """Count a tick in the statistics, and store the lateness of the tick."""
         stats = self.stats
         if stats.ticks < LATENESS_RING_TICKS:
             stats.tick_lateness_ns.append(late)

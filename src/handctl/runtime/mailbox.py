@@ -55,16 +55,16 @@ class Mailbox:
     Attributes:
         path: path of the socket.
         socket: Unix datagram socket.
-        watchers: socket paths of the programs that subscribe to status lines.
-        askers: socket paths of the programs that get the next status line, because the last
-            ``read_requests`` took their requests.
+        watchers: socket paths of the programs that have subscribed to status lines.
+        askers: socket paths of the programs that get only the next status line, because the last
+            call of ``read_requests`` took their requests.
     """
 
     def __init__(self, name: str) -> None:
         """Bind the socket of the controller of bus ``name``, and lock the bus.
 
         Raises:
-            BusError: another controller of this bus is running, or the socket cannot be created.
+            BusError: another controller is running on this bus, or the socket cannot be created.
         """
         self.path = mailbox_path(name)
         with ExitStack() as opened:
@@ -84,7 +84,7 @@ class Mailbox:
         self.askers: list[str] = []
 
     def read_requests(self) -> tuple[str, ...]:
-        """Return the waiting requests, oldest first, at most ``MAX_REQUESTS_PER_TICK``."""
+        """Return the waiting requests, the oldest first, but at most ``MAX_REQUESTS_PER_TICK``."""
         texts: list[str] = []
         if self.askers:
             self.askers = []
@@ -100,7 +100,7 @@ class Mailbox:
                     continue
                 if len(self.watchers) < MAX_WATCHERS:
                     self.watchers.append(sender)
-                else:  # all subscriptions are taken, and the program gets a single status line
+                else:  # no more programs can subscribe, so this program gets a single status line
                     self.askers.append(sender)
                 continue
             texts.append(data.decode("utf-8", "replace"))
@@ -111,13 +111,13 @@ class Mailbox:
     def publish_status(self, status: dict[str, Any]) -> None:
         """Send a status line to all watchers and askers.
 
-        A watcher without a socket is removed from ``watchers``.
+        If the socket of a watcher no longer exists, the watcher is removed from ``watchers``.
         """
         line = json.dumps(status).encode()
         for listener in {*self.watchers, *self.askers}:
             try:
                 self.socket.sendto(line, socket.MSG_DONTWAIT, listener)
-            except BlockingIOError:  # a watcher that reads too slowly misses this status line
+            except BlockingIOError:  # a program that reads too slowly misses this status line
                 continue
             except OSError:
                 self.watchers = [watcher for watcher in self.watchers if watcher != listener]
@@ -160,7 +160,7 @@ def _lock_error(name: str, error: OSError) -> BusError:
 def _lock_bus(name: str) -> int:
     """Lock a bus, and return the file descriptor of the lock.
 
-    The kernel releases the lock when this process ends.
+    When this process ends, the kernel releases the lock.
 
     Raises:
         BlockingIOError: another process has locked the bus.
@@ -178,13 +178,13 @@ def _lock_bus(name: str) -> int:
 def is_running(name: str) -> bool:
     """Return True if a running controller takes requests for a bus.
 
-    The socket that a killed controller has left does not count.
+    A socket that a killed controller has left behind does not count.
     """
     return is_socket_served(mailbox_path(name))
 
 
 class RequestSender:
-    """Sender of requests that need no reply of the controller."""
+    """Sender of requests for which the controller need not send a reply."""
 
     def __init__(self, name: str) -> None:
         """Open a socket for the controller of bus ``name``. The controller may start later."""
@@ -193,10 +193,10 @@ class RequestSender:
         self._socket.setblocking(False)
 
     def send(self, data: bytes) -> bool:
-        """Send a request. Returns False if the mailbox of the controller is full.
+        """Send a request. If the mailbox of the controller is full, return False.
 
         Raises:
-            OSError: no controller runs.
+            OSError: no controller is running.
         """
         try:
             self._socket.sendto(data, self._path)
@@ -214,7 +214,7 @@ class StatusWatcher:
 
     Attributes:
         name: bus of the controller.
-        path: path of this watcher's socket.
+        path: path of the socket of this watcher.
         socket: Unix datagram socket.
     """
 
@@ -240,9 +240,9 @@ class StatusWatcher:
             ) from None
 
     def request_line(self, timeout_s: float) -> dict[str, Any] | None:
-        """Request a new status line, and return it.
+        """Request a new status line from the controller, and return it.
 
-        If it does not arrive within the timeout [s], return None.
+        If the status line does not arrive within the timeout [s], return None.
         """
         self.discard_lines()
         try:
@@ -255,14 +255,14 @@ class StatusWatcher:
     def send(self, data: bytes, timeout_s: float) -> None:
         """Send a datagram to the controller.
 
-        The datagram comes from this socket, so that the controller can answer.
+        The datagram is sent from this socket, so that the controller can answer.
 
         Args:
             data: content of the datagram.
-            timeout_s: longest wait for free space in the mailbox of the controller [s].
+            timeout_s: longest time to wait for free space in the mailbox of the controller [s].
 
         Raises:
-            OSError: no controller runs, or the mailbox stayed full.
+            OSError: no controller is running, or the mailbox stayed full.
         """
         self.socket.settimeout(timeout_s)
         self.socket.sendto(data, str(mailbox_path(self.name)))
@@ -272,7 +272,8 @@ class StatusWatcher:
         self.socket.settimeout(timeout_s)
         try:
             data, _, ours = receive_datagram(self.socket, MAX_STATUS_BYTES)
-        except (TimeoutError, BlockingIOError):  # if the timeout is 0, the error is BlockingIOError
+        # With a timeout of 0, the error is a BlockingIOError.
+        except (TimeoutError, BlockingIOError):
             return None
         if not ours:
             return None
@@ -299,7 +300,7 @@ class StatusWatcher:
     def close(self) -> None:
         """Remove the socket.
 
-        The controller then removes this watcher when it sends its next status line.
+        The controller removes this watcher when it sends the next status line.
         """
         self.socket.close()
         self.path.unlink(missing_ok=True)

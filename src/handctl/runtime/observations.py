@@ -86,7 +86,9 @@ def observation_dtype(axes: Mapping[str, int]) -> np.dtype[np.void]:
 
 
 def _create_map(path: Path, size: int) -> mmap.mmap:
-    """Create a file of a size [bytes], and return its mapping. After an error, no file remains.
+    """Create a file of a given size [bytes], and return the mapping of the file into memory.
+
+    After an error, the file does not exist.
 
     Raises:
         OSError: the file cannot be created, or the disk is full.
@@ -112,8 +114,8 @@ class ObservationWriter:
         """Create the shared-memory file for the observations of a bus.
 
         Args:
-            bus: bus of the controller. The controller has locked this bus.
-            axes: see ``observation_dtype``.
+            bus: bus of the controller. The controller must have locked this bus.
+            axes: numbers of joints, tendons, motors and digits, see ``observation_dtype``.
             description: names and constants of the hand, for the readers of the file.
 
         Raises:
@@ -131,8 +133,8 @@ class ObservationWriter:
             raise BusError(
                 f"cannot write observations: {error}", str(self.path.parent), SHORT_RUN_FOLDER_TEXT
             ) from None
-        # All telemetry fields consist of 8-byte numbers without gaps. Together they are written as
-        # one vector, at the end of a record.
+        # All telemetry fields consist of 8-byte numbers without gaps. They are written together, as
+        # one vector at the end of the record.
         count = sum(axes[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS)
         assert kind.itemsize == _LEADING_STRUCT.size + 8 * count
         starts = [self._ring_at + self._size * slot for slot in range(RING_RECORDS)]
@@ -154,8 +156,8 @@ class ObservationWriter:
         Args:
             entry: inputs of the tick.
             out: output of the tick.
-            stream: status of the stream of targets from a client.
-            sent_ns: reading of CLOCK_MONOTONIC after the tick had sent its commands [ns].
+            stream: status of the stream of targets that a client has opened.
+            sent_ns: reading of CLOCK_MONOTONIC after the commands of the tick had been sent [ns].
         """
         numbers = out.telemetry
         assert isinstance(numbers, PackedTelemetry)
@@ -175,7 +177,7 @@ class ObservationWriter:
     def close(self) -> None:
         """Write the end mark, and remove the file.
 
-        The mark tells readers that the run has ended.
+        The end mark tells all readers that the run has ended.
         """
         self._ended[0] = 1
         self.path.unlink(missing_ok=True)
@@ -195,8 +197,8 @@ class ObservationReader:
         """Map the file with the observations of a running controller.
 
         Raises:
-            BusError: no controller writes observations for this bus, or the controller has another
-                version.
+            BusError: no controller writes observations for this bus, or the version of the
+                controller is different.
         """
         self._path: Path = observations_path(bus)
         try:
@@ -246,8 +248,8 @@ class ObservationReader:
         """
         for _ in range(COPY_ATTEMPTS):
             written = self.written_count
-            # The controller will overwrite the oldest record next. Therefore the reader does not
-            # use it.
+            # The controller may overwrite the oldest record at any time. Therefore the reader does
+            # not use the oldest record.
             at = max(self.last_read_number, written - self._records + 2)
             if at >= written:
                 return None
@@ -258,7 +260,7 @@ class ObservationReader:
         return None
 
     def read_record(self, index: int) -> NDArray[np.void] | None:
-        """Return the record with the number ``index``, or None if it is not in the ring."""
+        """Return the record with the number ``index``, or None if the ring buffer does not contain it."""
         start = self._ring_at + self._size * (index % self._records)
         data = self._map[start : start + self._size]
         after = self._map[start : start + 8]

@@ -1,11 +1,12 @@
-"""Paths of this user's sockets and shared files of runs, protected against other users.
+"""Paths of the sockets and shared files of a user's runs. They are protected against other users.
 
-A user who can write in the folder of the sockets could replace the socket of a controller. That
-user would then receive the stop requests. Therefore the folder is used only if no other user can
-change it or any folder above it. The check walks from the root folder downwards. Each folder is
-opened relative to the parent that was just checked. A folder can be replaced by its owner, by root,
-and by users who can write in its parent. The check makes sure that these are only root and this
-user. Therefore no other user can replace a folder after its check.
+A user who can write into the folder of the sockets could replace the socket of a controller. Such a
+user would then receive the stop requests to the controller. Therefore the folder is used only if no
+other user can change it, or any folder above it. The check begins at the root folder and goes down.
+Each folder is opened relative to its parent folder, which has just been checked. The owner of a
+folder, root, and every user who can write into the parent folder can replace the folder. The check
+makes sure that only root and this user can do so. Therefore no other user can replace a folder
+after the check of this folder.
 """
 
 import os
@@ -75,7 +76,7 @@ def _private_folder(path: Path, private_parts: int, links: int = 0) -> Path:
             private = number >= len(parts) - private_parts
             state = _stat_or_make_folder(part, at)
             if stat.S_ISLNK(state.st_mode):
-                # Only symbolic links that root has made are followed, such as /tmp on macOS.
+                # Only symbolic links that root has created are followed, such as /tmp on macOS.
                 if private or state.st_uid != 0 or links == MAX_SYMBOLIC_LINKS:
                     raise BusError("is a link", str(here), PRIVATE_FOLDER_TEXT)
                 target = here.parent / os.readlink(part, dir_fd=at)
@@ -83,8 +84,8 @@ def _private_folder(path: Path, private_parts: int, links: int = 0) -> Path:
                     target.joinpath(*parts[number + 1 :]), private_parts, links + 1
                 )
             flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if private else FOLDER_OPEN_FLAGS
-            # The path is relative to the parent that was checked. Therefore a new name of the
-            # parent has no effect.
+            # This path is relative to the parent folder that has been checked. Therefore it has no
+            # effect if somebody renames the parent folder.
             below = os.open(part, flags | os.O_NOFOLLOW, dir_fd=at)
             os.close(at)
             at = below
@@ -105,15 +106,15 @@ def _stat_or_make_folder(part: str, at: int) -> os.stat_result:
     """
     with suppress(FileNotFoundError):
         return os.stat(part, dir_fd=at, follow_symlinks=False)
-    # Another process may create the folder at the same time. Then it is checked as any other
-    # folder.
+    # Another process may create this folder at the same time. In this case, the folder is checked
+    # like any other folder.
     with suppress(FileExistsError):
         os.mkdir(part, PRIVATE_MODE, dir_fd=at)
     return os.stat(part, dir_fd=at, follow_symlinks=False)
 
 
 def _refuse_shared_folder(here: Path, at: int) -> None:
-    """Raise an error if another user owns a folder of handctl or can write in it.
+    """Raise an error if another user owns a folder of handctl, or can write into it.
 
     If other users can only read the folder, their permission is removed.
     """
@@ -131,10 +132,10 @@ def _refuse_shared_folder(here: Path, at: int) -> None:
 
 
 def _refuse_unsafe_folder(here: Path, at: int) -> None:
-    """Raise an error if another user could replace handctl's folder in this parent folder.
+    """Raise an error if another user could replace the folder of handctl inside this parent folder.
 
-    A parent folder with the sticky bit, such as /tmp, is safe. An entry in such a folder can be
-    replaced only by its owner.
+    A parent folder with the sticky bit, such as /tmp, is safe. In such a folder, only the owner of
+    an entry can replace the entry.
     """
     state = os.fstat(at)
     if state.st_uid not in (0, os.geteuid()):
@@ -148,34 +149,37 @@ def _refuse_unsafe_folder(here: Path, at: int) -> None:
 
 
 def _user_name(number: int) -> str:
-    """Return the name of a user. If this machine has no name for the user, return the number."""
+    """Return the name of a user.
+
+    If this machine has no name for the user, return the user's number as text.
+    """
     with suppress(KeyError):
         return f"user {pwd.getpwuid(number).pw_name}"
     return f"user {number}"
 
 
 def _file_name(spec: str) -> str:
-    """Return the text with which all file names for a bus specification begin."""
+    """Return the text with which the names of all files for a bus specification begin."""
     return spec.replace(":", "_").replace("/", "_")
 
 
 def local_bus_path(name: str) -> Path:
-    """Return the path of the socket on which a simulator's hub serves ``local:NAME``."""
+    """Return the path of the socket on which the hub of a simulator serves the bus ``local:NAME``."""
     return run_dir() / f"{name}.bus"
 
 
 def mailbox_path(spec: str) -> Path:
-    """Return the path of the socket that receives requests to the controller of a bus."""
+    """Return the path of the socket that receives the requests to the controller on a bus."""
     return run_dir() / f"{_file_name(spec)}.requests"
 
 
 def targets_path(spec: str) -> Path:
-    """Return the path of the socket that receives streamed targets for the controller of a bus."""
+    """Return the path of the socket that receives the streamed targets for the controller on a bus."""
     return run_dir() / f"{_file_name(spec)}.targets"
 
 
 def observations_path(spec: str) -> Path:
-    """Return the path of the shared-memory file that contains the observations of a bus's controller."""
+    """Return the path of the shared-memory file with the observations of the controller on a bus."""
     return run_dir() / f"{_file_name(spec)}.observations"
 
 
@@ -185,24 +189,24 @@ def watcher_path(number: int) -> Path:
 
 
 def faults_path(spec: str) -> Path:
-    """Return the path of the socket that receives fault requests to the simulator of a bus."""
+    """Return the path of the socket that receives fault requests to the simulator on a bus."""
     return run_dir() / f"{_file_name(spec)}.faults"
 
 
 def truth_path(spec: str) -> Path:
-    """Return the default path of the truth file, into which the simulator of a bus writes its true state."""
+    """Return the default path of the truth file, into which the simulator on a bus writes true values."""
     return run_dir() / f"{_file_name(spec)}.truth"
 
 
 def clock_path(spec: str) -> Path:
-    """Return the path of the clock file, through which the simulator of a bus shares its clock with the controller."""
+    """Return the path of the clock file, by which the simulator on a bus shares its clock with the controller."""
     return run_dir() / f"{_file_name(spec)}.clock"
 
 
 def is_socket_served(path: Path) -> bool:
-    """Return True if a process receives datagrams at the path of a socket.
+    """Return True if some process receives datagrams at the path of a socket.
 
-    The socket that a killed process has left does not count.
+    A socket that a killed process has left behind does not count.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
         try:

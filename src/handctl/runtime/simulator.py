@@ -1,4 +1,4 @@
-"""Requests to a running simulator, such as fault injection."""
+"""Requests to a running simulator, for example to inject a fault."""
 
 import json
 import os
@@ -17,12 +17,12 @@ MAX_ANSWER_BYTES = 1 << 18
 
 
 def find_simulator(bus: str | None) -> Path:
-    """Return the path of a simulator's request socket.
+    """Return the path of the socket on which a simulator receives requests.
 
-    Without ``bus``, it is that of the only running simulator.
+    If no bus is given, the path belongs to the only running simulator.
 
     Raises:
-        BusError: ``bus`` is None, and no simulator or more than one is running.
+        BusError: ``bus`` is None, and either no simulator or more than one simulator is running.
         ConfigError: ``bus`` is not a valid bus specification.
     """
     if bus is not None:
@@ -52,11 +52,11 @@ def simulated_time_scale(bus: str) -> float | None:
 
 
 def ask_simulator(path: Path, question: dict[str, Any]) -> dict[str, Any]:
-    """Send a request to a simulator and return its answer.
+    """Send a request to a simulator, and return the answer.
 
     Raises:
         BusError: no simulator answers.
-        ConfigError: the simulator refuses the request, for instance because it does not know the
+        ConfigError: the simulator refuses the request, for example because it does not know the
             fault.
     """
     reply_path = run_dir() / f"asking-{os.getpid()}"

@@ -29,7 +29,7 @@ def request_sender_credentials(link: socket.socket) -> None:
 
 
 def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, bool]:
-    """Receive one datagram from a socket that ``request_sender_credentials`` has prepared.
+    """Receive one datagram from a socket that was prepared with ``request_sender_credentials``.
 
     Args:
         link: socket to read from.
@@ -57,7 +57,7 @@ def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, b
 
 
 def is_served_by_us(link: socket.socket) -> bool:
-    """Return True if the other end of a connected stream socket belongs to this user or root."""
+    """Return True if the process at the other end of a connected stream socket belongs to this user or to root."""
     if not IS_LINUX:
         return True
     raw = link.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, CREDENTIALS_STRUCT.size)
@@ -65,5 +65,5 @@ def is_served_by_us(link: socket.socket) -> bool:
 
 
 def is_trusted_user(user: int) -> bool:
-    """Return True if a user may send commands to this user's hand."""
+    """Return True if a user may send commands to the hand of this user."""
     return user in (0, os.geteuid())

@@ -1,4 +1,4 @@
-"""Status line of one tick, for programs that watch a running hand."""
+"""Status line of one tick, for programs that show the state of a running hand."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ def status_of_tick(entry: TickIn, out: TickOut, commander: str | None) -> dict[s
     Args:
         entry: inputs of the tick.
         out: output of the tick.
-        commander: client that commands the hand, None if any client may command it.
+        commander: client that commands the hand, or None if any client may start to command it.
     """
     numbers = out.telemetry
     return {
@@ -35,5 +35,5 @@ def status_of_tick(entry: TickIn, out: TickOut, commander: str | None) -> dict[s
 
 
 def _json_values(values: list[float]) -> list[float | None]:
-    """Return the values rounded to four digits. A NaN becomes None, because JSON has no NaN."""
+    """Round values to four digits for JSON. A NaN becomes None, because JSON cannot contain NaN."""
     return [round(value, 4) if value == value else None for value in values]

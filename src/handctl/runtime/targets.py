@@ -1,7 +1,9 @@
-"""The target socket of a running controller. Clients stream targets to it as binary datagrams.
+"""The target socket of a running controller, at which streamed targets arrive.
 
-The controller reads the socket without blocking. Requests arrive at another socket. Therefore a
-client that sends targets too fast cannot delay the stop request of another client.
+Clients send the targets as binary datagrams.
+
+The controller reads the socket without blocking. Requests arrive at a different socket. Therefore a
+client that sends targets too fast cannot delay a stop request from another client.
 
 A datagram is little-endian: magic 4 bytes, process number of the client u32, number of the stream
 u32, number of values u32, number of the target i64, CLOCK_MONOTONIC when the client sent the target
@@ -41,7 +43,7 @@ missing.
 
 
 def stream_name(process: int, number: int) -> str:
-    """Return the name of a stream of targets: the client's process number and the number of the stream."""
+    """Return the name of a stream of targets, from the client's process number and the stream's number."""
     return f"{process}-{number}"
 
 
@@ -54,13 +56,14 @@ class TargetBox:
     """
 
     def __init__(self, name: str, run_time: Callable[[int], int]) -> None:
-        """Bind the target socket of the controller of bus ``name``.
+        """Bind the target socket of the controller on the bus ``name``.
 
         Before this call, the controller must lock the bus.
 
         Args:
             name: bus of the controller.
-            run_time: function that converts a CLOCK_MONOTONIC time [ns] to the run's time [ns].
+            run_time: function that converts a CLOCK_MONOTONIC time [ns] to the time of the run
+                [ns].
 
         Raises:
             BusError: the socket cannot be created.
@@ -80,9 +83,9 @@ class TargetBox:
         self.socket.setblocking(False)
 
     def read_targets(self) -> tuple[StreamTarget, ...]:
-        """Return the newest waiting targets, oldest first.
+        """Return the newest of the waiting targets, sorted from old to new.
 
-        Malformed datagrams are dropped.
+        A datagram of a wrong form is dropped.
         """
         targets: list[StreamTarget] = []
         for _ in range(MAX_DATAGRAMS_PER_TICK):
@@ -114,7 +117,7 @@ class TargetSender:
     """Sender of one stream of targets, in a client."""
 
     def __init__(self, name: str, process: int, number: int) -> None:
-        """Connect to the target socket of the controller of bus ``name``.
+        """Connect to the target socket of the controller on the bus ``name``.
 
         Raises:
             BusError: no controller receives targets for this bus.
@@ -133,11 +136,11 @@ class TargetSender:
     def send(self, index: int, sent_ns: int, values: NDArray[np.float64]) -> bool:
         """Send a target.
 
-        Returns False if the socket is full of targets that the controller has not read yet.
+        If the socket is full of targets that the controller has not read yet, return False.
 
         Args:
             index: number of the target in the stream.
-            sent_ns: reading of CLOCK_MONOTONIC at which the target is sent [ns].
+            sent_ns: reading of CLOCK_MONOTONIC when the target is sent [ns].
             values: (V,) values of the target.
 
         Raises:

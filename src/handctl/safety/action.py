@@ -7,7 +7,10 @@ import enum
 
 
 class SafetyAction(enum.IntEnum):
-    """Reaction to a fault. Each action includes every restriction of the weaker actions."""
+    """Reaction to a fault.
+
+    Each reaction includes every restriction of the less severe reactions.
+    """
 
     PASS = 0
     """Continue, without a warning."""

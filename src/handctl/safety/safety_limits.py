@@ -27,7 +27,8 @@ TEMPERATURE_HARD_DEGC = 85.0
 
 def ticks_for(seconds: float, period: float, minimum: int) -> int:
     """Return the number of ticks for a time [s] at a period [s], rounded up, and at least ``minimum``."""
-    # The function rounds up, because a limit must never be shorter than stated.
+    # The function rounds up, because a time limit in ticks must never be shorter than the time that
+    # was given.
     return max(minimum, math.ceil(seconds / period))
 
 
@@ -39,14 +40,16 @@ class SafetyLimits:
         tendons: (N,) names of the tendons.
         motors: (N,) names of the motors.
         joints: (J,) names of the joints.
-        tension_trip: (N,) tension above which a single sample leads to RELAX [N].
+        tension_trip: (N,) tension of each tendon [N] above which a single reading leads to the
+            reaction RELAX.
         drive_limit: (N,) tension at the torque limit of the drive itself [N]. Above this tension,
             the reaction is CUT.
-        tension_rail: reading, with the tare subtracted, from which a load cell counts as saturated
-            [N].
-        tension_low: reading, with the tare subtracted, below which a wire is broken or a sensor has
-            no supply [N]. The threshold holds for any tendon and tare.
-        silent_ticks: number of consecutive missing replies after which a node counts as silent.
+        tension_rail: load-cell reading minus the tare [N] from which a load cell counts as
+            saturated.
+        tension_low: load-cell reading minus the tare [N] below which a load cell counts as broken:
+            a cut wire, or no supply. The threshold is the same for all tendons and tares.
+        silent_ticks: number of consecutive missing replies after which a motor or a load cell
+            counts as silent.
         one_silent_ticks: number of consecutive missing replies after which a motor counts as silent
             while another motor answers.
         stalled_ticks: number of consecutive missed ticks after which the host counts as stalled.
@@ -55,8 +58,8 @@ class SafetyLimits:
         temperature_hard: drive temperature at which the tension limit reaches the tension floor
             [degC].
         frames: number of frames in a tick above which the bus counts as flooded.
-        noise: mean squared jerk of a motor's position above which the position counts as noisy
-            [rad^2].
+        noise: mean squared jerk of a motor's measured position above which the measurement counts
+            as noisy [rad^2].
     """
 
     tendons: tuple[str, ...]
@@ -76,5 +79,5 @@ class SafetyLimits:
 
     @property
     def nodes(self) -> tuple[str, ...]:
-        """Return the names of all nodes: the motors, then the load cells."""
+        """Return the names of all nodes: first the motors, then the load cells."""
         return (*self.motors, LOAD_CELLS)

@@ -1,8 +1,8 @@
-"""Judgement of each tick: latched faults, faults that buses and host report, and the choice of the reaction.
+"""Judgement of each tick: the latched faults, the reported faults, and the choice of the reaction.
 
-Compiled code (``core.detectors.fault_detection``) debounces the detected faults. This module finds the names
-of newly active faults, debounces the reported faults, and latches faults until an operator clears
-them.
+Compiled code (``core.detectors.fault_detection``) debounces the faults that detectors find. This
+module finds the names of newly active faults, debounces the reported faults, and latches faults
+until an operator clears them.
 """
 
 from collections.abc import Iterable, Sequence
@@ -60,7 +60,7 @@ class TickVerdict(NamedTuple):
     """Result of the judgement of a tick.
 
     Attributes:
-        action: most severe reaction that a fault demands.
+        action: most severe of the reactions to the faults that are present.
         findings: faults that became active in this tick.
         latched: all faults that are latched at the end of the tick.
         reported_faults: faults that are reported in this tick.
@@ -82,7 +82,7 @@ def judge_tick(
     demanded: int,
     reports: Iterable[EventReport],
 ) -> TickVerdict:
-    """Judge a tick: add the reported faults, latch faults, and choose the most severe reaction.
+    """Judge a tick: count the reported faults, latch faults, and choose the most severe reaction.
 
     Args:
         latched: latched faults of the last tick.
@@ -95,7 +95,8 @@ def judge_tick(
     action = demanded
     findings = list(detected)
     present = []
-    # A fault without a report in this tick is dropped. The count of such a fault starts again at 1.
+    # A reported fault without a report in this tick is dropped. If the fault is reported again
+    # later, the count starts again at 1.
     before = {(report.id, report.instance): report.ticks for report in reported_faults}
     for fault, where, value in locate_reports(reports):
         ticks = before.get((fault.id, where), 0) + 1
@@ -104,7 +105,7 @@ def judge_tick(
             action = max(action, fault.action)
         if ticks == fault.debounce:
             findings.append(FaultFinding(fault, where, value))
-    # A latched fault may be found again, but it is not logged again.
+    # A detector may find a latched fault again, but the log gets no second entry.
     new = [finding for finding in findings if _latch_of(finding) not in latched]
     latched += tuple(dict.fromkeys(_latch_of(finding) for finding in new if finding.fault.latched))
     action = max([action, *(FAULT_BY_ID[mark.id].action for mark in latched)])
@@ -123,13 +124,13 @@ def faults_counting_since_now(
     """Return the faults that became active in this tick, in the order of the fault table.
 
     Args:
-        limits: limits of the hand, with the names of tendons, motors, joints and nodes.
+        limits: safety limits of the hand, with the names of tendons, motors, joints and nodes.
         evidence: (rows, instances) evidence of each fault. The value is NaN where the fault is
             absent.
-        ticks: (rows, instances) consecutive ticks with each fault.
+        ticks: (rows, instances) number of consecutive ticks with the fault, up to now.
     """
-    # The compiled detectors continue to count after the debounce, so the count equals the debounce
-    # in a single tick only.
+    # The compiled detectors continue to count after the debounce. So the count equals the debounce
+    # in only one tick.
     rows, instances = np.nonzero(
         (ticks[: len(DEBOUNCE_TICKS)] == DEBOUNCE_TICKS[:, None]) & ~np.isnan(evidence)
     )
@@ -154,14 +155,14 @@ def _instance_name(limits: SafetyLimits, fault: Fault, kind: str, i: int) -> str
 
 
 def locate_reports(reports: Iterable[EventReport]) -> list[tuple[Fault, str, float]]:
-    """Return fault, location, and value for each report.
+    """Return the fault, the location and the value of each report of a bus, the host or the recorder.
 
     If a fault is reported several times at the same location, only the last report is returned.
     """
     faults: dict[tuple[str, str], tuple[Fault, str, float]] = {}
     for kind, where, value in reports:
-        # The location of a recorder event is the kind of the event ("disk_full"), so the kind is a
-        # part of the key.
+        # The location of a recorder event is the kind of the event ("disk_full"). So the key
+        # contains the kind as well as the fault.
         key = f"{kind}:{where}" if kind == "recorder" else kind
         for fault in FAULTS_BY_EVENT_KIND.get(key, ()):
             name = where or kind
@@ -169,7 +170,8 @@ def locate_reports(reports: Iterable[EventReport]) -> list[tuple[Fault, str, flo
     return sorted(faults.values(), key=lambda row: _CATALOGUE_POSITION[row[0].id])
 
 
-# Position of each fault in the fault table. Simultaneous faults are sorted by this position.
+# Position of each fault in the fault table. Faults that occur at the same time are sorted by this
+# position.
 _CATALOGUE_POSITION = {id_: position for position, id_ in enumerate(FAULT_BY_ID)}
 
 
@@ -177,7 +179,7 @@ def filter_error_frames(reports: Iterable[EventReport], any_node_heard: bool) ->
     """Drop error frames from the reports, except the first unacknowledged frame (B18).
 
     Args:
-        reports: reports of the tick.
+        reports: reports of buses, host and recorder in the tick.
         any_node_heard: True if any node has ever answered, or if a motor may make torque. The fault
             B18 cannot occur if this is True.
     """

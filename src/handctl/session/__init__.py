@@ -1,5 +1,5 @@
 """Runs of a hand.
 
-This package executes a run: it checks the files, executes the run, and writes the log and the
-verdict. All commands and studies that run a hand share this code.
+This package checks the files of a run, executes the run, and writes the log and the verdict. All
+commands and studies that run a hand use this package.
 """

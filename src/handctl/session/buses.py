@@ -1,4 +1,4 @@
-"""Specifications of buses on the command line, which are read without a hand file."""
+"""Bus specifications that commands without a hand file read from the command line."""
 
 from collections.abc import Sequence
 
@@ -9,10 +9,10 @@ from handctl.session.defaults import DEFAULT_HAND
 
 
 def named_buses(arguments: Sequence[str]) -> dict[str, str]:
-    """Return the specification of each bus by name, from the words after ``--bus``.
+    """Return the specification of each bus by the name of the bus, from the words after ``--bus``.
 
-    A word has the form NAME=SPEC, or is SPEC alone. A bus without a name gets its name by position:
-    main, bus1, bus2.
+    A word has the form NAME=SPEC, or is only the specification SPEC. A bus without a name is named
+    after its position in the command: main, bus1, bus2.
 
     Raises:
         ConfigError: a name is given twice or is not a valid bus name.
@@ -34,10 +34,10 @@ def named_buses(arguments: Sequence[str]) -> dict[str, str]:
 
 
 def refuse_default_hand(specs: Sequence[str], where: str) -> None:
-    """Raise an error if a bus may have real motors.
+    """Raise an error if the operator named no hand although a bus may have real motors.
 
-    If a bus may have real motors, the operator must name the hand, because the limits of the
-    default hand belong to other motors and tendons.
+    In this case the operator must name the hand, because the limits of the default hand belong to
+    other motors and tendons.
 
     Args:
         specs: specifications of the buses.

@@ -1,6 +1,6 @@
 """Calibration of a hand for a run.
 
-The calibration is either read from a file, or measured before the run (commissioning).
+The calibration is either read from a file, or measured by the commissioning before the run.
 """
 
 import datetime
@@ -38,8 +38,8 @@ def load_calibration(path: Path, hand: Hand) -> Calibration:
     """Read the calibration of a hand.
 
     Raises:
-        ConfigError: the file cannot be read, is for another hand or another version of its
-            description, or lacks a tendon.
+        ConfigError: the file cannot be read, belongs to another hand or to another version of the
+            hand's description, or lacks a tendon.
     """
     return calibration_from(read_toml(path), hand, str(path))
 
@@ -47,21 +47,21 @@ def load_calibration(path: Path, hand: Hand) -> Calibration:
 def find_calibration(
     path: Path, hand: Hand, named: bool, buses: Sequence[str] = ()
 ) -> tuple[Calibration | None, str]:
-    """Return the calibration in a file, if the hand may be armed with it.
+    """Return the calibration from a file, if this calibration may be used to arm the hand.
 
     Args:
         path: path of the calibration file, which may not exist yet.
         hand: description of the hand that will be armed.
-        named: True if the operator has named the file. In this case, an invalid file is an error.
+        named: True if the operator has named the file. An invalid file is then an error.
         buses: buses of the hand that will be armed.
 
     Returns:
-        The calibration, and an empty text. If no calibration is valid, the result is None and the
-        reason.
+        The calibration, and an empty text. If the file has no valid calibration, the result is None
+        and a text with the reason.
 
     Raises:
-        ConfigError: the named file exists but cannot be used, or it is of a simulated hand although
-            a bus may have real motors.
+        ConfigError: the named file exists but cannot be used, or the file comes from a simulated
+            hand although a bus may have real motors.
     """
     if not path.exists():
         return None, f"there is no {path}"
@@ -92,7 +92,7 @@ def run_commissioning(
 
     Args:
         plan: checked plan of the run.
-        log: log file to write.
+        log: path of the log file to write.
         runner: function that executes the run, either in real time or in lockstep.
 
     Raises:
@@ -103,7 +103,7 @@ def run_commissioning(
     controller = make_controller(plan, CommissionProgram(), None, arm_at_once=True)
     outcome = runner(plan, controller, log)
     outcome.check_finished(f"commissioning {plan.hand.name}", pace_advice(plan, outcome))
-    virtual = outcome.priority is None  # a fixed date makes two lockstep runs equal
+    virtual = outcome.priority is None  # with a fixed date, two lockstep runs give equal files
     now = LOCKSTEP_CALIBRATION_DATE if virtual else datetime.datetime.now(datetime.UTC)
     calibration = calibration_of_result(
         controller.model, outcome.state.progress, now.isoformat(timespec="seconds")
@@ -131,7 +131,7 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
 def previous_identified(
     path: Path, hand: Hand, drives: Mapping[str, str], tell: NoticeCallback = ignore_notice
 ) -> IdentifiedByTendon:
-    """Return the identified parameters in the previous calibration, by tendon.
+    """Return the identified parameters from the previous calibration, by the name of the tendon.
 
     These parameters stay valid when the load cells are tared again. The result is empty if the file
     is missing or unusable, or if the hand now has other drives.
@@ -139,7 +139,8 @@ def previous_identified(
     Args:
         path: file of the previous calibration.
         hand: description of the hand.
-        drives: identities of the present drives, by motor. The value is empty if they are unknown.
+        drives: identities of the present drives, by the name of the motor. The mapping is empty if
+            they are unknown.
         tell: function that shows a notice to the operator.
     """
     try:
@@ -181,7 +182,7 @@ def identified_in_file(path: Path | None, hand: Hand) -> IdentifiedByTendon:
 
 
 def homed_calibration(hand: Hand, identified: IdentifiedByTendon) -> Calibration:
-    """Return the calibration of a simulated hand that starts with taut tendons and with all encoders at zero."""
+    """Return the calibration of a simulated hand that starts with taut tendons and zero encoder readings."""
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=0.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, zero)
     made = LOCKSTEP_CALIBRATION_DATE.isoformat(timespec="seconds")
@@ -199,11 +200,12 @@ def ensure_calibration(
 
     Args:
         plan: plan of the run that follows the commissioning.
-        path: calibration file to write. Identified parameters that this file already contains are
-            kept.
-        reason: reason why there is no valid calibration. The notice contains it.
-        runner: function that executes the run, live or in lockstep.
-        log: log file of the commissioning.
+        path: calibration file to write. Identified parameters that this file already contains stay
+            in the file.
+        reason: reason why there is no valid calibration. The notice to the operator contains this
+            reason.
+        runner: function that executes the run, in real time or in lockstep.
+        log: log file of the commissioning run.
 
     Raises:
         DriveError: see ``run_commissioning``.

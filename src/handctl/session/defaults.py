@@ -1,6 +1,6 @@
-"""Defaults of the command line.
+"""Default values of the command line.
 
-This module imports nothing. Therefore every command can import it quickly.
+This module imports no other module. Therefore every command can import this module quickly.
 """
 
 DEFAULT_HAND = "jamia"

@@ -1,4 +1,4 @@
-"""Gains of a run, and the origin of each value.
+"""Gains of a run, and the source of each value.
 
 A gains file takes the place of the packaged gains of the hand. The command line overrides single
 values of the file or of the packaged gains.
@@ -26,13 +26,13 @@ COMMAND_LINE_ORIGIN = "command line"
 
 @dataclass(frozen=True, slots=True)
 class LayeredGains:
-    """Gains with the origin of each value.
+    """Gains with the source of each value.
 
     Attributes:
         gains: gains that the run uses.
-        file: gains file. None for the packaged gains.
-        provenance: provenance of the gains, as it is recorded in the file.
-        origins: origin of each value, by the key of the value: "packaged", the file, or "command
+        file: path of the gains file, or None if the packaged gains are used.
+        provenance: record of how the gains were found, as the gains file contains it.
+        origins: source of each gain, by the key of the gain: "packaged", the file, or "command
             line".
     """
 
@@ -45,12 +45,13 @@ class LayeredGains:
 def layered_gains(
     hand: Hand, file: Path | None, words: Sequence[str], tell: NoticeCallback = ignore_notice
 ) -> LayeredGains:
-    """Return the gains that a run uses, and the origin of each value.
+    """Return the gains that a run uses, and the source of each gain.
 
     Args:
         hand: description of the hand.
-        file: gains file. If it is None, the file ``HAND.gains.toml`` is used if it exists.
-        words: KEY=VALUE words of the command line. They override every file.
+        file: path of the gains file. If it is None, the file ``HAND.gains.toml`` is used where it
+            exists.
+        words: words KEY=VALUE from the command line. They override the values of every file.
         tell: function that shows a notice to the operator.
 
     Raises:
@@ -69,9 +70,10 @@ def layered_gains(
 
 
 def read_gains_for_hand(hand: Hand, path: Path, tell: NoticeCallback = ignore_notice) -> GainsFile:
-    """Read a gains file, and check that its gains are for this hand.
+    """Read a gains file, and check that the gains are meant for this hand.
 
-    Gains for an earlier version of the hand file are accepted, but a notice tells the operator.
+    If the gains belong to an earlier version of the hand file, they are accepted, but a notice
+    tells the operator.
 
     Raises:
         ConfigError: the file cannot be used, or is for another hand.
@@ -87,7 +89,7 @@ def read_gains_for_hand(hand: Hand, path: Path, tell: NoticeCallback = ignore_no
 
 
 def _origin_of(gains: Gains, key: str, file: Path | None) -> str:
-    """Return the origin of a gain that the command line does not set: the gains file, or the packaged gains."""
+    """Return the source of a gain that the command line does not set: the gains file, or the packaged gains."""
     section, _, name = key.partition(".")
     in_file = tendon_key(key) is not None or (
         section in gains.model_fields_set and name in getattr(gains, section).model_fields_set
@@ -96,7 +98,7 @@ def _origin_of(gains: Gains, key: str, file: Path | None) -> str:
 
 
 def gain_assignments(words: Sequence[str], where: str) -> dict[str, float]:
-    """Return the numbers that KEY=VALUE words assign, by key.
+    """Return the numbers that the words KEY=VALUE assign, by key.
 
     Raises:
         ConfigError: a word does not assign a number, or a key is assigned twice.

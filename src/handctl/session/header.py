@@ -1,6 +1,6 @@
 """Header of a run's log.
 
-The header describes the hand, gains, software, machine and settings of the run.
+The header describes the hand, the gains, the software, the machine and the settings of a run.
 """
 
 import functools
@@ -27,7 +27,7 @@ The time is constant, so that equal runs have equal logs.
 def run_header(
     plan: RunPlan, controller: Controller, priority: GrantedPriority | None, lockstep: bool
 ) -> RunHeader:
-    """Return the header of a run's log, with all data that are available before the first tick."""
+    """Return the header of a run's log, with all data that are known before the first tick."""
     hand = plan.hand
     attachments = {
         "hand.toml": hand.to_toml().encode(),
@@ -73,15 +73,15 @@ def run_header(
 
 @functools.cache
 def installed_packages() -> tuple[str, ...]:
-    """Return NAME==VERSION of every installed Python package, in alphabetical order."""
+    """Return the name and version (NAME==VERSION) of every installed Python package, in alphabetical order."""
     return tuple(sorted({_name_and_version(dist) for dist in distributions()}))
 
 
 def _name_and_version(dist: Distribution) -> str:
-    """Return NAME==VERSION of an installed Python package.
+    """Return the name and version (NAME==VERSION) of an installed Python package.
 
-    The function reads only the two lines that contain the name and the version. The parser of
-    ``importlib.metadata`` reads all metadata of a package, and takes ten times as long.
+    The function reads only two lines of the package's metadata file: the name and the version. The
+    parser of ``importlib.metadata`` reads the whole metadata file, and takes ten times as long.
     """
     lines = (dist.read_text("METADATA") or dist.read_text("PKG-INFO") or "").splitlines()
     values = [

@@ -1,6 +1,6 @@
 """Reading of robot descriptions (URDF and MJCF) with MuJoCo.
 
-The simulator depends on MuJoCo. The other parts of handctl do not depend on it.
+Only the simulator needs MuJoCo. The other parts of handctl work without MuJoCo.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,8 +27,8 @@ def read_model_file(path: Path, kind: str) -> Mapping[str, Any]:
         kind: ``urdf`` or ``mjcf``.
 
     Raises:
-        ConfigError: the file is unreadable, does not describe a tree of hinges and links with
-            inertia, or MuJoCo is missing.
+        ConfigError: the file is unreadable, or does not describe a tree of hinges and links with
+            inertia, or MuJoCo is not installed.
     """
     read: Callable[[str, str], Mapping[str, Any]] = load_simulator_object(
         MODEL_FILE_READER, "reading a robot description"

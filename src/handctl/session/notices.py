@@ -1,6 +1,6 @@
 """Notices and progress reports from a run to the operator.
 
-The functions that show the notices are arguments of the run.
+The caller of a run passes the functions that show these notices.
 """
 
 from collections.abc import Callable
@@ -21,5 +21,5 @@ def ignore_notice(text: str) -> None:
 
 
 def ignore_progress(words: str) -> AbstractContextManager[Callable[[int, int], None]]:
-    """Ignore all progress reports of a step."""
+    """Ignore all progress reports of a step before the run."""
     return nullcontext(lambda done, total: None)

@@ -49,18 +49,18 @@ class OperatorDisplay(Protocol):
 
 @dataclass(frozen=True)
 class RunPlan:
-    """Plan of a run: all its settings after the check.
+    """Plan of a run, with all settings of the run after their check.
 
     Attributes:
         hand: description of the hand.
         gains: gains of the controller.
         rate_hz: control rate [Hz].
-        bus_loads: worst-case load of each bus of the hand, as a fraction of its capacity.
-        buses: specification of each bus. The value is empty in lockstep.
+        bus_loads: load of each bus in the worst case, as a fraction of the capacity of the bus.
+        buses: specification of each bus, or an empty mapping in lockstep.
         attachments: files to store in the log.
-        time_scale: ratio of the run's time to wall time.
+        time_scale: seconds of the run per second of wall time.
         clear_faults: True to clear the latched errors of the drives, as the operator has requested.
-        start_display: function that starts the display of a run. None for a run without a
+        start_display: function that starts the display of a run, or None for a run without a
             display.
         show_notice: function that shows a notice to the operator.
         show_progress: function that shows the progress of a step before the run.
@@ -85,27 +85,28 @@ class RunPlan:
 
     @property
     def is_simulated(self) -> bool:
-        """Return True if the plan has buses, and none of them can have real motors."""
+        """Return True if the plan has buses, and none of these buses can have real motors."""
         return bool(self.buses) and not real_buses(self.buses)
 
 
 @dataclass(frozen=True)
 class RunChoice:
-    """Settings that the operator has chosen for a run, before their check.
+    """Settings that the operator has chosen for a run, before these settings are checked.
 
     Attributes:
         hand: name of a packaged hand, or path of a hand file.
         hand_named: True if the operator named the hand.
         bus_words: words after ``--bus``: ``SPEC`` for a hand with one bus, or ``NAME=SPEC`` for
             each bus. None in lockstep.
-        gains_file: gains file. None for the gains of the hand.
-        gain_words: KEY=VALUE words that set single gains. These words override every file.
-        rate_hz: control rate [Hz]. If it is None, the run uses the highest usual rate that the
-            buses allow.
-        time_scale: ratio of the run's time to wall time. If it is None, the run uses the time scale
-            of the simulator on the bus.
-        log_path: log file to write. None if the command names the file later.
-        clear_faults: True to clear the latched errors of the drives.
+        gains_file: path of the gains file, or None for the packaged gains of the hand.
+        gain_words: words KEY=VALUE that set single gains. These words override the values of every
+            file.
+        rate_hz: control rate [Hz]. If it is None, the run uses the highest of the usual rates that
+            the buses allow.
+        time_scale: seconds of the run per second of wall time. If it is None, the run uses the time
+            scale of the simulator that is connected to the bus.
+        log_path: log file to write, or None if the command chooses the file later.
+        clear_faults: True to clear the latched errors of the drives before the run.
     """
 
     hand: str | Path
@@ -128,11 +129,11 @@ def make_plan(
 
     Args:
         choice: choices of the operator.
-        display: function that starts the display of a run. None for a run without a display.
+        display: function that starts the display of a run, or None for a run without a display.
         tell: function that shows a notice to the operator.
 
     Raises:
-        ConfigError: a setting of the operator is wrong. The error message is one line.
+        ConfigError: a setting of the operator is wrong. The error message has a single line.
     """
     hand = load_hand(choice.hand)
     check_hand_ready(hand, str(choice.hand))
@@ -168,13 +169,13 @@ def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
     """Return the time scale of a run: the chosen scale, otherwise that of the simulator on the bus, otherwise 1.
 
     Args:
-        chosen: ratio of simulated time to wall time that the operator has chosen. None if
-            there is no choice.
+        chosen: ratio of simulated time to wall time that the operator has chosen, or None if there
+            is no choice.
         buses: specification of each bus, empty in lockstep.
 
     Raises:
-        ConfigError: the chosen time scale is out of range, is not 1 for a real bus, or differs from
-            that of the simulator.
+        ConfigError: the chosen time scale is out of range, is not 1 although a bus is real, or
+            differs from the time scale of the simulator.
     """
     if chosen is not None and not 0.001 <= chosen <= 100:
         raise ConfigError(f"{chosen:g}", "--time-scale", "0.001 to 100")
@@ -187,7 +188,7 @@ def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
         return 1.0
     simulated = (
         simulated_time_scale(buses[0]) if buses else None
-    )  # only the first bus has the request socket of the simulator
+    )  # only the first bus has the simulator's socket for requests
     if chosen is not None and simulated not in (None, chosen):
         raise ConfigError(
             f"{chosen:g}", "--time-scale", f"{simulated:g}, as the simulator on {buses[0]} has"
@@ -196,7 +197,7 @@ def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
 
 
 def check_hand_ready(hand: Hand, where: str) -> None:
-    """Raise an error if a hand must not run although its file is valid, see ``reasons_not_ready``.
+    """Raise an error if a hand must not run although the hand file is valid, see ``reasons_not_ready``.
 
     Args:
         hand: description of the hand to run.
@@ -212,11 +213,11 @@ def check_hand_ready(hand: Hand, where: str) -> None:
 def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) -> float:
     """Return the requested control rate [Hz].
 
-    If none is requested, return the highest usual rate that the buses allow.
+    If no rate is requested, return the highest of the usual rates that the buses allow.
 
     Raises:
-        ConfigError: a single lost tick would trigger the watchdog of a drive at this rate, or a bus
-            would be overloaded.
+        ConfigError: at this control rate, a single lost tick would trigger the watchdog of a drive,
+            or a bus would be overloaded.
     """
     best = highest_rate_of_buses(loads)
     rate = best if requested is None else requested
@@ -232,7 +233,7 @@ def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) 
 
 
 def _check_log(log: Path | None) -> None:
-    """Raise an error if the log file of the run already exists, has a wrong ending, or has no folder."""
+    """Raise an error if the log file of a run already exists, has a wrong suffix, or has no folder."""
     if log is None:
         return
     if log.suffix != ".mcap":
@@ -244,14 +245,14 @@ def _check_log(log: Path | None) -> None:
 
 
 def highest_rate_of_buses(loads: Sequence[BusLoad]) -> float:
-    """Return the highest usual control rate at which no bus is overloaded [Hz]."""
+    """Return the highest of the usual control rates at which no bus is overloaded [Hz]."""
     return highest_rate((load.tick_s for load in loads), (load.timed_fraction for load in loads))
 
 
 def default_rate(hand: Hand) -> float:
     """Return the default control rate of a hand [Hz].
 
-    The default is the highest usual rate that the buses of the hand allow.
+    The default is the highest of the usual rates that the buses of the hand allow.
     """
     return highest_rate_of_buses(bus_loads(hand))
 
@@ -263,9 +264,9 @@ def hint_lines(hand: Hand) -> tuple[str, ...]:
 
 
 def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None:
-    """Raise an error if no controller or filter can be designed from the gains.
+    """Raise an error if no valid controller or filter can be designed with the gains.
 
-    There may be no such design although each gain is within its bounds.
+    Such a design may be impossible although each single gain is within its bounds.
 
     Args:
         hand: description of the hand.
@@ -274,7 +275,7 @@ def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -
             allow.
 
     Raises:
-        ConfigError: no valid controller or filter follows from the gains.
+        ConfigError: no valid controller or filter can be designed with the gains.
     """
     from handctl.core.hand_model import HandModel
 
@@ -285,7 +286,8 @@ def bus_specs(hand: Hand, arguments: Sequence[str]) -> tuple[str, ...]:
     """Return the specification of each bus of a hand, from the words after ``--bus``.
 
     Raises:
-        ConfigError: a bus is missing, given twice, or unknown to the hand, or a specification is invalid.
+        ConfigError: a bus is missing, given twice, or not part of the hand, or a specification is
+            invalid.
     """
     specs = _specs_by_name(hand.bus_names, arguments)
     for spec in specs:
@@ -312,8 +314,8 @@ def _specs_by_name(names: tuple[str, ...], arguments: Sequence[str]) -> tuple[st
 def commission_log(log: Path) -> Path:
     """Return an unused path next to the log of a run, for the log of the commissioning that comes before the run.
 
-    If a fault ends the commissioning, this log exists, but no log of the run. When the operator
-    repeats the command, the log of the new commissioning gets another name.
+    If a fault ends the commissioning, the commissioning has a log, and the run has none. When the
+    operator repeats the command, the next commissioning gets a log with another name.
     """
     number = 1
     path = log.with_suffix(".commission.mcap")
@@ -324,7 +326,7 @@ def commission_log(log: Path) -> Path:
 
 
 def default_log(hand: Hand, kind: str = "") -> Path:
-    """Return an unused path of the form logs/DATE-HAND.mcap, and create its folder."""
+    """Return an unused path of the form logs/DATE-HAND.mcap, and create the folder of this path."""
     folder = Path("logs")
     folder.mkdir(exist_ok=True)
     stem = time.strftime("%Y%m%d-%H%M%S") + f"-{hand.name}" + (f"-{kind}" if kind else "")

@@ -57,11 +57,12 @@ class RunOutcome:
         state: last state of the controller in the run.
         loop_stats: statistics of the control loop.
         log_summary: summary of the recorder.
-        priority: real-time priority that the operating system granted. None in lockstep.
+        priority: real-time priority that the operating system granted to the control loop, or None
+            in lockstep.
         offset_ns: reading of the simulator's clock at the start of the run [ns].
         pauses: number of pauses of the clock that the run and the simulator share. The value is 0
             without such a clock.
-        paused_ns: total duration of the pauses in wall time [ns].
+        paused_ns: total duration of these pauses in wall time [ns].
     """
 
     state: ControllerState
@@ -74,7 +75,7 @@ class RunOutcome:
 
     @property
     def was_too_slow(self) -> bool:
-        """Return True if a fault has occurred because the host or the simulator was too slow."""
+        """Return True if a fault occurred because the host or the simulator was too slow."""
         return any(FAULT_BY_ID[mark.id].caused_by_lateness for mark in self.state.latched)
 
     @property
@@ -88,8 +89,8 @@ class RunOutcome:
         """Raise an error if the run did not finish.
 
         Args:
-            where: text that names the purpose of the run, for the error message.
-            right: remedy that the message suggests. The value is empty if no remedy is known.
+            where: text for the error message that names the purpose of the run.
+            right: remedy that the error message suggests, or an empty text if no remedy is known.
 
         Raises:
             PowerError: a drive did not confirm that it is disabled.
@@ -108,9 +109,11 @@ RunFunction = Callable[["RunPlan", Controller, Path], RunOutcome]
 def make_controller(
     plan: RunPlan, program: Program, calibration: Calibration | None, arm_at_once: bool
 ) -> Controller:
-    """Construct the controller of a run, including the design with the gains of the plan.
+    """Construct the controller of a run.
 
-    If code must be compiled first, show a progress bar.
+    The construction includes the design with the gains of the plan.
+
+    If numba must compile code first, show a progress bar.
     """
     with plan.show_progress("compiling the controller, once") as report_progress:
         compile_kernels(report_progress)
@@ -122,9 +125,9 @@ def make_controller(
 
 
 class RunObserver(Protocol):
-    """Object that watches a run from inside its process.
+    """Object that receives each tick of a run in the process of the controller.
 
-    An observer can send the same requests as an operator.
+    An observer can send the same requests as an operator can.
     """
 
     def poll_requests(self) -> tuple[str, ...]:
@@ -132,7 +135,7 @@ class RunObserver(Protocol):
         ...
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
-        """Receive the input and the output of a tick that is complete."""
+        """Receive the input and the output of a finished tick."""
         ...
 
 
@@ -147,11 +150,12 @@ def run_live(
 
     Args:
         plan: checked plan of the run.
-        controller: controller with its program.
+        controller: controller that executes the program of the run.
         log: log file to write.
         live_view: True to show the log in Rerun during the run. A separate process then sends the
             log to the viewer.
-        observer: observer of the run, which may send requests. None if there is none.
+        observer: observer of the run, which may send requests. It is None for a run without an
+            observer.
 
     Raises:
         BusError: a bus cannot be opened, or another controller uses it.
@@ -214,13 +218,13 @@ def run_lockstep(
     clock: LockstepClock,
     observer: RunObserver | None = None,
 ) -> RunOutcome:
-    """Execute a run in virtual time, with the simulated hand that belongs to a lockstep clock.
+    """Execute a run in virtual time, with the simulated hand to which a lockstep clock belongs.
 
-    Several runs may use the same clock, one after the other. In virtual time, no operator can clear
-    a fault.
+    Several runs may use the same clock, one after the other. In virtual time, no operator is
+    present to clear a fault.
 
     Raises:
-        DriveError: because of a fault, the hand had to hold its position for too long.
+        DriveError: a fault made the hand hold its position for longer than allowed.
     """
     clock.restart()
     header = run_header(plan, controller, None, lockstep=True)
@@ -246,14 +250,15 @@ def run_lockstep(
 def _start_recording(
     plan: RunPlan, log: Path, header: RunHeader, not_started: ExitStack
 ) -> tuple[Recorder, OperatorDisplay | None]:
-    """Start the recorder of a run, and the display if the plan has one.
+    """Start the recorder of a run. If the plan has a display, start the display too.
 
     Args:
         plan: plan of the run.
         log: log file to write.
         header: header of the run.
-        not_started: stack that closes the recorder and the display, if an error occurs before the
-            loop starts. After the start of the loop, ``_run_to_end`` closes them.
+        not_started: stack that closes the recorder and the display if an error occurs before the
+            loop starts. After the start of the loop, ``_run_to_end`` closes the recorder and the
+            display.
 
     Raises:
         LogError: the log cannot be written.
@@ -267,10 +272,10 @@ def _start_recording(
 
 
 def _open_clock(plan: RunPlan, stack: ExitStack) -> RealClock:
-    """Return the clock of a run.
+    """Return the clock by which a run in real time measures time.
 
-    If the simulator on the bus offers a shared clock, this clock is returned. Otherwise the clock
-    is CLOCK_MONOTONIC.
+    If the simulator on the bus offers a shared clock, the result is the shared clock. Otherwise the
+    result is the clock CLOCK_MONOTONIC.
 
     Raises:
         BusError: the file of the shared clock cannot be read, or has the format of another version.
@@ -291,7 +296,7 @@ def _open_clock(plan: RunPlan, stack: ExitStack) -> RealClock:
 
 
 def refuse_view_without_screen(view_requested: bool) -> None:
-    """Raise an error if ``--view`` is given in a desktop session without a screen.
+    """Raise an error if the user gives ``--view`` in a desktop session without a screen.
 
     Commands call this function before they open a bus.
 
@@ -307,8 +312,8 @@ def refuse_view_without_screen(view_requested: bool) -> None:
 def _start_view(log: Path) -> Callable[[], None]:
     """Start the live view of a log.
 
-    A separate process feeds the viewer. The result is a function that stops the process of the live
-    view. The viewer itself stays open.
+    Another process sends the log to the viewer. The result is a function that stops the process of
+    the live view. The viewer itself stays open.
     """
     from handctl.view.live_view import start_live_view
 
@@ -317,9 +322,9 @@ def _start_view(log: Path) -> Callable[[], None]:
 
 
 def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, ControllerState], None]:
-    """Return a function that must be called after each tick.
+    """Return a function that the caller must call after each tick.
 
-    This function records a snapshot of the state of the controller once per second.
+    This function records a snapshot of the controller's state once per second.
     """
     due_ns = SNAPSHOT_PERIOD_NS
 
@@ -362,7 +367,7 @@ def _build_loop(
 
 
 def _axis_lengths(hand: Hand) -> dict[str, int]:
-    """Return the number of joints, tendons, motors and digits of a hand."""
+    """Return the numbers of joints, tendons, motors and digits of a hand, by name."""
     return {
         "joint": len(hand.joints),
         "tendon": len(hand.tendon),
@@ -372,7 +377,7 @@ def _axis_lengths(hand: Hand) -> dict[str, int]:
 
 
 def _describe_run(plan: RunPlan) -> dict[str, object]:
-    """Return the constants of a run by name, for programs that observe the run."""
+    """Return the constants of a run by name, for programs that receive the observations of the run."""
     return {
         "hand_toml": plan.hand.to_toml(),
         "rate_Hz": plan.rate_hz,
@@ -385,7 +390,7 @@ def _request_source(
 ) -> Callable[[], tuple[TickRequest, ...]]:
     """Return a function that collects all requests for a tick except streamed targets.
 
-    If the plan says so, the first request is to clear the latched errors of the drives.
+    If the plan requires it, the first request clears the latched errors of the drives.
     """
     orders = [CLEAR_REQUEST] if plan.clear_faults else []
 
@@ -423,10 +428,10 @@ STATUS_RATE_HZ = 50.0
 
 @dataclass(slots=True)
 class PublishedState:
-    """Part of the latest state that status lines contain.
+    """Part of the controller's latest state that status lines show.
 
     Attributes:
-        commander: client that commands the hand, None if any client may command it.
+        commander: client that commands the hand, or None if any client may start to command it.
     """
 
     commander: str | None = None
@@ -440,7 +445,7 @@ def _publish_tick(
     state: ControllerState,
     sent_ns: int,
 ) -> None:
-    """Write the observation of a tick, and keep the part of the state that status lines contain."""
+    """Write the observation of a tick, and store the part of the state that status lines show."""
     observations.write_record(entry, out, stream_status(state), sent_ns)
     published.commander = state.decisions.commander
 
@@ -450,7 +455,7 @@ def _status_callback(
 ) -> TickCallback:
     """Return a function to call after each tick.
 
-    The function updates the display and the programs that observe the run.
+    The function updates the display, and sends status lines to the programs that observe the run.
     """
     every = max(1, round(rate_hz / STATUS_RATE_HZ))
 
@@ -477,7 +482,7 @@ def _run_to_end(
 ) -> RunOutcome:
     """Run the control loop to its end.
 
-    Then close the display and the recorder, even after an error.
+    Then close the display and the recorder, even if the loop raised an error.
     """
     reason = "controller error"
     try:

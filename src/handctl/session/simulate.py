@@ -1,6 +1,6 @@
 """Simulation of a controller and a simulated hand in lockstep.
 
-This module sets up all runs in lockstep.
+All runs in lockstep begin with this module.
 
 ``simulate_controller`` executes a whole run. ``SimulatedRun`` executes single ticks.
 ``SimulatorSettings.lockstep_clock`` provides the clock of runs with a log.
@@ -38,21 +38,23 @@ CHECKED_CONTROL_PERIOD_NS = 2_000_000
 
 
 class SimulatedHand(LockstepSimulator, Protocol):
-    """Simulated hand on the other side of the bus. Tests can inject faults into it.
+    """Simulated hand on the opposite side of the bus from the controller.
+
+    Tests can inject faults into this hand.
 
     Attributes:
-        world: simulated plant and nodes. Tests and rewards read true values from it, without the
-            bus.
+        world: simulated plant and simulated nodes. Tests and rewards read true values from this
+            world directly, and not through the bus.
     """
 
     world: Any
 
     def inject(self, text: str) -> None:
-        """Inject a fault, which is given as text."""
+        """Inject the fault that a text describes."""
         ...
 
     def fault_states(self) -> list[dict[str, Any]]:
-        """Return every injected fault, with its effects so far."""
+        """Return every injected fault, with the number of effects that the fault has had."""
         ...
 
     def truth(self) -> dict[str, list[float]]:
@@ -62,18 +64,18 @@ class SimulatedHand(LockstepSimulator, Protocol):
 
 @dataclass(frozen=True)
 class SimulatorSettings:
-    """Settings of the simulated hand on the other side of the bus.
+    """Settings of a simulated hand.
 
     Attributes:
         hand: name of a packaged hand, path of a hand file, or description of a hand.
         scene: name of a packaged scene, or path or text of a scene. None for a hand without
             objects.
-        seed: random seed of noise, slack and encoder offsets.
-        perturb: factors for the parameters of the simulated plant.
-        homed: True if the hand starts with taut tendons and its encoders at zero.
+        seed: random seed for the noise, the slack of the tendons, and the encoder offsets.
+        perturb: factors by which parameters of the simulated plant are multiplied.
+        homed: True if the hand starts with taut tendons and zero encoder readings.
         truth: file to which the true values of the simulated hand are written. If it is None, no
             file is written.
-        wire: KEY=VALUE words that describe a simulated wire with delays. If it is None, frames
+        wire: words KEY=VALUE that describe a simulated wire with delays. If it is None, frames
             arrive without delay.
         serials: serial numbers of the drives.
     """
@@ -124,7 +126,7 @@ class SimulatorSettings:
 
     @contextmanager
     def lockstep_clock(self, period_ns: int) -> Iterator[LockstepClock]:
-        """Construct the simulated hand and its lockstep clock, for one run or several runs in succession.
+        """Construct the simulated hand and its lockstep clock, for one run or for several successive runs.
 
         See ``simulated_hand``.
         """
@@ -157,13 +159,13 @@ class SimulatorSettings:
 
 @dataclass
 class SimulatedRun:
-    """Run of a controller with a simulated hand. The caller advances this run tick by tick.
+    """Run of a controller with a simulated hand. The caller executes this run tick by tick.
 
     Attributes:
         controller, simulated_hand: controller on one side of the bus, and simulated hand on the
-            other.
+            other side.
         period_ns: control period [ns].
-        state: state of the controller.
+        state: state of the controller after the last tick.
         k: number of the next tick.
         last_output: output of the last tick, or None before the first tick.
         recorded_ticks: input and output of every tick, if ``record_ticks`` is True.
@@ -203,7 +205,7 @@ class SimulatedRun:
         """Run one tick, and then advance the simulated hand to the next tick.
 
         Args:
-            io: additional events of buses and host that the controller receives in this tick.
+            io: additional events of buses and host for the controller in this tick.
             requests: requests of the operator in this tick.
             late_ns: lateness of the tick [ns].
             skip: number of ticks to leave out before this tick, as if the host had missed their
@@ -218,8 +220,8 @@ class SimulatedRun:
     def run_ticks(self, limit_s: float = math.inf) -> Iterator[tuple[TickIn, TickOut]]:
         """Run ticks until the controller is done.
 
-        Yield the input and output of each tick. When a tick is yielded, the simulated hand is still
-        at the time of this tick.
+        Yield the input and output of each tick. When the caller gets a tick, the simulated hand is
+        still at the time of this tick.
 
         Args:
             limit_s: longest duration of the run [s].
@@ -232,9 +234,9 @@ class SimulatedRun:
             self._step()
 
     def run_until(self, reached: Callable[[TickOut], bool], timeout_s: float) -> bool:
-        """Run until a condition on the output of a tick is true, for at most ``timeout_s`` [s].
+        """Run ticks until the output of a tick fulfils a condition, for at most ``timeout_s`` [s].
 
-        Return True if the condition became true.
+        Return True if an output fulfilled the condition.
         """
         for _ in range(round(timeout_s * 1e9 / self.period_ns)):
             out = self.run_tick()
@@ -283,12 +285,12 @@ def simulate_controller(
     on_tick: Callable[[TickIn, TickOut], None] = lambda entry, out: None,
     limit_s: float = math.inf,
 ) -> ControllerState:
-    """Run a controller to its end with a simulated hand.
+    """Run a controller with a simulated hand until the controller is done.
 
     Args:
         controller: controller with its program.
         simulator: settings of the simulated hand.
-        on_tick: function that is called with the input and output of each tick.
+        on_tick: function called with the input and the output of each tick.
         limit_s: longest duration of the run [s].
 
     Returns:

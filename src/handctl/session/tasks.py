@@ -48,8 +48,8 @@ def load_task_for_hand(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
 def scene_for_hand(name: str | None, hand: Hand) -> str:
     """Return the scene of a simulated hand.
 
-    If no name is given, the result is the scene of the packaged grasp, or a cylinder whose size
-    suits the hand.
+    If no name is given, the result is the scene of the packaged task `grasp`, or a cylinder whose
+    size suits the hand.
     """
     if name is not None:
         return name

@@ -16,9 +16,9 @@ FAILED_SCALE_FRACTION = 0.7
 
 
 def pace_advice(plan: RunPlan, outcome: RunOutcome) -> str:
-    """Return advice for a simulated run that failed because ticks or answers were late.
+    """Return advice for a run with a simulated hand that failed because ticks or answers were late.
 
-    For any other run, the text is empty.
+    For any other run, the result is an empty text.
     """
     if not (plan.is_simulated and outcome.was_too_slow):
         return ""

@@ -32,7 +32,7 @@ def judge_run(
     picture: bool = True,
     task: Task | None = None,
 ) -> dict[str, Any]:
-    """Compute the performance numbers of a run, and draw its picture next to the log.
+    """Compute numbers that describe the performance of a run, and draw a picture next to the log.
 
     If the picture cannot be written, for example because the disk is full, a notice tells the
     operator.
@@ -44,8 +44,8 @@ def judge_run(
         truth_file: truth file of the simulator, which is copied to the folder of the log. The value
             is None for a real hand.
         picture: True to draw the picture.
-        task: task that the run has executed, if the grasp of this task is to be judged. The run
-            counts as failed if the grasp did not hold the object.
+        task: task that the run has executed. If it is given, the grasp of the task is judged. The
+            run then counts as failed if the hand did not hold the object.
     """
     with RunLog(log) as record:
         if truth_file:
@@ -115,7 +115,7 @@ def _copy_truth(
 def _draw_picture(
     plan: RunPlan, outcome: RunOutcome, record: RunLog, truth: TruthRecord | None, log: Path
 ) -> Path | None:
-    """Draw the picture of the run, and return its path.
+    """Draw the picture of a run, and return the path of the picture.
 
     If the picture cannot be written, return None.
     """
@@ -129,17 +129,17 @@ def _draw_picture(
 
 
 def _report_omitted(path: Path, error: OSError, tell: NoticeCallback) -> None:
-    """Delete an incomplete output file next to the log, and tell the operator that it is missing."""
+    """Delete an incomplete output file next to the log, and tell the operator that the file is missing."""
     with suppress(OSError):
         path.unlink()
     tell(f"handctl: {path} is left out: {error.strerror or error}")
 
 
 def lost_frames(plan: RunPlan, outcome: RunOutcome) -> int:
-    """Return the number of lost frames.
+    """Return the number of frames that were lost in a run.
 
-    Lost are frames that a bus refused, and frames of the sensor node that never arrived. A reply
-    that arrived after the next SYNC is late, not lost.
+    A frame is lost if a bus refused to send it, or if the sensor node's frame never arrived. A
+    reply that arrives after the next SYNC frame counts as late, not as lost.
     """
     return outcome.loop_stats.refused_frames + make_sensors(plan.hand).lost_frame_count(
         *outcome.state.sensor_counts

@@ -1,1 +1,1 @@
-"""Tuning of a hand with unknown friction: identify its parameters, design gains, search better gains, verify them."""
+"""Tuning of a hand: identify its unknown parameters, design gains, search for better gains, verify them."""

@@ -45,7 +45,7 @@ class StoredGains:
 
 
 class GainsStore:
-    """Store of the present and the former gains of a hand.
+    """Files with the present and the former gains of a hand.
 
     Attributes:
         path: path of the file with the present gains.
@@ -66,20 +66,20 @@ class GainsStore:
         self.history_folder = folder / f"{hand}.gains"
 
     def present_gains(self) -> GainsFile | None:
-        """Return the present gains.
+        """Return the present gains of the hand.
 
-        Return None if there is no gains file, so that runs use the packaged gains.
+        If there is no gains file, return None. Runs then use the packaged gains.
 
         Raises:
-            ConfigError: The file of the present gains cannot be used.
+            ConfigError: the file of the present gains cannot be used.
         """
         return load_gains_file(self.path) if self.path.exists() else None
 
     def history_entries(self) -> list[StoredGains]:
-        """Return the entries of the history, oldest first.
+        """Return the entries of the history, the oldest first.
 
         Raises:
-            ConfigError: A file of the history cannot be used.
+            ConfigError: a file of the history cannot be used.
         """
         paths = sorted(self.history_folder.glob("[0-9][0-9][0-9][0-9].toml"))
         return [StoredGains(path, load_gains_file(path)) for path in paths]
@@ -96,8 +96,8 @@ class GainsStore:
         try:
             self.present_gains()
         except ConfigError:
-            # The new name is the first unused name among NAME.damaged.toml, NAME.damaged1.toml, and
-            # so on.
+            # The new name is the first name among NAME.damaged.toml, NAME.damaged1.toml, and so on,
+            # that is not in use.
             numbers = (
                 Path(f"{self.path.with_suffix('')}.damaged{n or ''}.toml")
                 for n in itertools.count()
@@ -114,11 +114,12 @@ class GainsStore:
     def apply_gains(self, gains: Gains, provenance: GainsProvenance) -> GainsFile:
         """Make the given gains the present gains.
 
-        If a user has edited the present gains, the edited gains are first added to the history.
+        If a user has edited the file of the present gains, the edited gains are added to the
+        history first.
 
         Raises:
-            ConfigError: The files cannot be written, or the present file cannot be read, see
-                `set_aside`.
+            ConfigError: the files cannot be written, or the file of the present gains cannot be
+                read, see `set_aside`.
         """
         self._keep_edited()
         return self._write_gains(gains, provenance)
@@ -126,7 +127,7 @@ class GainsStore:
     def roll_back(self, to: int | None = None) -> GainsFile:
         """Restore the gains before the present gains, or the gains with a given number.
 
-        Number 0 restores the packaged gains.
+        The number 0 restores the packaged gains.
 
         Raises:
             ConfigError: There are no earlier gains, or the number does not exist.
@@ -167,8 +168,8 @@ class GainsStore:
     ) -> GainsFile:
         """Write gains to the history with the next number, and then make them the present gains.
 
-        If the history does not contain the present file, for example because a user copied it, the
-        new gains are recorded as the successor of the newest entry.
+        If the history does not contain the present file, for example because a user has copied it,
+        the new gains are recorded as the successor of the newest entry.
         """
         present = self.present_gains()
         entries = self.history_entries()
@@ -190,8 +191,8 @@ class GainsStore:
         text = gains_text(gains, written)
         try:
             self.history_folder.mkdir(parents=True, exist_ok=True)
-            # The history is written first. So after a crash between the two writes, the present
-            # gains are unchanged.
+            # The history is written first. So if the program crashes between the two writes, the
+            # present gains have not changed.
             write_text_atomically(
                 self.history_folder / f"{written.number:04d}.toml", text, new=True
             )
@@ -204,7 +205,7 @@ class GainsStore:
 
 
 def _previous_number(entries: dict[int, StoredGains], present: GainsFile) -> int:
-    """Return the number of the gains that were replaced by the present gains.
+    """Return the number of the gains in the history that the present gains have replaced.
 
     After a rollback, the restored gains count as the present gains.
 

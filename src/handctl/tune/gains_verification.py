@@ -1,6 +1,7 @@
-"""Verification of new gains on the hand.
+"""Verification of new gains on the hand itself.
 
-The hand does an exercise with the old gains, and then with the new gains at rising amplitude.
+The hand executes an exercise, first with the old gains, and then with the new gains in rounds of
+rising amplitude.
 
 If a limit is violated, an observer of the run requests the old gains again. The controller receives
 the requests of the observer like those of any client. Therefore the log contains these requests,
@@ -61,18 +62,18 @@ AMPLITUDE_STEP = 0.05
 
 
 def round_amplitudes(largest: float = 1.0) -> tuple[float, ...]:
-    """Return the amplitudes of the rounds, given the largest amplitude."""
+    """Return the amplitudes of the rounds of the exercise, given the largest amplitude."""
     return tuple(largest * amplitude for amplitude in ROUND_AMPLITUDES)
 
 
 @dataclass(frozen=True, slots=True)
 class BlockedDigit:
-    """A digit that was blocked by something during a move of the exercise.
+    """A digit that was stopped by something during a move of the exercise.
 
     Attributes:
         digit: name of the digit.
-        by: names of the digits that were blocked at the same time.
-        angle: mean joint angle of the digit with its unit, as text.
+        by: names of the other digits that were blocked at the same time.
+        angle: mean joint angle of the digit, as text with its unit.
         amplitude: amplitude of the round.
         proposed_amplitude: amplitude at which the digit stays in front of the contact. The value is
             0 if there is none.
@@ -100,12 +101,12 @@ class VerifyLimits:
 
     Attributes:
         tracking_rad: largest difference between the goal and the estimated angle of any joint
-            during a move [rad]. A prismatic joint moves 10 mm per rad.
-        trip_fraction: largest tension of a tendon, as a fraction of the ``tension_trip_N`` of this
-            tendon.
-        ringing_factor: largest allowed rate of change of the motor torques (RMS over a window), as
-            a multiple of the largest rate with the old gains.
-        ringing_floor_Nm_per_s: rate of change up to which the torques never count as oscillating [N
+            during a move [rad]. For a prismatic joint, 10 mm count as 1 rad.
+        trip_fraction: largest allowed tension of a tendon, as a fraction of the tendon's
+            ``tension_trip_N``.
+        ringing_factor: largest allowed rate of change of the motor torques (RMS over a window),
+            divided by the largest rate with the old gains.
+        ringing_floor_Nm_per_s: rate of change of the torques that never counts as an oscillation [N
             m/s].
     """
 
@@ -134,9 +135,9 @@ class GainsRollback:
 
 @dataclass
 class VerifyObserver:
-    """Observer of a run that requests the new gains.
+    """Observer of a verification run, which requests the new gains.
 
-    If a limit is violated, it requests the old gains again.
+    If a limit is exceeded, the observer requests the old gains again.
 
     Attributes:
         hand: description of the running hand.
@@ -146,9 +147,10 @@ class VerifyObserver:
         limits: limits for the rounds with the new gains.
         amplitudes: amplitudes of the rounds of the exercise.
         old_rounds: number of rounds with the old gains.
-        rollback: record of the return to the old gains. None if no return was necessary.
-        blocked: first digit that was blocked in a move. None if no digit was blocked. A
-            blocked digit has no tracking limit, because its error says nothing about the gains.
+        rollback: record of the return to the old gains, or None if no return was necessary.
+        blocked: first digit that was blocked in a move, or None if no digit was blocked. The
+            tracking limit does not apply to a blocked digit, because its error says nothing about
+            the gains.
     """
 
     hand: Hand
@@ -177,7 +179,7 @@ class VerifyObserver:
         """Observe a tick, see `RunObserver`."""
         if out.phase == "settle" and self._phase != "settle":
             self._round += 1
-            # The gains change in the phase `settle`, while the hand is at rest.
+            # The gains are changed in the phase `settle`, while the hand is at rest.
             if self._round == self.old_rounds + 1:
                 self._request_gains(self.new_gains, self.old_gains)
         self._phase = out.phase
@@ -215,7 +217,7 @@ class VerifyObserver:
         return tuple(sorted(lags, key=lags.__getitem__, reverse=True))
 
     def _blocked_digit(self, out: TickOut, names: tuple[str, ...]) -> BlockedDigit:
-        """Return the description of a blocked digit, given the result of `_blocked_names`."""
+        """Return the description of a blocked digit. The names come from `_blocked_names`."""
         digit, *others = names
         units = self.hand.displayed_mean(digit)
         column = self.hand.digit_names.index(digit)
@@ -230,9 +232,9 @@ class VerifyObserver:
         )
 
     def _request_gains(self, gains: Gains, present_gains: Gains) -> None:
-        """Queue a request that sets those of the given gains that a running controller can change."""
-        # If a request does not set the force of a tendon, a running controller keeps this force.
-        # Therefore the request sets the forces of all tendons.
+        """Add a request that sets those of the given gains which a running controller can change."""
+        # If a request does not set the force of some tendon, the running controller keeps the
+        # present force of this tendon. Therefore the request must set the forces of all tendons.
         all_values = values_by_key(gains) | {
             key: new for key, (_, new) in different_values(present_gains, gains).items()
         }
@@ -255,8 +257,8 @@ class VerifyObserver:
         self._torque = torque
         if before is None or out.mode != HandMode.ACTIVE:
             return 0.0
-        # The observer does not know the control rate. The observer uses the mean period of the
-        # ticks so far.
+        # The control rate is not known to the observer. Therefore the mean period of the ticks so
+        # far is used.
         period = entry.t_ns / max(entry.k, 1) / 1e9
         self._rates.append(float(np.square(torque - before).mean()) / period**2)
         while len(self._rates) > RINGING_WINDOW_S / period:
@@ -313,10 +315,10 @@ SAME_VALUE_FRACTION = 0.02
 
 @dataclass(frozen=True, slots=True)
 class MeasureComparison:
-    """Comparison of old and new gains by one measure of quality, at full amplitude.
+    """Comparison of old and new gains by one measure of quality, in the rounds with full amplitude.
 
     Attributes:
-        name: name of the measure.
+        name: name of the measure of quality.
         unit: unit of the measure.
         old: mean of the measure over the runs with the old gains.
         new: mean of the measure over the runs with the new gains.
@@ -334,7 +336,7 @@ class MeasureComparison:
 
 
 def compare_rounds(runs: list[list[GainScore]]) -> list[MeasureComparison]:
-    """Compare the rounds at full amplitude with old and with new gains, run by run.
+    """Compare the rounds with full amplitude, with old and with new gains, run by run.
 
     Args:
         runs: scores of the rounds of each run.
@@ -360,15 +362,17 @@ def compare_rounds(runs: list[list[GainScore]]) -> list[MeasureComparison]:
 def scores_by_round(
     log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
 ) -> list[GainScore]:
-    """Calculate the score of each round of the exercise. The rounds with the old gains come first.
+    """Calculate the score of each round of the exercise.
 
-    The tracking error leaves out digits in contact, because they cannot follow their commands.
+    The rounds with the old gains come first in the result.
+
+    Digits in contact are left out of the tracking error, because they cannot follow their commands.
 
     Args:
         log: log of the verification.
         hand: hand description of the run.
-        truth: true values from the simulator. None on hardware. The estimates of the
-            controller are then used.
+        truth: true values from the simulator, or None on hardware. On hardware, the estimates of
+            the controller are used instead.
         offset_ns: time on the clock of the simulator at which the time of the run was 0 [ns].
     """
     starts = [change.k for change in log.phases if change.name == "settle"]

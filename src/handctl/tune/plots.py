@@ -1,4 +1,4 @@
-"""Figures for tuning: the loops before and after a change of gains, the trials of a search, and a verification."""
+"""Figures for tuning: control loops before and after a change of gains, trials of a search, and a verification."""
 
 from pathlib import Path
 from typing import Any
@@ -39,13 +39,14 @@ def _new_figure(width: float, height: float) -> Any:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
-    # The figure has its own canvas, which needs neither a display nor the global state of pyplot.
+    # The figure has a canvas of its own, which needs neither a display nor the global state of
+    # pyplot.
     FigureCanvasAgg(figure)
     return figure
 
 
 def draw_loops(path: Path, before: HandModel, after: HandModel, title: str) -> None:
-    """Draw Bode plot, Nyquist plot and disturbance step of both loops of the first tendon, with old and new gains.
+    """Draw both loops of the first tendon with old and new gains: Bode plot, Nyquist plot and disturbance step.
 
     Args:
         path: PNG file to write.
@@ -62,7 +63,7 @@ def draw_loops(path: Path, before: HandModel, after: HandModel, title: str) -> N
         ):
             _draw_loop(row, model, kind, colour, name)
         _style_axes(row, kind)
-    # Inside of a plot, the legend would hide a part of the curves.
+    # If the legend were inside a plot, it would hide a part of the curves.
     handles, names = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper right", ncols=2)
     save_figure(figure, path)
@@ -90,8 +91,8 @@ def _style_axes(row: Any, kind: LoopKind) -> None:
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     plane.plot(np.cos(turn), np.sin(turn), color=GREY_COLOR, linewidth=0.8)
     plane.plot([-1.0], [0.0], "+", color="black")
-    # On the negative real axis, the gain margin is a ratio of two distances from the origin: the
-    # distance of -1 and the distance of the curve.
+    # On the negative real axis, the gain margin is the distance of -1 from the origin, divided by
+    # the distance of the curve.
     plane.plot([-(10.0 ** (-MIN_GAIN_MARGIN_DB / 20.0))], [0.0], "|", color="black")
     plane.set(
         title=f"Nyquist; bar: {MIN_GAIN_MARGIN_DB:g} dB",
@@ -109,7 +110,7 @@ def _style_axes(row: Any, kind: LoopKind) -> None:
 
 
 def draw_search(path: Path, result: SearchResult, title: str) -> None:
-    """Draw the trials of a search with their Pareto front, and the cost of the best trial so far.
+    """Draw the trials of a search with the Pareto front, and the cost of the best trial so far.
 
     Args:
         path: PNG file to write.
@@ -161,7 +162,7 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
     left.set(
         xlabel="tracking error [deg rms]", ylabel="tension error [N rms]", title="feasible trials"
     )
-    # Beside the plots, the legend hides no trial.
+    # Beside the plots, the legend does not hide any trial.
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=3)
     costs = [
         result.relative_cost(trial) if trial.is_feasible else np.nan for trial in result.trials
@@ -184,13 +185,13 @@ def draw_verify(
     offset_ns: int,
     rollback: GainsRollback | None,
 ) -> None:
-    """Draw the angles, tensions and motor torques of a verification, and the times at which the gains change.
+    """Draw angles, tensions and motor torques of a verification, and the times at which the gains changed.
 
     Args:
         path: PNG file to write.
         log: log of the verification.
         hand: description of the hand of the run.
-        truth: true values from the simulator. None on hardware.
+        truth: true values from the simulator, or None on hardware.
         offset_ns: time on the clock of the simulator at which the time of the run was 0 [ns].
         rollback: record of the return to the old gains during the run. None if there was
             none.

@@ -1,6 +1,6 @@
-"""Scores that rate gains by runs of the whole controller on simulated plants.
+"""Scores of gains. A score comes from runs of the whole controller on simulated plants.
 
-A score compares the goals of an exercise with the ground truth of the simulator.
+To get a score, the goals of an exercise are compared with the true values of the simulator.
 """
 
 import tempfile
@@ -40,7 +40,7 @@ FAILED_OBJECTIVE = 1e3
 
 @dataclass(frozen=True, slots=True)
 class GainScore:
-    """Score of gains: the root mean square over all plants.
+    """Score of a set of gains: root mean squares over all plants.
 
     Attributes:
         tracking_deg: difference between the goal and the true mean joint angle while digits move
@@ -48,12 +48,12 @@ class GainScore:
         tension_N: difference between the goal and the true tension while tensions are held [N].
         effort_Nm_per_s: rate of the commanded motor torque, a measure of wear and noise [N
             m/s].
-        peak_tension_N: largest true tension of any tendon on any plant [N].
-        shortfall: missing part of a margin on the worst plant, as a fraction of the required
+        peak_tension_N: largest true tension of any tendon on any of the plants [N].
+        shortfall: missing part of the margin on the worst plant, as a fraction of the required
             margin. The value is 0 or less if all margins are large enough.
-        failure: reason why a run ended early or has no score. It is empty if there is none.
-        blocked: names of digits that something blocked in a move, separated by commas. While a
-            digit is blocked, its tracking is not scored.
+        failure: reason why a run ended early or has no score, or an empty text.
+        blocked: names of digits that were blocked by something during a move, separated by commas.
+            While a digit is blocked, its tracking error is not part of the score.
     """
 
     tracking_deg: float
@@ -66,17 +66,17 @@ class GainScore:
 
     @property
     def objectives(self) -> tuple[float, float, float]:
-        """Return the objectives that a search minimises."""
+        """Return the numbers that a search minimises."""
         return self.tracking_deg, self.tension_N, self.effort_Nm_per_s
 
     def relative_cost(self, scale: "GainScore") -> float:
-        """Return the cost of the score as one number, relative to a reference score.
+        """Return the cost of this score as a single number, relative to a reference score.
 
-        Tracking and tension have most of the weight. The effort decides between gains with similar
-        tracking and tension.
+        In the cost, tracking and tension have most of the weight. If two sets of gains have similar
+        tracking and tension, the effort decides.
         """
-        # The weights are 1, 1 and 0.1. The weights are divided by their sum 2.1, so the cost of the
-        # reference is 1.
+        # The weights of tracking, tension and effort are 1, 1 and 0.1. They are divided by their
+        # sum 2.1, so that the cost of the reference is 1.
         parts = [
             objective / max(other, 1e-9)
             for objective, other in zip(self.objectives, scale.objectives, strict=True)
@@ -90,15 +90,15 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
     The job and the result consist of plain values. Any process can therefore evaluate a job.
 
     Args:
-        job: table with these keys: hand (text of the hand file), rate_hz, gains (table), plants
-            (tables of factors) and seed. If the optional value must_keep_margins is True, gains
+        job: table with the keys hand (text of the hand file), rate_hz, gains (table), plants
+            (tables of factors) and seed. If the optional key must_keep_margins is True, gains
             without sufficient margins are not simulated.
 
     Returns:
         The `GainScore`, as a table.
     """
     hand = hand_from_content(tomllib.loads(job["hand"]), "the hand of the search")
-    # A job that has crossed a process boundary contains lists in place of tuples.
+    # If a job comes from another process, it contains lists in place of tuples.
     gains = validate_content(job["gains"], Gains, "the gains of the search")
     model = HandModel.from_hand(hand, gains, float(job["rate_hz"]))
     plants = job["plants"]
@@ -110,7 +110,7 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
         runs.append(score_exercise(hand, model, factors, int(job["seed"]) + i))
         if runs[-1].failure:
             return _score_table(replace(runs[-1], shortfall=shortfall))
-    # The root mean square gives the largest weight to the worst plants.
+    # In a root mean square, the worst plants have the largest weight.
     tracking, tension, effort = np.sqrt(
         np.mean([np.square(run.objectives) for run in runs], axis=0)
     ).tolist()
@@ -143,7 +143,7 @@ TickRecords = list[tuple[TickIn, TickOut]]
 def simulate_program(
     hand: Hand, model: HandModel, program: Program, factors: Mapping[str, float], seed: int
 ) -> tuple[TickRecords, TruthRecord, str]:
-    """Run a program on a simulated plant in lockstep.
+    """Execute a program on a simulated plant in lockstep.
 
     Args:
         hand: description of the hand.
@@ -153,8 +153,8 @@ def simulate_program(
         seed: seed of the simulated noise.
 
     Returns:
-        The ticks, the true values from the simulator, and the reason why the run ended early. The
-        reason is empty if it did not.
+        The ticks, the true values from the simulator, and the reason why the run ended early. If
+        the run did not end early, the reason is an empty text.
     """
     ticks: TickRecords = []
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
@@ -171,13 +171,13 @@ def simulate_program(
 def score_run(
     hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthRecord, failure: str
 ) -> GainScore:
-    """Return the score of a run from the ground truth of the simulator.
+    """Return the score of a run, computed from the true values of the simulator.
 
     Args:
         hand: description of the hand of the run.
         ticks: ticks of the run.
-        truth: ground truth of the plant.
-        failure: reason why the run ended early. The value is empty if it did not.
+        truth: true values of the plant.
+        failure: reason why the run ended early, or an empty text.
     """
     active = [(entry.t_ns, out) for entry, out in ticks if out.mode == HandMode.ACTIVE]
     tension = truth.values[
@@ -214,14 +214,16 @@ def _true_touches(hand: Hand, truth: TruthRecord, t_ns: NDArray[np.int64]) -> ND
 
 
 def _failed_score(peak_tension_N: float, failure: str, shortfall: float = 0.0) -> GainScore:
-    """Return the score of gains with which the exercise has no result."""
+    """Return the score of gains for which the exercise gave no result."""
     return GainScore(
         FAILED_OBJECTIVE, FAILED_OBJECTIVE, FAILED_OBJECTIVE, peak_tension_N, shortfall, failure
     )
 
 
 def digit_angles(hand: Hand, q: Array) -> Array:
-    """Return the mean joint angle of each digit (ticks, D) [rad], where a prismatic joint counts 10 mm per rad.
+    """Return the mean joint angle of each digit (ticks, D) [rad].
+
+    For a prismatic joint, 10 mm count as 1 rad.
 
     Args:
         hand: description of the hand.
@@ -235,11 +237,11 @@ def digit_angles(hand: Hand, q: Array) -> Array:
 class GroundTruth(NamedTuple):
     """Reference for a score: the true values from the simulator.
 
-    On hardware, the estimates of the controller take their place.
+    On hardware, the estimates of the controller are used in their place.
 
     Attributes:
-        angle: (ticks, D) mean joint angle [rad], see ``digit_angles``.
-        tension: (ticks, N) tension [N].
+        angle: (ticks, D) mean joint angle of each digit [rad], see ``digit_angles``.
+        tension: (ticks, N) tension of each tendon [N].
     """
 
     angle: Array
@@ -266,11 +268,11 @@ def score_ticks(
 
     Args:
         t_ns: (ticks,) times of the ticks [ns].
-        phase: (ticks,) name of the phase at each tick.
+        phase: (ticks,) name of the phase in each tick.
         angle: (ticks, D) goals of the mean joint angle [rad].
         tension: (ticks, N) tension goals [N].
         torque: (ticks, M) commanded motor torques [N m].
-        truth: ground truth at the times of the ticks.
+        truth: true values at the times of the ticks.
     """
     rate = np.diff(torque, axis=0) / (np.diff(t_ns)[:, None] / 1e9)
     return GainScore(

@@ -1,6 +1,6 @@
 """Display of a log in a viewer.
 
-The first seconds of the run are visible while the rest is being sent.
+The first seconds of the run are visible before the whole log has been sent.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,14 +35,14 @@ def browse_log(
 ) -> Iterator[Viewer]:
     """Open a viewer, and send a whole log to the viewer.
 
-    The viewer closes at the end of the context.
+    At the end of the context, the viewer is closed.
 
     Args:
         path: path of the log.
-        run: run and hand of the log.
+        run: data about the run and the hand of the log.
         arguments: further arguments of the viewer.
         environment: environment variables for the viewer.
-        scan: result of the scan of the log's records, if the log has been scanned already.
+        scan: list of the log's records, if the records have been scanned already.
 
     Yields:
         the viewer, after the whole log was sent.
@@ -51,12 +51,12 @@ def browse_log(
         LogError: the log is damaged. The viewer then shows the part before the damage.
         HandctlError: the viewer does not start.
     """
-    # The viewer starts on another core while this process imports Rerun and converts the first
-    # part.
+    # The viewer starts on another processor core while this process imports Rerun and converts the
+    # first part of the log.
     with launched_viewer(["--expect-data-soon", *arguments], environment) as launch:
         from handctl.view.rerun_conversion import (
             run_chunks_in_parts,
-        )  # the import of Rerun overlaps the start of the viewer
+        )  # Rerun is imported while the viewer starts
 
         parts = run_chunks_in_parts(path, run, FIRST_SLICE_NS, scan)
         first = list(islice(parts, 2))
@@ -66,7 +66,7 @@ def browse_log(
 
 
 def _send_chunks(running: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> None:
-    """Send chunks to a viewer, until all are sent or the viewer is closed."""
+    """Send chunks of Rerun data to a viewer, until all are sent or the viewer is closed."""
     import rerun as rr
 
     from handctl.view.rerun_conversion import new_recording
@@ -79,6 +79,6 @@ def _send_chunks(running: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> No
             takewhile(lambda _: running.process.poll() is None, chunks), recording=stream
         )
     finally:
-        with suppress(RuntimeError):  # the viewer was closed meanwhile
+        with suppress(RuntimeError):  # the user has closed the viewer
             stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
         stream.disconnect()

@@ -1,4 +1,4 @@
-"""Picture of the dashboard at one time of a run. The picture is drawn without a screen."""
+"""Picture of the viewer's dashboard at one time of a run. The picture is drawn without a screen."""
 
 import time
 from pathlib import Path
@@ -28,7 +28,7 @@ def draw_recording(rrd: Path, at_s: float, out: Path) -> list[str]:
     """Draw the dashboard of a Rerun recording at one time as PNG.
 
     Args:
-        rrd: path of the recording, which includes the layout of the dashboard.
+        rrd: path of the Rerun recording, which also contains the layout of the dashboard.
         at_s: time to show, since the start of the run [s].
         out: path of the PNG file to write.
 
@@ -88,7 +88,7 @@ def connect_client(running: Viewer) -> "ViewerClient":
 
 
 def timeline_end(state: "ViewerState", timeline: str) -> int:
-    """Return the latest end of a timeline in all recordings of a viewer, in the timeline's unit.
+    """Return the latest end of a timeline in all recordings of a viewer, in the unit of the timeline.
 
     If there are no data, the result is -1.
     """
@@ -102,7 +102,7 @@ def timeline_end(state: "ViewerState", timeline: str) -> int:
 
 
 def wait_until_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
-    """Wait until a viewer has views and has loaded a recording up to a given time.
+    """Wait until a viewer shows views and has loaded a recording up to a given time.
 
     A viewer gets a recording and the layout before the first data. Even before the first data, the
     viewer reports the end of loading. So a check of this report alone is not enough.
@@ -110,7 +110,7 @@ def wait_until_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> 
     Args:
         client: client of the viewer.
         timeline: name of a timeline of the recording.
-        until: time up to which the recording must be loaded, in the timeline's unit.
+        until: time up to which the recording must be loaded, in the unit of the timeline.
 
     Raises:
         HandctlError: the recording is not loaded after `LOAD_TIMEOUT_S`.

@@ -32,14 +32,14 @@ NO_GROWTH_TIMEOUT_S = 15.0
 
 
 class LogFollower:
-    """Sender that passes a growing log to a viewer, step by step."""
+    """Sender of a growing log to a viewer."""
 
     def __init__(self, log: Path, run: RunInfo, url: str) -> None:
         """Connect to a viewer, and send the static chunks of the run.
 
         Args:
-            log: path of the log, which must already have a header.
-            run: run and hand of the log.
+            log: path of the log file, which must already contain a header.
+            run: data about the run and the hand of the log.
             url: address of the viewer.
         """
         self._run = run
@@ -66,7 +66,10 @@ class LogFollower:
         return True
 
     def _flush(self) -> None:
-        """Wait until the viewer has received all data. If the viewer was closed, do not wait."""
+        """Wait until the viewer has received all data.
+
+        If the user has closed the viewer, do not wait.
+        """
         with suppress(RuntimeError):
             self._stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
 
@@ -89,12 +92,12 @@ def follow_log(
 
     Args:
         log: path of the log. The file may be created later.
-        arguments: further arguments of the viewer.
-        stop: flag that requests an earlier end of the display.
+        arguments: further command-line arguments of the viewer.
+        stop: flag that is set to end the display early.
 
     Raises:
         LogError: the log does not appear in time or is damaged.
-        ConfigError: the session has no screen on which to open the viewer.
+        ConfigError: the desktop session has no screen on which a viewer could open.
         HandctlError: the viewer does not start.
     """
     headless = "--headless" in arguments
@@ -118,7 +121,7 @@ def follow_log(
 
 
 def _follow_until_end(follower: LogFollower, running: Viewer, stop: TerminationFlag) -> None:
-    """Send new chunks until the log ends or stops growing, the viewer is closed, or a stop is requested."""
+    """Send new chunks until the log ends or stops growing, or until the viewer is closed or a stop is requested."""
     news = time.monotonic()
     while not (follower.log_ended or stop.requested) and running.process.poll() is None:
         start = time.monotonic()
@@ -126,13 +129,16 @@ def _follow_until_end(follower: LogFollower, running: Viewer, stop: TerminationF
             news = start
         elif start - news > NO_GROWTH_TIMEOUT_S:
             return
-        # After a slow step the pause is shorter. The shortest pause still leaves the processor to
-        # other programs.
+        # After a slow step, the pause before the next step is shorter. Even the shortest pause
+        # leaves processor time to other programs.
         time.sleep(max(CHECK_PERIOD_S - (time.monotonic() - start), CHECK_PERIOD_S / 4))
 
 
 def _wait_for_header(log: Path, stop: TerminationFlag) -> RunInfo | None:
-    """Wait for the header of a log, and return the data about the run, or None after a stop request."""
+    """Wait for the header of a log, and return the data about the run.
+
+    After a stop request, return None.
+    """
     end = time.monotonic() + LOG_FILE_TIMEOUT_S
     while not stop.requested:
         try:

@@ -29,7 +29,7 @@ def start_live_view(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]
 
     Args:
         log_path: path of the log. The file may be created later.
-        arguments: further arguments of the viewer, such as --headless.
+        arguments: further command-line arguments of the viewer, such as --headless.
     """
     command = [sys.executable, "-m", "handctl.view.live_view", str(log_path), *arguments]
     quiet = os.environ | {"RUST_LOG": "off"}
@@ -59,7 +59,8 @@ def main() -> int:
 
         follow_log(log, arguments, stop)
     except HandctlError as error:
-        print(f"handctl view: {error}", file=sys.stderr)  # every HandctlError is printable
+        # A HandctlError always has a printable message.
+        print(f"handctl view: {error}", file=sys.stderr)
         return 1
     return 0
 

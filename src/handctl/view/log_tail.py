@@ -1,4 +1,4 @@
-"""Reader for a log that is being written.
+"""Reader for a log that another process is still writing.
 
 The reader copies each group of new chunks into a small log.
 """
@@ -10,13 +10,16 @@ from handctl.log.read.record_scan import RecordScan, scan_records
 
 
 class LogTail:
-    """Reader of a growing log, from start to end. Each call continues where the last one ended."""
+    """Reader of a growing log, from the start to the end.
+
+    Each call continues where the last call ended.
+    """
 
     def __init__(self, path: Path) -> None:
-        """Start before the first chunk of a log.
+        """Begin to read before the first chunk of a log.
 
         Args:
-            path: path of the log.
+            path: path of the growing log.
         """
         self._path = path
         self._scan = RecordScan()
@@ -34,8 +37,8 @@ class LogTail:
             path: log file to write. The file also has the definitions of all topics.
 
         Returns:
-            the first new log time [ns]. If no new chunk is complete, the result is None, and no
-            file is written.
+            the time of the first new message in the log [ns]. If no new chunk is complete, the
+            result is None, and the function writes no file.
 
         Raises:
             LogError: the log is damaged.
@@ -46,8 +49,9 @@ class LogTail:
         file = LogFile(self._path)
         try:
             scan_records(file, scan)
-            # Rerun loses messages of a chunk whose message indexes are not complete. So a chunk is
-            # sent only when the record after its message indexes exists.
+            # If the message indexes after a chunk are incomplete, Rerun loses messages of this
+            # chunk. So the reader passes on a chunk only when the record after the message indexes
+            # exists.
             ends = [
                 *(chunk.offset for chunk in scan.chunks[1:]),
                 *([scan.end] if scan.complete else []),
@@ -56,7 +60,7 @@ class LogTail:
             if not new:
                 return None
             with path.open("wb") as out:
-                # The first chunk of the log has the definitions of all topics. Therefore every
+                # The first chunk of the log contains the definitions of all topics. Therefore every
                 # written part begins with this chunk.
                 if self._sent_chunks:
                     out.write(file.read_range(0, ends[0]))

@@ -1,4 +1,4 @@
-"""Selection of the time of a run that a single picture shows."""
+"""Choice of the time at which a single picture shows a run."""
 
 from handctl.log.read.reader import RunLog
 

@@ -1,4 +1,7 @@
-"""Conversion of a log to the chunks that Rerun shows. The chunks go to a file or to a viewer."""
+"""Conversion of a log to the chunks that Rerun shows.
+
+The chunks go to a recording file or to a viewer.
+"""
 
 import errno
 import os
@@ -35,7 +38,7 @@ MESSAGE_DECODERS = ("ros2msg", "ros2_reflection", "urdf")
 
 @contextmanager
 def rerun_errors(name: str) -> Iterator[None]:
-    """Turn an error that Rerun raises about a bad file into a LogError."""
+    """Replace an error that Rerun raises about a bad file by a LogError."""
     try:
         yield
     except (RuntimeError, ValueError, OSError) as error:
@@ -45,20 +48,22 @@ def rerun_errors(name: str) -> Iterator[None]:
 
 
 def run_chunks(path: Path, run: RunInfo, first_ns: int = SLICE_NS) -> Iterator[Chunk]:
-    """Return all chunks of a log one after another, see `run_parts`."""
+    """Return all chunks of a log one after another, see `run_chunks_in_parts`."""
     return chain.from_iterable(run_chunks_in_parts(path, run, first_ns))
 
 
 def run_chunks_in_parts(
     path: Path, run: RunInfo, first_ns: int = SLICE_NS, scan: RecordScan | None = None
 ) -> Iterator[list[Chunk]]:
-    """Yield all chunks of a log in parts. The first part has the static chunks. The run follows in the order of time.
+    """Yield all chunks of a log in parts.
+
+    The first part has the static chunks. The run follows in the order of time.
 
     Args:
-        path: path of the log. The log may end early.
-        run: run and hand of the log.
-        first_ns: length of the first part of the run [ns].
-        scan: result of the scan of the log's records, if the log has been scanned already.
+        path: path of the log. The log may be incomplete.
+        run: data about the run and the hand of the log.
+        first_ns: duration of the first part of the run [ns].
+        scan: list of the log's records, if the records have been scanned already.
 
     Raises:
         LogError: the log is damaged.
@@ -72,9 +77,11 @@ def run_chunks_in_parts(
 
 
 def ensure_complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, RecordScan]:
-    """Return the path and the scan of a complete log: the log itself, or a repaired copy of a log that ends early.
+    """Return the path and the list of records of a complete log.
 
-    Rerun omits parts of the last chunk of an incomplete log.
+    If the log ends early, both belong to a repaired copy.
+
+    The copy is necessary because Rerun omits parts of the last chunk of an incomplete log.
 
     Raises:
         LogError: the log has no complete chunk.
@@ -90,13 +97,13 @@ def ensure_complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Pat
 def log_chunks(
     path: Path, converters: TopicConverters, name: str, since_ns: int = 0
 ) -> Iterator[Chunk]:
-    """Yield the chunks that the dashboard needs, made from the topics of a log.
+    """Convert topics of a log to the chunks that the dashboard needs, and yield these chunks.
 
     Args:
-        path: path of the log. The log may end early.
+        path: path of the log. The log may be incomplete.
         converters: converters for the topics of the log.
-        name: name of the log in error messages.
-        since_ns: log time before which the log is not read [ns].
+        name: name of the log, for error messages.
+        since_ns: log time [ns] from which the log is read.
 
     Raises:
         LogError: the log is damaged.
@@ -106,7 +113,7 @@ def log_chunks(
             path, decoders=MESSAGE_DECODERS, include_topic_regex=converters.topics, recover=True
         )
         first, last = reader.time_bounds()
-        # The stream excludes the end of the time range, so 1 is added.
+        # The time range of the stream does not include its end, so 1 is added.
         raw = (
             reader.stream(start_time_ns=max(first, since_ns), end_time_ns=last + 1)
             .collect()
@@ -117,7 +124,7 @@ def log_chunks(
 
 
 def _start_time(chunk: Chunk) -> int:
-    """Return the log time of a chunk's first row [ns].
+    """Return the log time of the first row of a chunk [ns].
 
     A chunk without times gets -1, and so comes first.
     """
@@ -134,15 +141,15 @@ def new_recording(run: RunInfo) -> rr.RecordingStream:
 
 
 def write_rrd(path: Path, run: RunInfo, out: Path) -> int:
-    """Write a log as a Rerun recording, which includes the layout of the dashboard.
+    """Write a log as a Rerun recording that also contains the layout of the dashboard.
 
     Args:
         path: path of the log.
-        run: run and hand of the log.
-        out: file of the recording.
+        run: data about the run and the hand of the log.
+        out: path of the recording to write.
 
     Returns:
-        size of the recording's file [bytes].
+        size of the recording [bytes].
 
     Raises:
         LogError: the log is damaged, or the file cannot be written.

@@ -1,4 +1,4 @@
-"""Division of a log into small logs by time.
+"""Division of a log into small log files by time.
 
 A viewer can show the first part before the last part is read.
 """
@@ -19,15 +19,15 @@ A part of this length has few chunks. The small number of chunks limits the use 
 def time_slices(
     path: Path, scan: RecordScan, folder: Path, first_ns: int
 ) -> Iterator[tuple[Path, int]]:
-    """Yield parts of a complete log in the order of time.
+    """Divide a complete log into parts, and yield the parts in the order of time.
 
     Each part is a log file. The file is overwritten when the next part is requested.
 
     Args:
         path: path of a complete log.
-        scan: result of the scan of the log's records.
+        scan: list of the records of the log.
         folder: folder for the parts.
-        first_ns: length of the first part of the run [ns].
+        first_ns: duration of the first part of the run [ns].
 
     Yields:
         the path of the part, and the first new log time [ns]. Each part starts with the definitions
@@ -45,10 +45,10 @@ def time_slices(
         for group in _group_chunks(head.first_ns, rest, first_ns) or [[]]:
             first = rest.index(group[0]) if group else 0
             for chunk in group:
-                file.chunk_content(chunk)  # checks the checksum: Rerun would show damaged data
-            # Every part begins with the head of the file and the first chunk: the definitions of
-            # all
-            # topics.
+                # Checks the checksum, because Rerun would show damaged data.
+                file.chunk_content(chunk)
+            # Every part begins with the head of the log file and the first chunk, which contain the
+            # definitions of all topics.
             with part.open("wb") as out:
                 out.write(file.read_range(0, starts[0]))
                 if group:
@@ -68,7 +68,10 @@ def time_slices(
 def _group_chunks(
     start_ns: int, chunks: list[ChunkLocation], first_ns: int
 ) -> list[list[ChunkLocation]]:
-    """Divide chunks into groups, one for each part of the run, according to the part in which a chunk begins."""
+    """Divide chunks into groups, one for each part of the run.
+
+    A chunk belongs to the part in which the chunk begins.
+    """
     groups: dict[int, list[ChunkLocation]] = {}
     for chunk in chunks:
         groups.setdefault(max(-1, (chunk.first_ns - start_ns - first_ns) // SLICE_NS), []).append(

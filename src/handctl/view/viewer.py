@@ -41,7 +41,7 @@ _ADDRESS_LINE = re.compile(rb"rerun\+http://[0-9.]+:\d+/proxy")
 
 
 def viewer_path() -> Path:
-    """Return the path of the viewer in the rerun-sdk package.
+    """Return the path of the viewer program in the package rerun-sdk.
 
     Raises:
         ConfigError: the package has no viewer.
@@ -58,10 +58,10 @@ def viewer_path() -> Path:
 
 
 def software_vulkan() -> dict[str, str]:
-    """Return the environment variables that a viewer needs to draw without a screen.
+    """Return the environment variables with which a viewer can draw without a screen.
 
     Returns:
-        the variables by name. The mapping is empty if none are needed.
+        the variables by name. The mapping is empty if no variable is necessary.
 
     Raises:
         ConfigError: no Vulkan driver is installed.
@@ -92,7 +92,7 @@ def _has_loader() -> bool:
 
 
 def check_screen() -> None:
-    """Raise an error if the session has no screen on which to open a window.
+    """Raise an error if the desktop session has no screen on which a window could open.
 
     Raises:
         ConfigError: the session has no screen.
@@ -140,7 +140,9 @@ class StartingViewer:
     output_pipe: IO[bytes]
 
     def wait_until_ready(self) -> Viewer:
-        """Wait until the viewer listens, and return the viewer. Kill a viewer that does not listen in time.
+        """Wait until the viewer listens, and return the viewer.
+
+        If the viewer does not listen in time, kill the viewer.
 
         Raises:
             HandctlError: the viewer does not start.
@@ -157,7 +159,9 @@ class StartingViewer:
 
 
 def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> StartingViewer:
-    """Start a viewer on a free port of this machine, without sending usage data to the makers of Rerun.
+    """Start a viewer on a free port of this machine.
+
+    The viewer sends no usage data to the makers of Rerun.
 
     The function does not wait until the viewer listens.
 
@@ -171,8 +175,8 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Star
     exe = str(viewer_path())
     settings = run_dir() / "viewer"
     settings.mkdir(mode=0o700, parents=True, exist_ok=True)
-    # The collection of usage data can be disabled only by a file in the viewer's configuration
-    # folder.
+    # Only a file in the configuration folder of the viewer can disable the collection of usage
+    # data.
     environ = (
         os.environ
         | {"XDG_CONFIG_HOME": str(settings), "NO_COLOR": "1", "RUST_LOG": "info"}
@@ -181,7 +185,8 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Star
     subprocess.run([exe, "analytics", "disable"], env=environ, check=False, capture_output=True)
     notes = tempfile.TemporaryFile()  # noqa: SIM115 (`StartingViewer.wait_until_ready` closes it)
     command = [exe, "--bind", LOOPBACK_ADDRESS, "--port", "0", *arguments]
-    # The viewer gets a session of its own, so that Ctrl-C in the terminal does not interrupt it.
+    # The viewer runs in a process session of its own, so that Ctrl-C in the terminal does not
+    # interrupt the viewer.
     process = subprocess.Popen(
         command,
         env=environ,
@@ -237,8 +242,8 @@ def _wait_for_url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
     remaining = VIEWER_START_TIMEOUT_S
     while remaining > 0:
         try:
-            # This call waits for an early end of the viewer. The wait is also the pause between two
-            # checks of the viewer's output.
+            # This call returns early if the viewer ends. Otherwise the call is the pause between
+            # two checks of the viewer's output.
             process.wait(0.05)
         except subprocess.TimeoutExpired:
             remaining -= 0.05

@@ -44,8 +44,9 @@ def run(args: argparse.Namespace) -> int:
     """Check the buses that the command line names. Return 1 if a finding needs a repair.
 
     Args:
-        args: arguments with bus, bitrate, data_bitrate, json, and hand. The hand gives the expected
-            bit rates and motors. If no hand is given, all motors and bit rates are accepted.
+        args: arguments of the command: bus, bitrate, data_bitrate, json and hand. The hand file
+            gives the expected bit rates and motors. If no hand is given, any motors and bit rates
+            are accepted.
     """
     hand = load_hand(args.hand) if args.hand else None
     if not args.bus:
@@ -122,9 +123,9 @@ def _check_interface(channel: str, expected: BusSection) -> list[LinkFinding]:
 def _check_nodes(
     spec: str, expected: BusSection, hand: Hand | None
 ) -> tuple[list[LinkFinding], list[tuple[DiscoveredNode, RoundTrip]]]:
-    """Open a bus, scan for nodes, and measure the round-trip times.
+    """Open a bus, scan for nodes, and measure the time from a request to its reply for each node.
 
-    Return the findings and the times.
+    Return the findings and the measured times.
     """
     try:
         bus = open_bus(spec, 0, expected.bitrate, expected.data_bitrate)
@@ -163,7 +164,7 @@ def _check_nodes(
 def _duplicate_nodes(
     result: BusScan, trips: list[tuple[DiscoveredNode, RoundTrip]]
 ) -> list[DiscoveredNode]:
-    """Return the nodes whose node number is used by more than one drive."""
+    """Return the nodes whose node number more than one drive uses."""
     twice = [node for node, trip in trips if trip.is_number_shared]
     return [node for node in result.found_nodes if node.twins or node in twice]
 
@@ -200,7 +201,7 @@ def _answers_text(node_and_trip: tuple[DiscoveredNode, RoundTrip]) -> LinkFindin
 
 
 def _missing_motors(hand: Hand, bus: str, result: BusScan) -> list[LinkFinding]:
-    """Return one finding for each motor on a bus of the hand file that did not answer."""
+    """Return one finding for each motor of the hand file that did not answer on a bus."""
     there = {(node.protocol, node.node_id) for node in result.found_nodes}
     motors = [
         motor

@@ -22,7 +22,7 @@ from handctl.session.plan import bus_specs, highest_rate_of_buses
 def run(args: argparse.Namespace) -> int:
     """Compute and print the load of each bus of a hand.
 
-    Return 1 if a bus is overloaded or a CAN interface has a wrong bit rate.
+    If a bus is overloaded, or a CAN interface has a wrong bit rate, return 1.
     """
     if args.table:
         _print_table() if not args.json else print_json(
@@ -44,7 +44,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def bus_plan_report(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
-    """Return the load of each bus. If a bus is overloaded, also return a division of the motors among more buses.
+    """Return the load of each bus for the report.
+
+    If a bus is overloaded, also return a distribution of the motors over more buses.
 
     Args:
         hand: description of the hand.
@@ -60,7 +62,7 @@ def bus_plan_report(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict
 def bit_rate_errors(hand: Hand, specs: tuple[str, ...]) -> list[str]:
     """Return one line for each interface whose bit rate differs from the rate in the hand file.
 
-    Each line includes the command that corrects the bit rate.
+    Each line contains the command that corrects the bit rate.
     """
     from handctl.runtime.buses.interface import wrong_rate_text
 

@@ -18,7 +18,10 @@ COMMAND_TIMEOUT_S = 10.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the commands that set up each interface. With ``--yes``, run them as root instead."""
+    """Print the system commands that set up each CAN interface.
+
+    With ``--yes``, run these commands as root instead of printing them.
+    """
     if not args.bus:
         raise ConfigError("missing", "--bus", "the interfaces, such as --bus socketcan:can0")
     commands = [
@@ -49,7 +52,7 @@ def _bus_rates(args: argparse.Namespace) -> tuple[tuple[str, BusSection], ...]:
 
 
 def _commands_of_bus(spec: str, section: BusSection) -> tuple[CommandWords, ...]:
-    """Return the commands that set up the interface of one bus.
+    """Return the system commands that set up the CAN interface of one bus.
 
     Raises:
         BusError: the bus is not a SocketCAN interface, or it is a hardware interface that does not

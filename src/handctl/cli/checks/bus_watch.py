@@ -41,7 +41,7 @@ MAX_WATCH_S = 86400.0
 def run(args: argparse.Namespace) -> int:
     """Show the readings for a given time, or until the operator presses Ctrl-C.
 
-    Return 1 if a drive no longer replies at the end.
+    If a drive has stopped replying before the end, return 1.
     """
     specs, hand, time_scale = _checked_arguments(args)
     drives = make_drives(hand)
@@ -97,7 +97,10 @@ def _checked_arguments(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand,
 def _show_readings(
     args: argparse.Namespace, hand: Hand, watch: BusWatch, termination: TerminationFlag
 ) -> None:
-    """Poll the drives in every tick. Show their readings at intervals and at the end."""
+    """Send a poll to every drive in every tick.
+
+    Show the readings of the drives at intervals and at the end.
+    """
     begin = time.monotonic()
     end = begin + (math.inf if args.duration is None else args.duration)
     in_place = sys.stdout.isatty() and not args.json
@@ -125,7 +128,7 @@ def _show_readings(
 
 
 def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
-    """Return the present readings of all drives and load cells.
+    """Return the present readings of all drives and load cells of a hand.
 
     A reading that is older than ``STALE_AFTER_S`` becomes NaN.
     """
@@ -155,16 +158,19 @@ def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
 
 
 def _joint_reading(hand: Hand, index: int, value: float) -> dict[str, float]:
-    """Return the reading of a joint encoder. If the joint is prismatic, its position is in m."""
+    """Return the reading of a joint encoder with its unit.
+
+    The position of a prismatic joint is in m.
+    """
     return {("position_m" if hand.is_prismatic[index] else "angle_rad"): value}
 
 
 def _drive_fields(
     hand: Hand, tendon: str, drive: Drive, state: DriveState, age_s: float
 ) -> dict[str, Any]:
-    """Return the readings of a drive. Position and velocity are those of the spool.
+    """Return the readings of a drive. The position and the velocity are converted to the spool.
 
-    Positive values wind the tendon up.
+    Positive values belong to motion that winds the tendon up.
     """
     motor = hand.motor_of(tendon)
     values = (state.position, state.velocity, state.torque, state.temperature)

@@ -106,20 +106,22 @@ def _all_errors(args: argparse.Namespace) -> list[str]:
             )
             errors.append(placed[0].error(str(path)) if in_hand else error)
     places = [error.where for error in errors]
-    # If the first error at a key causes a later error at the same key, the later error is not
-    # reported.
+    # If an error at a key causes another error at the same key, only the first of them is reported.
     return [str(error) for i, error in enumerate(errors) if error.where not in places[:i]]
 
 
 def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], object]]:
-    """Return functions that check a valid hand and its other files.
+    """Return functions that check a valid hand and the other files of the hand.
 
     Each function raises a ConfigError if it finds an error.
     """
     buses = hand.bus_names
 
     def check_task() -> None:
-        """Check the task that the user has named, or else the default task of the demo."""
+        """Check the task that the user has named.
+
+        If no task is named, check the default task of the demo.
+        """
         load_task_for_hand(args.task, hand)
 
     def check_calibration() -> None:
@@ -129,7 +131,7 @@ def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], 
         find_calibration(args, hand)
 
     def check_design() -> None:
-        """Check that the gains lead to a valid design of the controller at the control rate."""
+        """Check that a valid controller can be designed with the gains at the control rate."""
         check_gain_margins(
             hand, layered_gains(args, hand).gains, control_rate(None, hand, bus_loads(hand))
         )
@@ -137,7 +139,7 @@ def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], 
     def check_scene() -> None:
         """Check that the hand can be simulated in the scene that the user has named, if any."""
         if args.scene:
-            # Only this check imports the module of the simulated hand.
+            # Only this check needs the module of the simulated hand, so the import is here.
             from handctl.session.simulate import SimulatorSettings
 
             SimulatorSettings(hand, args.scene).check_constructible()
@@ -267,7 +269,7 @@ def _gains_with_sources(layers: LayeredGains) -> list[str]:
 
 
 def _calibration_fields(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
-    """Return the calibration that a run would use, or the reason why there is none.
+    """Return the calibration that a run would use, or the reason why there is no calibration.
 
     The calibration includes the identified parameters.
     """
@@ -324,7 +326,7 @@ def _export_hand(args: argparse.Namespace, hand: Hand) -> int:
 def _export_buses(args: argparse.Namespace, hand: Hand) -> int:
     """Write a DBC file for each bus of a hand.
 
-    For several buses, each file name contains the name of the bus.
+    If the hand has several buses, the name of each file contains the name of the bus.
     """
     output = args.output or Path(f"{hand.name}.dbc")
     drives = make_drives(hand)
@@ -362,7 +364,7 @@ def _write_schema(args: argparse.Namespace) -> int:
 def _convert_file(args: argparse.Namespace) -> int:
     """Convert a hand file of schema 1 to schema 2, and write the new hand file."""
     from handctl.hand.file.schema_conversion import (
-        convert_to_schema_2,  # only this subcommand needs tomlkit
+        convert_to_schema_2,  # tomlkit is imported here, because only this subcommand needs it
     )
 
     hand = load_hand(args.old)

@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def read_hand_description(path: Path, kind: str, output: Path) -> tuple[DescribedHand, list[str]]:
-    """Read a robot description, and return the hand that it describes.
+    """Read a robot description, and return the hand that this description contains.
 
     Args:
         path: file of the description.
@@ -113,7 +113,8 @@ def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Describe
             meshes relative to this folder.
 
     Returns:
-        the hand, and one line of text for each part of the description that was not used.
+        the hand, and one line of text for each part of the description that the function did not
+        use.
 
     Raises:
         ConfigError: the file cannot be read or does not describe a tree of hinges with inertia.
@@ -143,9 +144,9 @@ def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Describe
 def _mesh_of(
     link: str, meshes: Sequence[Mapping[str, Any]], output: Path, notes: list[str]
 ) -> ModelMesh | None:
-    """Return the largest usable mesh of a link, or None if there is none.
+    """Return the largest mesh of a link that a hand file can contain, or None if there is none.
 
-    Add a line to ``notes`` for each mesh that is left out.
+    For each mesh that is left out, add a line to ``notes``.
     """
     sizes: dict[int, float] = {}
     for i, mesh in enumerate(meshes):
@@ -170,7 +171,7 @@ def _ask_questions(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
     check_terminal()
     for question in IMPORT_QUESTIONS:
         if question.answer_field == SPRING_FIELD and answers.tendons == "one":
-            continue  # a digit that is closed by one tendon must be opened by springs
+            continue  # if only one tendon closes a digit, springs must open it
         if getattr(answers, question.answer_field) is None and question.answer_field not in known:
             answers = replace(
                 answers,
@@ -180,9 +181,9 @@ def _ask_questions(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
 
 
 def _check_answers(answers: TendonAnswers) -> None:
-    """Raise an error if no hand file can be written from the answers.
+    """Raise an error if a hand file cannot be written with these answers.
 
-    Other mistakes are found when the new hand file is checked.
+    All other mistakes are found when the new hand file is checked.
 
     Raises:
         ConfigError: a name or a node number is wrong.
@@ -198,5 +199,5 @@ def _check_answers(answers: TendonAnswers) -> None:
 def _unexpected_mistakes(
     mistakes: Iterable[FileMistake], missing: list[FileMistake], output: Path
 ) -> list[str]:
-    """Return one line for each mistake in the new hand file, except missing values."""
+    """Return one line for each mistake in the new hand file, but none for missing values."""
     return [str(mistake.error(str(output))) for mistake in mistakes if mistake not in missing]

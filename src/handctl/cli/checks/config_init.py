@@ -128,7 +128,7 @@ def _ask_questions(args: argparse.Namespace, answers: HandAnswers) -> HandAnswer
         if getattr(args, question.answer_field) is not None:
             continue
         if question.answer_field == SPRING_FIELD and answers.tendons == "one":
-            continue  # a digit that is closed by one tendon must be opened by springs
+            continue  # if only one tendon closes a digit, springs must open it
         default = getattr(
             answers, PROPORTIONAL_DEFAULT.get(question.answer_field, question.answer_field)
         )

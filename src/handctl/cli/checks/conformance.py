@@ -1,6 +1,6 @@
 """``handctl conformance``: check that a real drive behaves as handctl requires.
 
-During the checks, the torque stays below a limit that the user gives.
+The user gives a torque limit, which no check exceeds.
 """
 
 import argparse
@@ -96,7 +96,7 @@ def _dry_run(args: argparse.Namespace) -> int:
 def _run_checks(
     args: argparse.Namespace, drive: Drive, restoring: Drive
 ) -> tuple[list[ConformanceCheck], bool]:
-    """Run the checks of a drive, disable the drive, and restore the torque range of the drive.
+    """Run the checks of a drive, disable the drive, and restore the drive's torque range.
 
     Return the results of the checks. The second returned value is True if the drive has confirmed
     that it is disabled.
@@ -118,7 +118,7 @@ def _run_checks(
             )
             if not off and len(results) < len(
                 CHECKED_REQUIREMENTS
-            ):  # the checks were ended by Ctrl-C or a bug: report this here
+            ):  # Ctrl-C or a bug has ended the checks, and this is reported here
                 raise PowerError(NOT_OFF_WARNING)
     return results, off
 

@@ -35,9 +35,9 @@ The limit is one tick at 500 Hz.
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check process priority, CAN, the viewer and the disk space of this machine.
+    """Check the process priority, CAN, the viewer and the disk space of this machine.
 
-    Return 1 if a finding needs a repair.
+    If a finding needs a repair, return 1.
     """
     findings = [
         _check_priority(),
@@ -58,9 +58,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_findings(findings: Sequence["DoctorFinding"]) -> None:
-    """Print the findings.
+    """Print the findings about this machine.
 
-    ``--quiet`` leaves out the good findings, and ``--verbose`` adds the versions of the software.
+    With ``--quiet``, good findings are left out. With ``--verbose``, the versions of the software
+    are added.
     """
     for what, good, fix in findings:
         if not (good and is_quiet()):
@@ -89,7 +90,7 @@ def _extras_finding() -> DoctorFinding:
         f"optional packages; not installed: {', '.join(missing) or 'none'}",
         True,
         "",
-    )  # the controller needs no optional packages
+    )  # the controller itself needs no optional packages
 
 
 def _granted_priority() -> GrantedPriority:
@@ -118,7 +119,7 @@ def _check_memory() -> DoctorFinding:
 
 
 def _check_wakeups() -> DoctorFinding:
-    """Measure how late the system wakes a process, and whether a hypervisor takes the processor away."""
+    """Measure how late the system wakes a process, and whether a hypervisor has taken processor time away."""
     begin, ticks = time.monotonic(), _processor_ticks()
     latest = 0.0
     with realtime_priority():
@@ -140,8 +141,8 @@ def _check_wakeups() -> DoctorFinding:
 def _processor_ticks() -> tuple[int, int]:
     """Return the time of all cores since system start, and the part that a hypervisor gave to other machines.
 
-    The unit is the clock tick of the kernel. The second value is the field ``steal`` of
-    ``/proc/stat`` (Linux ``proc_stat(5)``). On systems other than Linux, both times are 0.
+    The unit of both times is the clock tick of the kernel. The second value is the field ``steal``
+    of ``/proc/stat`` (Linux ``proc_stat(5)``). On systems other than Linux, both times are 0.
     """
     try:
         first_line = Path("/proc/stat").read_text().splitlines()[0]

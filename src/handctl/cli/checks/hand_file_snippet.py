@@ -1,7 +1,7 @@
-"""Part of a hand file that describes the drives a scan has found.
+"""Part of a hand file with the drives that a scan has found.
 
-In this part, the values that the drives report are filled in. The values that the user must measure
-are marked.
+The part contains the values that the drives report. The values that the user must measure are
+marked in this part.
 """
 
 from collections.abc import Mapping, Sequence
@@ -107,9 +107,10 @@ def _source_comment(key: str, settings: Mapping[str, float], hint: str) -> str:
 
 
 def _torque_source(settings: Mapping[str, float]) -> str:
-    """Return the comment on the torque limit.
+    """Return the comment that the hand file contains next to the torque limit.
 
-    The torque that a drive reports is its full scale, which is no suitable limit to begin with.
+    The torque that a drive reports is the full scale of its torque values, and not a suitable first
+    limit.
     """
     reported = settings.get("torque_max_N_m", 0.0)
     if not reported:

@@ -1,4 +1,4 @@
-"""Warnings about a control rate or gains at which a hand may oscillate, although the buses can carry all frames."""
+"""Warnings about a control rate or gains at which a hand may oscillate although the buses can carry all frames."""
 
 import math
 
@@ -27,20 +27,20 @@ MIN_TRIED_FORCE_FRACTION = 0.05
 def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     """Return a warning if the gain margin of a tendon's motion loop is too small at a control rate.
 
-    A high bus load forces a low control rate. At low rates, the tensions of fingers with light
-    links may oscillate. The run then ends with an oscillation fault (N14b) or an over-tension fault
-    (T03).
+    If the load of a bus is high, the control rate must be low. At a low control rate, the tensions
+    of fingers with light links may oscillate. The run then ends with an oscillation fault (N14b) or
+    an over-tension fault (T03).
 
     Args:
         hand: description of the hand.
         gains: gains of a run.
-        rate_hz: control rate of a run [Hz].
+        rate_hz: control rate of the run [Hz].
     """
     unchecked_hz = _lowest_unchecked_rate(hand)
     if rate_hz >= unchecked_hz:
         return []
-    # The compiled core computes the control loops. No other check of a hand needs to import the
-    # compiled core.
+    # The compiled core computes the control loops, and is imported only here. The other checks of a
+    # hand do not need the compiled core.
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
 
     name, margin_db = _smallest_gain_margin(hand, gains, rate_hz)
@@ -137,7 +137,7 @@ def _has_springs_without_cells(hand: Hand) -> bool:
 
 
 def _lowest_unchecked_rate(hand: Hand) -> float:
-    """Return the control rate at and above which the loops of a hand are not checked [Hz]."""
+    """Return the lowest control rate at which the loops of a hand need not be checked [Hz]."""
     for digit in hand.digit:
         tendons = hand.digit_tendons[digit.name]
         coordinates = len(digit.joints) if digit.coupling is None else len(digit.coupling[0])

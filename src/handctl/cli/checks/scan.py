@@ -24,7 +24,7 @@ MILLI = 1e-3
 
 
 def run(args: argparse.Namespace) -> int:
-    """Scan each bus that the command line names. Return 1 if no node was found."""
+    """Scan each bus on the command line for nodes. If no node was found, return 1."""
     buses = named_buses(args.bus)
     if args.dry_run:
         return _print_requests(args.json)
@@ -68,9 +68,9 @@ def _print_note_of_bus(spec: str, text: str) -> None:
 def add_identities(
     nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int
 ) -> tuple[DiscoveredNode, ...]:
-    """Return the nodes that a scan has found.
+    """Return the nodes that a scan has found, with more data about CANopen nodes.
 
-    For each CANopen node, the result also has the identity that the node reports over SDO.
+    For each CANopen node, the result also contains the identity that the node reports over SDO.
     """
     canopen_ids = [drive.node_id for drive in nodes if drive.protocol == "cia402"]
     if not canopen_ids:

@@ -62,9 +62,9 @@ drive.
 
 
 def parse_options(words: list[str]) -> dict[str, Any]:
-    """Return the options of a drive from words of the form KEY=VALUE.
+    """Return the options of a drive from words with the form KEY=VALUE.
 
-    The values are written as TOML, but a text may be written without quotes.
+    A value is written as in TOML, but a text may be written without quotes.
 
     Raises:
         ConfigError: a word is not TOML.
@@ -85,7 +85,7 @@ def _option_from_word(word: str) -> dict[str, Any]:
     except ConfigError as error:
         if (
             UNQUOTED_TEXT.fullmatch(value) and not value.isdecimal()
-        ):  # TOML refuses numbers that have too many digits
+        ):  # TOML refuses a number that has too many digits
             return parse_toml(quoted, "--option")
         right = "KEY=VALUE, as in gear_ratio=6.0 or motor_type=ak80-9"
         raise ConfigError(f"{word}: {error.what}", "--option", right) from None
@@ -102,9 +102,9 @@ def describe_drive(
     node: DiscoveredNode | None,
     make_drive: Callable[[Motor], Drive] = _torque_drive,
 ) -> Drive:
-    """Return the drive with the values that it reports.
+    """Return the drive, described by the values that it reports.
 
-    If the command line also gives a value, the command line takes precedence.
+    If the command line also gives such a value, the value of the command line is used.
 
     Args:
         args: arguments with ``protocol``, ``node`` and ``limit`` [N m].
@@ -164,15 +164,15 @@ def _check_motor_type(protocol: str, options: dict[str, Any]) -> None:
 
 
 def _bench_options(protocol: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options for a single drive on a bench.
+    """Return the options for a single drive on a test bench.
 
-    ODrive firmware 0.5 does not report torque.
+    The firmware 0.5 of ODrive does not report torque, and has no such options.
     """
     return {} if options.get("firmware") == "0.5" else BENCH_OPTIONS.get(protocol, {})
 
 
 def find_drive(args: argparse.Namespace) -> DiscoveredNode:
-    """Scan the bus for the drive that the command line names, and return the found drive.
+    """Scan the bus for the drive on the command line, and return the description of this drive.
 
     Raises:
         BusError: another host controls the bus.
@@ -205,11 +205,11 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
 
 
 def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
-    """Return a scan result for a drive that answers commands, but no scan.
+    """Return the result of a scan for a drive that answers commands but cannot be found by a scan.
 
     The function only listens, and sends nothing. If a frame with the identifier of the drive
-    arrives, another host must have caused it. The first check after the scan shows whether the
-    drive is present.
+    arrives, another host must be sending commands to the drive. The first check after this scan
+    shows whether the drive is present.
     """
     seen: list[Frame] = []
     collect_frames(bus, SCAN_LISTEN_S, seen)
@@ -218,9 +218,9 @@ def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
 
 
 def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:
-    """Return a drive with the torque range that the scan has read from it.
+    """Return a drive with the torque range that the scan has read from the real drive.
 
-    In the MIT protocol, this range scales every torque.
+    In the MIT protocol, every torque value is scaled by this range.
     """
     if isinstance(drive, MitDrive) and "torque_max_N_m" in node.settings:
         ranges = drive.ranges._replace(torque=node.settings["torque_max_N_m"])
@@ -232,8 +232,8 @@ def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:
 def open_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[DriveRig, Bus]]:
     """Open the bus of a drive.
 
-    Yield the test rig of the drive, and the bus. If the system allows it, the ticks run with
-    real-time priority.
+    Yield the test rig that operates the drive, and the bus. If the system allows it, the test rig
+    runs with real-time priority.
 
     Args:
         args: arguments with ``bus`` and the bit rates of the bus.

@@ -1,4 +1,4 @@
-"""Find the bus of a running controller on a command line, and describe the simulator that a bus lacks."""
+"""Search of the command line for the bus of a running controller, and description of the simulator that a bus lacks."""
 
 import argparse
 import shlex

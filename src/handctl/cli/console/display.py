@@ -1,9 +1,9 @@
 """Display of a running hand. A separate process draws the display from lines of JSON.
 
 The controller writes a short line every tenth of a second to a pipe that never blocks. If the
-display process is too slow, it misses lines, but the controller never waits. In a terminal, the
-display redraws the state of the hand in place. If the output is no terminal, the display prints one
-plain line per second.
+display process is too slow, it misses lines. The controller never waits for it. In a terminal, the
+display redraws the state of the hand in place. If the output is not a terminal, the display prints
+one plain line per second.
 """
 
 import json
@@ -39,7 +39,7 @@ class DisplayProcess:
         pipe: file descriptor of the pipe to the display process.
         worst_late_ns: largest lateness of a tick since the last line [ns].
         last_warning_ns: time at which a warning of each fault id was last printed [ns].
-        shown: remedies that were already printed.
+        shown: remedies that the display has already printed.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class DisplayProcess:
             names: names of the tendons.
             ceiling: tension limit of each tendon [N].
             rate_hz: control rate [Hz].
-            load: worst-case bus load, from 0 to 1.
+            load: worst-case load of the bus, from 0 to 1.
         """
         self.ticks_per_line = max(1, round(REFRESH_PERIOD_S * rate_hz))
         head = {"names": names, "ceiling": ceiling, "rate_hz": rate_hz, "load": load}
@@ -77,9 +77,9 @@ class DisplayProcess:
         )
 
     def show_tick(self, entry: TickIn, out: TickOut) -> None:
-        """Send a line about the tick to the display.
+        """Send a line about the tick to the display process.
 
-        Only ticks with an event, and one tick in each ``REFRESH_PERIOD_S``, are sent.
+        Only ticks with an event, and one tick in each period of ``REFRESH_PERIOD_S``, are sent.
         """
         self.worst_late_ns = max(self.worst_late_ns, entry.late_ns)
         if entry.k % self.ticks_per_line and not out.events:
@@ -103,7 +103,7 @@ class DisplayProcess:
         self._write_line(line)
 
     def _is_due(self, t_ns: int, event: TickEvent) -> bool:
-        """Return True if the display shall print an event.
+        """Return True if the display should print an event.
 
         A repeated warning is printed at most once per second. The log contains every event.
         """
@@ -149,7 +149,7 @@ class DisplayProcess:
 
 
 def short_names(names: Sequence[str]) -> list[str]:
-    """Return the names of tendons without the ending ``_tendon``."""
+    """Return the names of tendons, without the ending ``_tendon``."""
     return [name.removesuffix("_tendon") or name for name in names]
 
 
@@ -168,11 +168,11 @@ def _print_lines(head: dict[str, Any]) -> None:
 def _tension_lines(names: Sequence[str], line: dict[str, Any]) -> str:
     """Return the state and the tensions of a hand as text.
 
-    The text of a hand with many tendons has several lines.
+    For a hand with many tendons, the text has several lines.
     """
     start = f"{line['t']:8.3f} s  {line['mode']:<9} {line['phase']:<10} tension [N]  "
     pairs = zip(short_names(names), line["tension"], strict=True)
-    # A no-break space keeps the name of a tendon and its tension on the same line.
+    # A no-break space keeps a tendon's name and its tension on the same line.
     text = "  ".join(f"{name}{NO_BREAK_SPACE}{f:.1f}" for name, f in pairs)
     rows = textwrap.fill(
         text, MAX_LINE_CHARACTERS, initial_indent=start, subsequent_indent=" " * len(start)

@@ -1,4 +1,7 @@
-"""Report of a dry run. All commands that run a controller print the same report."""
+"""Report of a dry run, which checks all inputs but moves nothing.
+
+All commands that run a controller print the same report.
+"""
 
 import argparse
 from typing import Any
@@ -14,11 +17,11 @@ def report_dry_run(args: argparse.Namespace, plan: RunPlan, *lines: str, **field
     Args:
         args: arguments with ``json``.
         plan: checked plan of the run.
-        lines: lines about the run for the operator.
-        fields: further fields of the JSON result.
+        lines: lines about the planned run, for the operator.
+        fields: further fields for the JSON result.
 
     Raises:
-        ConfigError: no valid controller or filter follows from the gains.
+        ConfigError: no valid controller or filter can be designed with the gains.
     """
     check_gain_margins(plan.hand, plan.gains, plan.rate_hz)
     if args.json:

@@ -26,12 +26,12 @@ def announce_motion(
 ) -> None:
     """Print the files that a run uses.
 
-    On a real bus, also ask the operator whether the hand may move.
+    On a real bus, also ask the operator whether the hand is allowed to move.
 
     Args:
         args: arguments with ``yes``, ``gains`` and ``calibration``.
         plan: plan of the run.
-        path: calibration file.
+        path: path of the calibration file.
         calibration: content of the calibration file. If it is None, the run commissions the hand
             first.
 
@@ -60,10 +60,10 @@ def announce_motion(
 
 
 def _file_text(what: str, path: Path, made: str) -> str:
-    """Return the kind, path and age of a file as one text.
+    """Return the kind, the path and the age of a file as one text.
 
-    The age is the time since the date that is written in the file. If a file has no date, the age
-    is the time since the file was last modified.
+    If a date is written in the file, the age is counted from this date. Otherwise the age is
+    counted from the last modification of the file.
     """
     then = path.stat().st_mtime
     with suppress(ValueError):
@@ -72,7 +72,7 @@ def _file_text(what: str, path: Path, made: str) -> str:
 
 
 def age_text(seconds: float) -> str:
-    """Return an age as text, in the largest unit in which it is at least 2."""
+    """Return an age as text, in the largest unit in which the number is at least 2."""
     for unit, name in ((DAY_S, "days"), (HOUR_S, "h"), (MINUTE_S, "min")):
         if seconds >= 2 * unit:
             return f"{seconds / unit:.0f} {name}"
@@ -83,7 +83,7 @@ def confirm_motion(warning: str, yes: bool) -> None:
     """Ask the operator to confirm a motion, unless the command line includes ``--yes``.
 
     Args:
-        warning: line about the consequence if the operator confirms.
+        warning: line that names the consequence of the confirmation for the operator.
         yes: True if ``--yes`` was given.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Options that have the same meaning in every command, and functions that print results."""
+"""Options that have the same meaning in every command, and functions that print the results of commands."""
 
 import argparse
 import json
@@ -16,7 +16,7 @@ from handctl.session.exit_codes import ExitCode
 
 
 class _StoreNamedHand(argparse.Action):
-    """Argparse action that stores the hand, and stores that the operator has named a hand."""
+    """Argparse action for the option ``--hand``, which also stores that the operator has named a hand."""
 
     def __call__(
         self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None
@@ -36,7 +36,7 @@ def add_hand_option(parser: argparse.ArgumentParser) -> None:
 
 
 def check_seed(seed: int) -> None:
-    """Raise an error if random generators do not accept a seed.
+    """Raise an error if random number generators do not accept a seed.
 
     Raises:
         ConfigError: the seed is negative.
@@ -59,7 +59,8 @@ def checked_count(number: int, option: str, maximum: int) -> int:
 def add_protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:
     """Declare --protocol and --motor-type.
 
-    With this option, the hand has drives of the given protocol instead of those in its file.
+    With ``--protocol``, all drives of the hand use this protocol instead of the one in the hand
+    file.
     """
     text = "drives of the simulated hand (default: as in its file)" + more
     parser.add_argument("--protocol", choices=tuple(PROTOCOL_TRAITS), help=text)
@@ -73,7 +74,10 @@ def add_motor_type_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
-    """Declare --bus. A hand with several buses needs one ``--bus NAME=SPEC`` for each."""
+    """Declare --bus.
+
+    For a hand with several buses, the user gives one ``--bus NAME=SPEC`` for each bus.
+    """
     parser.add_argument(
         "--bus",
         action="append",
@@ -93,7 +97,10 @@ def add_bitrate_options(parser: argparse.ArgumentParser, nominal: str, data: str
 
 
 def _bit_rate(word: str) -> int:
-    """Return a bit rate from the command line [bit/s], if a hand file would also allow it."""
+    """Return a bit rate from the command line [bit/s].
+
+    It must be a bit rate that a hand file could contain.
+    """
     rate = int(word)
     if not MIN_BITRATE_BIT_S <= rate <= MAX_BITRATE_BIT_S:
         raise argparse.ArgumentTypeError(
@@ -105,7 +112,7 @@ def _bit_rate(word: str) -> int:
 def add_json_option(parser: argparse.ArgumentParser) -> None:
     """Declare --json.
 
-    With this option, standard output contains the result as JSON, and no other text.
+    With this option, standard output contains the result as JSON and no other text.
     """
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON on standard output"
@@ -153,7 +160,7 @@ def add_jobs_option(parser: argparse.ArgumentParser, default: int | None, text: 
 
     Args:
         parser: parser of a command.
-        default: default number of processes. None stands for one process for each core.
+        default: default number of processes. None stands for one process per processor core.
         text: help text without the default.
     """
     default_text = "one per core" if default is None else str(default)
@@ -172,7 +179,8 @@ def add_output_option(
 def add_perturb_option(parser: argparse.ArgumentParser) -> None:
     """Declare --perturb.
 
-    Each factor multiplies a value of the hand file. The product is the value of the simulated hand.
+    With this option, values of the hand file are multiplied by factors. The simulated hand uses the
+    resulting values.
     """
     text = "change parameters of the simulated hand, e.g. stiffness=0.8 friction=1.3 (python -m firmware_sim --help)"
     parser.add_argument(
@@ -181,7 +189,7 @@ def add_perturb_option(parser: argparse.ArgumentParser) -> None:
 
 
 def perturb_option_words(args: argparse.Namespace) -> list[str]:
-    """Return the words that pass --perturb on to the command line of the simulator."""
+    """Return the words that pass the factors of --perturb to the command line of the simulator."""
     return ["--perturb", *args.perturb] if args.perturb else []
 
 
@@ -201,7 +209,7 @@ def add_time_scale_option(
     Args:
         parser: parser of a command.
         default: value of the time scale if the option is not given.
-        default_text: description of this default for the help.
+        default_text: description of the default value for the help text.
     """
     text = f"simulated time per wall time (default: {default_text})"
     parser.add_argument("--time-scale", type=float, default=default, metavar="X", help=text)
@@ -239,18 +247,21 @@ def warn_if_lossy(path: Path, warning: str) -> ExitCode:
 
 
 def add_wire_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --wire. With this option, each simulated frame takes as long as on a real bus."""
+    """Declare --wire.
+
+    With this option, each simulated frame takes as long as a frame on a real bus.
+    """
     text = "the simulated bus has a bit rate, queues and errors; e.g. --wire queue=10 (python -m firmware_sim --help)"
     parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help=text)
 
 
 def wire_option_words(args: argparse.Namespace) -> list[str]:
-    """Return the words that pass --wire on to the command line of the simulator."""
+    """Return the words that pass the values of --wire to the command line of the simulator."""
     return [] if args.wire is None else ["--wire", *args.wire]
 
 
 def print_json(result: dict[str, Any]) -> None:
-    """Print a result as JSON. A NaN in the result becomes null."""
+    """Print the result of a command as JSON. A NaN in the result becomes null."""
     text = json.dumps(_json_value(result), indent=2, allow_nan=False)
     sys.stdout.write(
         text.replace("\x7f", "\\u007f") + "\n"

@@ -1,4 +1,4 @@
-"""Conversion of command-line arguments to the inputs of ``handctl.session``, the package that runs a hand."""
+"""Conversion of command-line arguments to the inputs that the package ``handctl.session`` needs for a run."""
 
 import argparse
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from handctl.session.simulate import SimulatorSettings
 
 
 def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.RunPlan:
-    """Check the hand, gains, buses and control rate that a command line gives, and return the plan of the run.
+    """Check the hand, the gains, the buses and the control rate on a command line, and return the plan of the run.
 
     Raises:
         ConfigError: an argument or a file is wrong.
@@ -70,7 +70,8 @@ def print_notice(text: str) -> None:
     """Print a notice to standard error, unless ``--quiet`` is given.
 
     A text that begins with ``handctl:`` is a caution, and is printed even with ``--quiet``. If a
-    command makes several runs, such as commissioning and a task, it prints each caution only once.
+    command makes several runs, such as a commissioning and a task, each caution is printed only
+    once.
     """
     if text.startswith("handctl:"):
         if is_first_caution(text):
@@ -120,7 +121,7 @@ def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
 def find_calibration(
     args: argparse.Namespace, hand: Hand, buses: Sequence[str] = ()
 ) -> tuple[Path, Calibration | None, str]:
-    """Return the path of the hand's calibration file.
+    """Return the path of the calibration file of a hand.
 
     If the hand may be armed with this calibration, also return the calibration.
 
@@ -131,7 +132,7 @@ def find_calibration(
 
     Returns:
         the path of the file, the calibration, and a reason. If the hand may not be armed with the
-        calibration, None takes its place and the reason is stated.
+        calibration, the result contains None in its place, and the reason.
 
     Raises:
         ConfigError: a named file exists but cannot be used, or the file cannot be written.
@@ -143,15 +144,15 @@ def find_calibration(
 
 
 def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]:
-    """Return the factors of ``--perturb``, after a simulated hand has accepted them.
+    """Return the factors of ``--perturb``, after a simulated hand has accepted these factors.
 
     Args:
         args: arguments with the hand and ``--perturb``.
         simulated: True if the command simulates the hand.
 
     Raises:
-        ConfigError: a word is not KEY=NUMBER, a key or a factor is invalid, or the command does not
-            simulate the hand.
+        ConfigError: a word has not the form KEY=NUMBER, a key or a factor is invalid, or the
+            command does not simulate a hand.
     """
     factors = gains.gain_assignments(args.perturb, "--perturb")
     if factors and not simulated:

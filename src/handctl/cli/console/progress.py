@@ -1,4 +1,4 @@
-"""Progress bar on the terminal, which disappears when the work is done."""
+"""Progress bar on the terminal. It disappears when the work is done."""
 
 import sys
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ def progress_bar(
     Args:
         label: name of the work.
         total: number of steps, or None if unknown.
-        quiet: True to show no bar.
+        quiet: True to show no progress bar.
     """
     if quiet or is_quiet() or not sys.stderr.isatty():
         yield lambda done, total=None, label=None: None

@@ -16,7 +16,7 @@ SCHEMA_FILE = "hand.schema.json"
 
 
 class HandQuestion(NamedTuple):
-    """Question about a new hand.
+    """Question about a new hand, for the operator.
 
     Attributes:
         answer_field: name of the field in the answers.
@@ -32,7 +32,7 @@ class HandQuestion(NamedTuple):
 
 
 def reader_of_choice(words: Collection[str]) -> Callable[[str], str]:
-    """Return a function that accepts only the given words.
+    """Return a function that accepts only the given words as an answer.
 
     For other texts, the function raises ValueError.
     """
@@ -80,8 +80,8 @@ DRIVE_AND_SENSOR_QUESTIONS = (
 def write_with_schema(output: Path, text: str) -> Path:
     """Write a new hand file.
 
-    Also write the JSON Schema of hand files in the same folder, unless the schema exists there.
-    Return the path of the schema.
+    If the folder contains no JSON Schema of hand files yet, write the schema there too. Return the
+    path of the schema.
     """
     schema = output.parent / SCHEMA_FILE
     write_text_atomically(output, text, new=True)
@@ -105,7 +105,7 @@ def check_terminal() -> None:
 def ask_question(question: HandQuestion, default_text: str, default: Any) -> Any:
     """Ask a question until the answer is valid or empty.
 
-    Return the answer, or the default if it is empty.
+    Return the answer. If it is empty, return the default.
     """
     while True:
         text = input(f"{question.question_text} [{default_text}]: ").strip()
@@ -118,14 +118,14 @@ def ask_question(question: HandQuestion, default_text: str, default: Any) -> Any
 
 
 def ask_motor_type(protocol: str | None, answer: str | None) -> str | None:
-    """Ask for the type of the motors, unless it is known or the protocol needs no type.
+    """Ask for the type of the motors, unless the type is known or the protocol needs none.
 
     Args:
         protocol: protocol of the drives. None if the protocol is unknown.
         answer: motor type that an option gives, or None.
 
     Returns:
-        the motor type. If the operator gives no answer, the result is None.
+        the motor type, or None if the operator gives no answer.
     """
     types = PROTOCOL_TRAITS[protocol].motor_types if protocol else ()
     if answer is not None or not types:

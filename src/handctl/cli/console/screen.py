@@ -16,8 +16,8 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
     Args:
         error: True to print on standard error. If standard error is closed, the text is dropped
             without an error.
-        min_width: smallest width [columns]. In a narrower terminal, the lines of a table wrap, so
-            that no number is cut.
+        min_width: smallest width of the console [columns]. If the terminal is narrower, the lines
+            of a table wrap, so that no number is cut off.
     """
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
@@ -28,21 +28,21 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
         ) -> Iterable[Segment]:
             """Escape all printed text.
 
-            The function does not escape the control codes that rich itself writes.
+            The control codes that rich itself writes are not escaped.
             """
             for segment in super().render(renderable, options):
                 done = segment.control or segment.text.isprintable()
                 yield segment if done else Segment(escape_text(segment.text, "\n\t"), segment.style)
 
         def render_str(self, text: str, **keywords: Any) -> Any:
-            """Escape a string before rich measures its width."""
+            """Escape a string before rich measures the width of the string."""
             return super().render_str(escape_text(text, "\n\t"), **keywords)
 
         def on_broken_pipe(self) -> None:
             """Raise the same error for a closed pipe as a command without rich raises.
 
-            ``main`` handles this error. If only the progress output has lost its reader, the
-            command continues without that output.
+            ``main`` handles this error. If only the reader of the progress output has closed its
+            pipe, the command continues without this output.
             """
             if not error:
                 raise BrokenPipeError

@@ -6,17 +6,17 @@ from io import TextIOWrapper
 
 
 def open_standard_streams() -> None:
-    """Open the standard streams that are closed.
+    """Open those standard streams that are closed.
 
-    Afterwards, standard output and error escape all characters that the terminal cannot show. A
-    closed standard stream must be opened, because the next opened file would otherwise get its file
-    descriptor.
+    After this, standard output and standard error escape all characters that the terminal cannot
+    show. If a standard stream stayed closed, the next file that is opened would get the stream's
+    file descriptor.
     """
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            # opens the file with the lowest free number, which is this one
+            # the file gets the lowest free descriptor, which is the one of the closed stream
             os.open(os.devnull, os.O_RDWR)
     sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
     sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
@@ -29,7 +29,7 @@ def flush_stdout() -> None:
     """Write all buffered text to standard output.
 
     Raises:
-        OSError: the disk is full, or the reader closed the pipe.
+        OSError: the disk is full, or the reader has closed the pipe.
     """
     try:
         sys.stdout.flush()
@@ -41,6 +41,6 @@ def flush_stdout() -> None:
 def discard_output() -> None:
     """Discard buffered output that cannot be written to standard output.
 
-    Otherwise the process would try to write it at its end, and fail again.
+    Otherwise the process would try to write this output again at its end, and fail again.
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

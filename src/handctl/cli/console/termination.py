@@ -21,7 +21,7 @@ from handctl.signal_handlers import installed_handler
 class TerminationRequested(KeyboardInterrupt):
     """Exception that SIGTERM raises.
 
-    SIGHUP, which a closed terminal sends, also raises this exception.
+    SIGHUP, which the system sends when a terminal is closed, also raises this exception.
     """
 
 
@@ -48,7 +48,7 @@ def install_excepthook() -> None:
     """End the process with a traceback and ``ExitCode.INTERNAL`` after an unexpected exception.
 
     All other exit handlers run first and close the resources of the command. The exit code is set
-    after these handlers.
+    after these handlers have run.
     """
     bugs: list[BaseException] = []
 

@@ -30,7 +30,8 @@ _printed_cautions: ContextVar[set[str] | None] = ContextVar("printed_cautions", 
 def use_verbosity(args: argparse.Namespace) -> Iterator[None]:
     """Apply ``--quiet`` and ``--verbose`` of a command line while the command runs.
 
-    When a command begins, no caution counts as printed, see ``is_first_caution``.
+    At the beginning of a command, every caution counts as not yet printed, see
+    ``is_first_caution``.
     """
     quiet = getattr(args, "quiet", False)
     verbose = getattr(args, "verbose", False)
@@ -45,7 +46,7 @@ def use_verbosity(args: argparse.Namespace) -> Iterator[None]:
 
 
 def is_first_caution(text: str) -> bool:
-    """Return True if the running command has not printed this caution yet, and note it as printed."""
+    """Return True if the running command has not printed this caution yet, and store that it is printed now."""
     printed = _printed_cautions.get()
     if printed is None:
         return True
@@ -55,17 +56,17 @@ def is_first_caution(text: str) -> bool:
 
 
 def is_quiet() -> bool:
-    """Return True if only results and errors are printed."""
+    """Return True if the command should print only results and errors."""
     return _current_verbosity.get() == Verbosity.QUIET
 
 
 def is_verbose() -> bool:
-    """Return True if details are printed."""
+    """Return True if the command should print details."""
     return _current_verbosity.get() == Verbosity.VERBOSE
 
 
 def print_note(text: str) -> None:
-    """Print a text about progress, or a notice, to standard error, unless ``--quiet`` is given."""
+    """Print a notice, or a text about progress, to standard error, unless ``--quiet`` is given."""
     if not is_quiet():
         print(one_line_message(text), file=sys.stderr, flush=True)
 

@@ -63,7 +63,7 @@ def print_summary(result: dict[str, Any], plan: RunPlan) -> None:
 
 
 def _pauses_text(silent_ticks: int) -> str:
-    """Return a text with the number of ticks in which no node answered.
+    """Return a text that says in how many ticks no node answered.
 
     Ticks without an answer explain late frames.
     """
@@ -75,9 +75,9 @@ def _pauses_text(silent_ticks: int) -> str:
 
 
 def _clock_text(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return a table row with the time for which the simulated clock waited for a slow machine.
+    """Return a table row with the total time for which the simulated clock waited for a slow machine.
 
-    If the clock has never waited, return no row.
+    If the clock never waited, return no row.
     """
     if not result["clock_pauses"]:
         return []
@@ -100,7 +100,7 @@ def _value_with_unit(value: float, scale: float, unit: str, digits: int) -> str:
 
 
 def _lift_text(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return a table row with two distances: how far the simulated table sank, and how far the object then moved.
+    """Return a table row with two distances: how far the table sank, and how far the object then moved.
 
     If the table did not sink, return no row.
     """

@@ -1,7 +1,6 @@
 """Declaration of the arguments of the commands in this folder.
 
-The code of a command is imported only when that command runs. This makes the help texts appear
-fast.
+The code of a command is imported only when that command runs. So a help text appears fast.
 """
 
 import argparse
@@ -19,7 +18,7 @@ from handctl.cli.parsing.parser import CommandExample, VerbParser, add_sub_verb
 def _example_with_log(command: str) -> CommandExample:
     """Return an example of a command that reads a log.
 
-    If there is no log ``run.mcap``, the example first records one.
+    If there is no file ``run.mcap``, the example first records this log.
     """
     return CommandExample(f"[ -e run.mcap ] || handctl demo --lockstep --log run.mcap; {command}")
 

@@ -78,9 +78,9 @@ def _print_info(args: argparse.Namespace) -> int:
 
 
 def _value_text(value: object) -> str:
-    """Return a value as text: yes, no, a number with 9 significant digits, or ``-`` for an empty value.
+    """Return a value as text: yes, no, a number with 9 significant digits, or ``-`` for no value.
 
-    The header of a run in lockstep states the priority ``None``.
+    In the header of a run in lockstep, the priority is ``None``.
     """
     if isinstance(value, bool):
         return "yes" if value else "no"
@@ -154,7 +154,7 @@ def _compare_logs(args: argparse.Namespace) -> int:
 def _export_log(args: argparse.Namespace) -> int:
     os.environ.setdefault(
         "RUST_LOG", "error"
-    )  # hide Rerun's own log lines: handctl reports the errors itself
+    )  # hide the log lines of Rerun itself, because handctl reports the errors
     if args.more and args.format != "lerobot":
         raise ConfigError(
             f"{args.more[0]}: a second log", f"log export --{args.format}", "one log, or --lerobot"

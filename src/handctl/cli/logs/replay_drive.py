@@ -28,7 +28,8 @@ def run(args: argparse.Namespace) -> int:
     with RunLog(args.recorded) as before:
         plan = make_plan(args)
         check_same_hand(before, plan.hand.name, plan.hand.identity, f"--hand {args.hand}")
-        # Refuse a log whose hand cannot be loaded, because the hand gives the names of the columns.
+        # Refuse a log whose hand cannot be loaded, because the names of the columns come from the
+        # hand.
         logged_hand(before)
         program = playback_program(before, plan.period_ns * 1e-9, args.raw)
         path, calibration, reason = find_calibration(args, plan.hand, plan.buses)

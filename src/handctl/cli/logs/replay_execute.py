@@ -1,6 +1,6 @@
 """``handctl replay execute``: execute the controller again on a log, with the logged gains or other gains.
 
-Neither this module nor a module that it imports uses a bus.
+This module and all modules that it imports use no bus.
 """
 
 import argparse
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
 def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
     """Execute the log with the logged gains.
 
-    Return True if all computed ticks equal the logged ticks, or if the differences are within the
+    Return True if all computed ticks equal the ticks in the log, or differ by no more than the
     tolerance.
     """
     from importlib.metadata import version
@@ -114,7 +114,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
 
 
 def _writer_text(log: Any) -> tuple[str, str]:
-    """Return the version and the code hash of the handctl that wrote a log."""
+    """Return the version and the code hash of the handctl program that wrote a log."""
     from handctl.log.code_identity import UNKNOWN_IDENTITY
 
     return log.header.metadata.get("version", UNKNOWN_IDENTITY), log.header.metadata.get(
@@ -123,7 +123,7 @@ def _writer_text(log: Any) -> tuple[str, str]:
 
 
 def _difference_line(one: Any) -> str:
-    """Return a difference from the log as one line: tick, time [s], field, logged value and computed value."""
+    """Return a difference from the log as one line: tick, time [s], field, value in the log, computed value."""
     place = f"{one.field} of {one.name}" if one.name else one.field
     apart = ""
     if one.ulps is not None:

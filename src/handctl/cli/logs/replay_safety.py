@@ -1,4 +1,4 @@
-"""``handctl replay safety``: list the safety stops that a recorded run would have had with other limits.
+"""``handctl replay safety``: list the stops that other safety limits would have caused in a recorded run.
 
 This module uses no bus.
 """

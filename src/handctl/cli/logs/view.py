@@ -70,9 +70,9 @@ def _picture_moment_s(args: argparse.Namespace, log: Any) -> float:
 
 
 def _check_options(args: argparse.Namespace) -> None:
-    """Raise an error if options contradict each other.
+    """Raise an error if two options contradict each other.
 
-    This check comes before the log is read.
+    The command calls this check before it reads the log.
     """
     from handctl.view.viewer import check_screen, software_vulkan
 

@@ -1,1 +1,1 @@
-"""Parsing of the command line: parser, renamed options, shell completion, and list of optional packages."""
+"""Parsing of the command line: parser, renamed options, shell completion, and optional packages."""

@@ -1,7 +1,8 @@
 """Shell completion of commands and options, with the package argcomplete.
 
-``eval "$(register-python-argcomplete handctl)"`` prepares bash or zsh. At each press of the Tab
-key, the shell then calls ``handctl`` with the environment variable ``_ARGCOMPLETE``.
+The shell command ``eval "$(register-python-argcomplete handctl)"`` prepares bash or zsh. When the
+user presses the Tab key, the shell then calls ``handctl`` with the environment variable
+``_ARGCOMPLETE``.
 """
 
 import os
@@ -23,14 +24,14 @@ def is_completing() -> bool:
 
 
 def print_completions(parser: VerbParser) -> None:
-    """Print the possible completions of the command line for the shell, and end this process."""
+    """Print the possible completions of a command line for the shell, and end this process."""
     import argcomplete
 
     argcomplete.autocomplete(parser)
 
 
 def hand_names(prefix: str, **context: Any) -> list[str]:
-    """Return all names of packaged hands and hand files that begin with a prefix."""
+    """Return all names of packaged hands, and all names of hand files, that begin with a prefix."""
     files = [path for path in Path().glob("*.toml") if path.is_file()]
     return [name for name in (*sorted(path.stem for path in HANDS_FOLDER.glob("*.toml")), *map(str, files))
             if name.startswith(prefix)]  # fmt: skip

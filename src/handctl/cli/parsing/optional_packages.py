@@ -1,4 +1,4 @@
-"""Optional packages that each command needs.
+"""Optional packages that each command of handctl needs.
 
 With this list, handctl reports a missing package before the command begins.
 """
@@ -35,7 +35,8 @@ def _needs_simulator(verb: str, args: argparse.Namespace) -> bool:
         return True
     if verb == "config":
         return bool(args.what == "init" and (args.urdf or args.mjcf))
-    if verb == "paper":  # if the results exist, they are read from their file, without a simulation
+    # If the file of results exists, the results are read from it, without a simulation.
+    if verb == "paper":
         return not (args.quick or (args.results and args.results.exists()))
     return (verb == "fault" and args.action in ("campaign", "sequences")) or (
         verb == "tune" and args.kind == "search"

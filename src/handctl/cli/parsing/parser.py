@@ -1,8 +1,8 @@
 """Parser of command lines.
 
 Each error message of the parser is one line that suggests a correction. Each help text ends with an
-example. The messages of argparse contain words that the user has typed. The parser escapes and
-shortens these messages before they are printed.
+example. Error messages of argparse may contain words that the user has typed. The parser escapes
+and shortens these messages before it prints them.
 """
 
 import argparse
@@ -27,10 +27,10 @@ RUNNING_HAND = "handctl run --hand jamia --bus local:demo"
 
 
 class CommandExample(NamedTuple):
-    """Example command line for a help text. A user can copy it into a shell.
+    """Example of a command line for a help text. A user can copy the example into a shell.
 
     Attributes:
-        command_line: the command line.
+        command_line: the command line of the example.
         parallel_commands: commands that must run in other terminals at the same time.
     """
 
@@ -66,7 +66,7 @@ class HelpFormatter(argparse.HelpFormatter):
 
 
 class VerbParser(argparse.ArgumentParser):
-    """Argument parser with the options that every command has.
+    """Argument parser that has the options of every command.
 
     Parsers of subcommands belong to the same class.
     """
@@ -77,8 +77,9 @@ class VerbParser(argparse.ArgumentParser):
         The keyword arguments are those of ``ArgumentParser``.
         """
         super().__init__(**{"formatter_class": HelpFormatter} | keywords)
-        # These options have no default. With a default, the parser of a subcommand would reset an
-        # option that the user has written before the subcommand.
+        # The options ``--verbose`` and ``--quiet`` have no default value. With a default value, the
+        # parser of a subcommand would reset an option that the user has written before the
+        # subcommand.
         volume = self.add_mutually_exclusive_group()
         add = volume.add_argument
         text = "print more detail on standard error"
@@ -111,8 +112,8 @@ class VerbParser(argparse.ArgumentParser):
         for word in _option_names(args or ()):
             if new := new_spelling(self._verb_names(), word):
                 raise ConfigError(f"{word} has been renamed", self._verb_names(), new)
-            # This check comes first. Without this check, argparse would report a missing argument
-            # when the user has misspelt the name of the argument.
+            # This check comes before all others. Otherwise, when the user misspells the name of an
+            # argument, argparse would report that the argument is missing.
             if not (
                 self._has_sub_verbs
                 or any(option.startswith(word) for option in self._option_string_actions)
@@ -151,7 +152,7 @@ class VerbParser(argparse.ArgumentParser):
         )
 
     def _verb_names(self) -> str:
-        """Return the names of the command and the subcommand."""
+        """Return the names of the command and of the subcommand."""
         return self.prog.removeprefix("handctl").strip()
 
     def _error_location(self) -> str:
@@ -177,7 +178,7 @@ def _quote_word(word: str) -> str:
 def did_you_mean(word: str, names: Iterable[str]) -> str:
     """Return a question that suggests the name most similar to a word.
 
-    If no name is similar, the text is empty.
+    If no name is similar enough, the text is empty.
     """
     near = similar_name(word, names)
     return f", did you mean {near}?" if near else ""
@@ -194,7 +195,7 @@ def add_sub_verb(
     Args:
         sub_verbs: parsers of the subcommands of the command.
         name: name of the subcommand.
-        text: one line of help that starts with a small letter and has no full stop.
+        text: one line of help, which starts with a small letter and has no full stop.
         example: example command line for the end of the help.
     """
     description = f"{text[0].upper()}{text[1:]}."
@@ -204,7 +205,7 @@ def add_sub_verb(
 
 
 def check_words(words: Sequence[str]) -> None:
-    """Raise an error if a command line has words that no command can use.
+    """Raise an error if a command line contains words that no command can use.
 
     Raises:
         ConfigError: a word contains NUL or a line end, or the value of an option is ``--``.

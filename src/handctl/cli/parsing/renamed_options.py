@@ -1,7 +1,7 @@
-"""Renamed options.
+"""Options of the command line that have been renamed.
 
-If the user writes an old spelling, the error message gives the new spelling. The table of renamed
-options in docs/reference/command-line.md has the same rows.
+If a user writes the old name of an option, the error message gives the new name. The table of
+renamed options in docs/reference/command-line.md has the same rows as the table here.
 """
 
 RENAMED_OPTIONS = {
@@ -21,13 +21,13 @@ RENAMED_OPTIONS = {
 
 
 def new_spelling(verb: str, option: str) -> str:
-    """Return the new spelling of an option.
+    """Return the new name of an option.
 
     Args:
         verb: command and subcommand, for example ``tune design``.
         option: option in the user's spelling.
 
     Returns:
-        the new spelling. The text is empty if the option was not renamed.
+        the new name, or an empty text if the option was not renamed.
     """
     return RENAMED_OPTIONS.get(verb, {}).get(option, "")

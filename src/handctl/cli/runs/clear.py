@@ -12,7 +12,7 @@ from handctl.runtime.confirmed_requests import request_action
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask the controller of a bus to clear all latched faults.
+    """Ask the controller on a bus to clear all latched faults.
 
     Return 0 after the controller has confirmed the request.
     """

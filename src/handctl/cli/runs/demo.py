@@ -1,6 +1,6 @@
 """``handctl demo``: grasp an object with a simulated hand over a local CAN bus.
 
-No hardware is needed.
+The demo needs no hardware.
 """
 
 import argparse
@@ -54,7 +54,7 @@ START_TIMEOUT_S = 20.0
 def run(args: argparse.Namespace) -> int:
     """Simulate and commission a hand, run a task on the hand, and report the result.
 
-    Returns the exit code.
+    Return the exit code.
     """
     refuse_view_without_screen(args.view and not args.lockstep)
     with hand_in_protocol(args):
@@ -92,11 +92,11 @@ def _run_demo(args: argparse.Namespace) -> int:
         outcome = _run_in_real_time(args, plan, TaskProgram(task), log, identified)
         truth = truth_path(plan.buses[0])
     wall = time.monotonic() - started
-    # this module is needed only after the run, to read its log
+    # this module reads the log, so it is needed only after the run
     from handctl.session.verdict import judge_run
 
     result = judge_run(plan, outcome, log, truth, task=task)
-    if result["truth"] != str(truth):  # a copy is next to the log
+    if result["truth"] != str(truth):  # a copy of the truth file lies next to the log
         truth.unlink(missing_ok=True)
     result |= _speed_ratio(outcome, plan, wall) if args.lockstep else {}
     code = print_run_result(result, outcome, plan, args.json)
@@ -127,7 +127,7 @@ def _check_not_overwritten(path: Path, log: Path) -> None:
 
 
 def _bus_words(names: tuple[str, ...]) -> list[str]:
-    """Return the values of ``--bus`` for a hand.
+    """Return the values of the option ``--bus`` for a hand.
 
     Each bus of the hand becomes a local bus of this process.
     """
@@ -157,7 +157,7 @@ def _commission_and_run(
 ) -> RunOutcome:
     """Commission the hand, and then run the program.
 
-    In this run, the controller uses parameters of the hand that were identified earlier.
+    In this run, the controller uses parameters of the hand that were identified in an earlier run.
     """
     first, then = runners
     print_note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
@@ -184,15 +184,15 @@ def _run_in_lockstep(
 
 
 def _make_simulated_hand(args: argparse.Namespace, truth: Path | None) -> SimulatorSettings:
-    """Return the simulated hand for a run in lockstep."""
+    """Return the settings of the simulated hand for a run in lockstep."""
     perturb = gain_assignments(args.perturb, "--perturb")
     return SimulatorSettings(args.hand, args.scene, args.seed, perturb, truth=truth, wire=args.wire)
 
 
 def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall_s: float) -> dict[str, Any]:
-    """Return three fields of the result: the simulated time, the real time, and the ratio of both.
+    """Return three fields of the result: simulated time, real time, and the ratio of both.
 
-    Both times include commissioning.
+    Both times include the commissioning of the hand.
     """
     simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
     return {
@@ -226,7 +226,7 @@ def running_simulator(args: argparse.Namespace, plan: RunPlan) -> Iterator[None]
         line = child.stdout.readline()
         if "ready" not in line:
             if child.wait(START_TIMEOUT_S) == ExitCode.BAD_INPUT:
-                raise SystemExit(ExitCode.BAD_INPUT)  # the simulator has printed the reason
+                raise SystemExit(ExitCode.BAD_INPUT)  # the simulator has already printed the reason
             raise BusError(
                 "the simulator did not start", SIMULATOR_PACKAGE, "a line that says ready"
             )

@@ -1,4 +1,4 @@
-"""``handctl jog --mode``: move one drive on a bench in torque, position or velocity mode, within limits."""
+"""``handctl jog --mode``: move one drive on a test bench within limits, in torque, position or velocity mode."""
 
 import argparse
 import math
@@ -40,7 +40,7 @@ ANGLE_UNIT = "rad"
 
 
 def run(args: argparse.Namespace) -> int:
-    """Move a drive.
+    """Move a drive on a test bench.
 
     Return 1 if the motion stopped early, and 71 if the drive does not confirm that it is disabled.
     """
@@ -110,7 +110,7 @@ def _motion_goal(args: argparse.Namespace) -> JogGoal:
 
 
 def _check_number(value: float, name: str, low: float, high: float) -> None:
-    """Check that an argument is within a range. NaN is outside every range.
+    """Check that the value of an argument is within a range. NaN is outside every range.
 
     Raises:
         ConfigError: the value is outside the range.
@@ -122,7 +122,7 @@ def _check_number(value: float, name: str, low: float, high: float) -> None:
 def _describe_motion(
     args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNode | None, goal: JogGoal
 ) -> Drive:
-    """Return the drive, prepared for the mode of the requested motion.
+    """Return the drive, configured for the mode of the requested motion.
 
     Raises:
         ConfigError: the protocol has no such mode or option.
@@ -130,7 +130,7 @@ def _describe_motion(
 
     def make_jog_drive(motor: Motor) -> Drive:
         if motor.protocol in ("odrive", "cia402"):
-            # A drive of this protocol counts turns, and reports no range.
+            # Drives with this protocol count whole turns, and report no position range.
             motor = motor.model_copy(update={"position_range_rad": MAX_POSITION_RANGE_RAD})
         if goal.mode == DriveMode.FORCE_POSITION and node and "torque_max_N_m" in node.settings:
             motor = _with_current_limit(motor, node.settings["torque_max_N_m"], goal.max_torque_N_m)
@@ -140,9 +140,9 @@ def _describe_motion(
 
 
 def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor:
-    """Return a Damiao motor whose commands contain a torque limit.
+    """Return the description of a Damiao motor whose commands contain a torque limit.
 
-    A command contains the limit as a fraction of full scale.
+    A command contains the torque limit as a fraction of the full scale.
 
     Args:
         motor: description of the motor.
@@ -179,7 +179,9 @@ def _goal_text(goal: JogGoal) -> str:
 def _move_drive(
     args: argparse.Namespace, goal: JogGoal, drive: Drive, torque_drive: Drive
 ) -> tuple[JogResult, bool]:
-    """Move and disable a drive. Return the result, and True if the drive has confirmed that it is disabled.
+    """Move a drive, and then disable it.
+
+    Return the result, and True if the drive has confirmed that it is disabled.
 
     If a fault or a limit stops the motion, the drive keeps its latched fault, and stays in the mode
     of the motion. Otherwise the drive ends in torque mode.
@@ -203,7 +205,7 @@ def _move_drive(
                 if complete
                 else rig.confirm_off(watchdog_s)
             )
-            # the motion was ended by Ctrl-C or a bug: report this here
+            # Ctrl-C or a bug has ended the motion, and this is reported here
             if not off and result is None:
                 raise PowerError(NOT_OFF_WARNING)
     return result, off

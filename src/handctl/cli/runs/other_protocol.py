@@ -1,4 +1,4 @@
-"""Hand file for a simulated hand whose drives use another protocol than its packaged file.
+"""Hand file for a simulated hand whose drives use another protocol than those in the packaged file.
 
 The fault campaign also uses such hands.
 """
@@ -24,7 +24,7 @@ def hand_in_protocol(args: argparse.Namespace) -> Iterator[None]:
     The end of the context restores ``args.hand``.
 
     Raises:
-        ConfigError: the hand does not exist, or the protocol has no such motor type.
+        ConfigError: the hand does not exist, or the protocol does not have the motor type.
     """
     check_protocol_given(args.protocol, args.motor_type)
     if args.protocol is None:
@@ -43,10 +43,10 @@ def hand_in_protocol(args: argparse.Namespace) -> Iterator[None]:
 
 
 def path_in_protocol(args: argparse.Namespace) -> Path:
-    """Return the path in the present folder for the hand file with drives of ``args.protocol``.
+    """Return the path, in the present folder, of the hand file whose drives use ``args.protocol``.
 
     Raises:
-        ConfigError: a file with this name exists, and has other content.
+        ConfigError: a file with this name exists and has different content.
     """
     path = Path(f"{Path(args.hand).stem}-{args.protocol}.toml")
     if path.exists() and path.read_bytes() != _hand_text(args).encode():
@@ -66,7 +66,7 @@ def write_in_protocol(args: argparse.Namespace) -> Path:
 def _hand_text(args: argparse.Namespace) -> str:
     """Return the text of the hand file with drives of ``args.protocol``."""
     from handctl.campaign.run_stages import (
-        hand_with_protocol,  # this import is slow, because it imports the whole controller
+        hand_with_protocol,  # this import is slow, because it loads the whole controller
     )
 
     hand = hand_with_protocol(args.hand, args.protocol, args.motor_type)

@@ -18,7 +18,7 @@ from handctl.session.tasks import scene_for_hand
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replace this process by the simulator."""
+    """Replace this process by the process of the simulator."""
     args.scene = scene_for_hand(args.scene, load_hand(args.hand))
     if args.dry_run:
         return _check_and_print(args)

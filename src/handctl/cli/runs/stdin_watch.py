@@ -1,7 +1,7 @@
 """End of a run when standard input ends, for the option ``--until-eof``.
 
-The end of standard input ends the run. Standard input ends when the program that started the run
-ends.
+When standard input ends, the run ends too. Standard input ends when the program that started the
+run ends.
 """
 
 import os
@@ -16,7 +16,10 @@ READ_BYTES = 4096
 
 
 class StdinWatch:
-    """Observer of a run that requests a stop when standard input has ended, see ``session.run.RunObserver``."""
+    """Observer of a run.
+
+    It requests a stop when standard input has ended, see ``session.run.RunObserver``.
+    """
 
     def __init__(self) -> None:
         """Create the observer. At the start, standard input is assumed to be open."""
@@ -34,4 +37,7 @@ class StdinWatch:
         return (STOP_REQUEST,)
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
-        """Do nothing in a tick of the run. ``session.run.RunObserver`` requires this method."""
+        """Do nothing after a tick of the run.
+
+        The interface ``session.run.RunObserver`` requires this method.
+        """

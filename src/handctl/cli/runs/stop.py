@@ -8,7 +8,7 @@ from handctl.runtime.confirmed_requests import request_action
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask the controller of a bus to stop.
+    """Ask the controller on a bus to stop.
 
     Return 0 after all drives have confirmed that they are disabled.
     """

@@ -1,4 +1,4 @@
-"""``handctl fault``: inject one fault, every fault of the matrix, or random fault sequences into a simulated hand."""
+"""``handctl fault``: inject one fault, every fault of the matrix, or random faults into a simulated hand."""
 
 import argparse
 
@@ -37,7 +37,7 @@ def _send_request(args: argparse.Namespace, question: dict[str, object]) -> int:
 
 
 def _print_kinds(args: argparse.Namespace) -> int:
-    """Print each kind of fault, with the components of the hand that can have this kind of fault."""
+    """Print each kind of fault, with the components of the hand that a fault of this kind can affect."""
     kinds = ask_simulator(find_simulator(args.bus), {"kinds": True})["kinds"]
     if args.json:
         print_json({"kinds": kinds})

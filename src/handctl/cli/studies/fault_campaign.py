@@ -35,7 +35,7 @@ MAX_FAULT_FREE_S = 86_400.0
 def run(args: argparse.Namespace) -> int:
     """Run a fault campaign, write the reports, and return the exit code.
 
-    The command fails if a scenario fails, or if a run without injected faults causes an alarm.
+    The command fails if a scenario fails, or if an alarm occurs in a run without injected faults.
     """
     check_seed(args.seed)
     if not 1 <= args.jobs <= MAX_JOBS:

@@ -40,7 +40,7 @@ VERDICT_COLOURS = {
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compute all items of the paper again, run the requested experiments, and print the items with the results.
+    """Compute all items about the paper again, run the requested experiments, and print the items with the results.
 
     Return the exit code.
     """
@@ -63,8 +63,8 @@ def run(args: argparse.Namespace) -> int:
 def _load_or_measure(path: Path | None, jobs: int) -> dict[str, Any]:
     """Return the results of the experiments.
 
-    If the file of results exists, read the results from it. If it does not exist, run the
-    experiments and save their results.
+    If the file of results exists, read the results from this file. Otherwise run the experiments,
+    and save their results in this file.
 
     Raises:
         ConfigError: the file contains no results, or the file cannot be written.
@@ -81,7 +81,7 @@ def _load_or_measure(path: Path | None, jobs: int) -> dict[str, Any]:
 def _check_writable(report_file: Path | None, *folders: Path | None) -> None:
     """Check that the report and the folders can be written.
 
-    This check comes before the experiments.
+    This check comes before the experiments, which take a long time.
     """
     if report_file:
         check_output(report_file, "--output")
@@ -112,7 +112,7 @@ def _print_items(args: argparse.Namespace, parts: tuple[PageSection, ...]) -> No
 
 
 def _measure_all(jobs: int) -> dict[str, Any]:
-    """Run all experiments with a progress display, and return their results."""
+    """Run all experiments, show the progress, and return the results."""
     done = 0
     with progress_bar("starting the simulator", job_count()) as update_progress:
 
@@ -126,7 +126,7 @@ def _measure_all(jobs: int) -> dict[str, Any]:
 
 
 def _print_table(parts: tuple[PageSection, ...]) -> None:
-    """Print the items of the paper as tables, and then the number of items with each verdict."""
+    """Print the items about the paper as tables, and then the number of items with each verdict."""
     from rich.table import Table
     from rich.text import Text
 

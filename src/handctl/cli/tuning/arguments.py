@@ -93,7 +93,8 @@ def gains(parser: VerbParser) -> None:
     def add_kind(name: str, text: str) -> VerbParser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"gains {name}"])
         add_json_option(one)
-        if name != "set":  # "set" needs no --hand, because the running controller knows its hand
+        # The subcommand "set" needs no --hand, because the running controller knows its hand.
+        if name != "set":
             add_hand_option(one)
         return one
 

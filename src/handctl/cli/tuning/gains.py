@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
-    """Print the value, origin, meaning and bounds of every gain."""
+    """Print the value, the source, the meaning and the bounds of every gain."""
     layers = layered_gains(args, hand)
     values = values_by_key(layers.gains)
     gain_bounds = {key: bounds_after_check(key, value, "gains") for key, value in values.items()}
@@ -77,7 +77,10 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def gain_meaning(gain: GainBounds) -> str:
-    """Return the meaning and the unit of a gain, from the first line of the gain's description."""
+    """Return the meaning and the unit of a gain.
+
+    Both come from the first line of the gain's description.
+    """
     return gain.why.partition("\n")[0]
 
 
@@ -114,12 +117,12 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _gains_to_compare(word: str, hand: Hand) -> Gains:
-    """Return the gains that ``word`` names.
+    """Return the set of gains that ``word`` names.
 
-    This word may be "packaged", "present", a number of the history, a log or a gains file.
+    This word is "packaged", "present", a number in the history, a log, or a gains file.
 
     Raises:
-        ConfigError: the history has no such number.
+        ConfigError: the history contains no entry with this number.
     """
     store = GainsStore(hand.name)
     if word == "packaged":
@@ -166,8 +169,8 @@ def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
 def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
     """Restore earlier gains of the hand from the history.
 
-    If no number is given and the file of the present gains is unusable, restore the newest entry of
-    the history.
+    If no number is given and the file of the present gains cannot be used, restore the newest entry
+    of the history.
     """
     store = GainsStore(hand.name, hand.identity)
     entries = store.history_entries()
@@ -245,7 +248,7 @@ def _entry_line(entry: StoredGains, entries: list[StoredGains]) -> str:
 def _change_live_gains(args: argparse.Namespace) -> int:
     """Change gains of a running controller, and return the exit code.
 
-    An invalid value raises an error before a request is sent.
+    If a value is invalid, an error is raised before a request is sent.
     """
     from handctl.runtime.confirmed_requests import (
         absent_controller_reported,

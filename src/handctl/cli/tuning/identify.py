@@ -1,4 +1,4 @@
-"""``handctl identify``: identify the parameters of a hand, by moving it or from logs, and save them."""
+"""``handctl identify``: identify the parameters of a hand from its motion or from logs, and save them."""
 
 import argparse
 import shlex
@@ -60,7 +60,9 @@ BLOCKED_HINT = (
 
 
 def run(args: argparse.Namespace) -> int:
-    """Excite a hand, or read logs. Then fit, report and save the parameters of the hand.
+    """Excite a hand with a series of motions, or read logs of such motions.
+
+    Then fit the parameters of the hand, report them, and save them.
 
     Return the exit code.
     """
@@ -84,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
         excitation_steps(plan.hand, tuple(args.digits or plan.hand.digit_names))
     )
     path, calibration, reason = find_calibration(args, plan.hand, plan.buses)
-    # the results of a simulation must not go into the file of a real hand
+    # the results of a simulation must not be written to the file of a real hand
     if args.lockstep and not args.calibration:
         path = _simulated_calibration_path(plan.hand)
     total = sum(step.duration_s for step in program.steps)
@@ -115,9 +117,9 @@ def run(args: argparse.Namespace) -> int:
 def _in_lockstep(
     args: argparse.Namespace, plan: RunPlan, program: ExciteProgram, log: Path, introduction: str
 ) -> tuple[Calibration, RunOutcome]:
-    """Commission and excite a simulated hand in virtual time.
+    """Commission a simulated hand in virtual time, and then excite it.
 
-    Return the calibration and the outcome.
+    Return the calibration and the outcome of the run.
     """
     perturb = gain_assignments(args.perturb, "--perturb")
     simulator = SimulatorSettings(
@@ -131,7 +133,7 @@ def _in_lockstep(
 def _commission_and_excite(
     plan: RunPlan, program: ExciteProgram, log: Path, runner: RunFunction
 ) -> tuple[Calibration, RunOutcome]:
-    """Commission and then excite a hand. Return the calibration and the outcome."""
+    """Commission and then excite a hand. Return the calibration and the outcome of the run."""
     started = time.monotonic()
     calibration, _ = run_commissioning(plan, commission_log(log), runner)
     outcome = runner(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
@@ -141,12 +143,15 @@ def _commission_and_excite(
 
 
 def _identify_from_logs(args: argparse.Namespace) -> int:
-    """Identify parameters from recorded runs, without moving the hand. Return the exit code.
+    """Identify the parameters of a hand from recorded runs, without moving the hand.
 
-    If several logs give results for the same tendon, the last of these logs counts.
+    Return the exit code.
+
+    If several logs give results for the same tendon, the results of the last log are used.
 
     Raises:
-        ConfigError: a log cannot be used, or would change the calibration of another hand.
+        ConfigError: a log cannot be used, or the results would change the calibration of another
+            hand.
     """
     hand = load_hand(args.hand)
     path = calibration_path(args, hand)
@@ -185,7 +190,7 @@ def _identify_from_logs(args: argparse.Namespace) -> int:
 def _simulated_calibration_path(hand: Hand) -> Path:
     """Return the path of the calibration file for a simulated hand.
 
-    A real hand is never armed with the file at this path.
+    A real hand is never armed with the calibration at this path.
     """
     return Path(f"{hand.name}.lockstep.calibration.toml")
 
@@ -197,10 +202,11 @@ def _log_header(log: Path) -> RunHeader:
 
 
 def _are_simulated(headers: dict[Path, RunHeader]) -> bool:
-    """Return True if the logs were recorded with a simulated hand: in lockstep, or on buses without real motors.
+    """Return True if all logs were recorded with a simulated hand: in lockstep, or on buses without real motors.
 
     Raises:
-        ConfigError: some of the logs, but not all, were recorded with a simulated hand.
+        ConfigError: some of the logs were recorded with a simulated hand, and others with a real
+            hand.
     """
     kinds = {}
     for log, header in headers.items():
@@ -247,7 +253,7 @@ def _report_results(
         write_calibration(path, calibration.model_copy(update={"identified": identified}))
     pictures = _draw_pictures(
         hand, results, print_note
-    )  # the calibration is written first, so that a drawing error cannot lose it
+    )  # the calibration is written first, so that it is not lost if the drawing fails
     _print_refusals(spoilt, met, incoherent)
     ended = ExitCode.FAILED if spoilt or met else ExitCode.DONE
     if args.json:
@@ -278,11 +284,11 @@ def _report_results(
 def _print_refusals(
     blocked_digits: dict[str, str], met: dict[str, str], incoherent_tendons: list[str]
 ) -> None:
-    """Print which parameters are not kept, with the reasons.
+    """Print which parameters are not kept, and the reasons.
 
     Args:
-        blocked_digits: for each blocked digit, the event that reports this.
-        met: for each digit that touched something during its sweep, the contact.
+        blocked_digits: for each digit that was blocked, the event that reports the blocking.
+        met: for each digit that touched something during its sweep, the description of the contact.
         incoherent_tendons: names of the tendons whose coherence is too low.
     """
     for digit, reason in blocked_digits.items():
@@ -306,7 +312,7 @@ def _print_refusals(
 def _search_command(args: argparse.Namespace, path: Path) -> str:
     """Return the command line that tunes the gains for the identified hand.
 
-    The options in it select the same hand.
+    The options of this command line select the same hand.
     """
     words = ["handctl", "tune", "search", "--hand", str(args.hand), "--calibration", str(path)]
     return shlex.join(words + same_hand_words(args))

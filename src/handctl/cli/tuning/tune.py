@@ -1,4 +1,4 @@
-"""``handctl tune``: design gains, search gains on the identified hand, and verify gains on the hand.
+"""``handctl tune``: design gains, search for gains in simulation, and verify gains on the hand.
 
 Only the module of the requested kind of tuning is imported.
 """

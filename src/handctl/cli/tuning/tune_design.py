@@ -30,7 +30,7 @@ MAX_DAMPING = 100.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Design gains, draw the control loops, and write the gains file and the picture.
+    """Design gains, draw the control loops with these gains, and write the gains file and the picture.
 
     The command fails if the stability margins are too small.
     """
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _report_failure(args: argparse.Namespace, reason: str) -> int:
-    """Report why no gains are written, and return the exit code."""
+    """Report the reason why no gains are written, and return the exit code."""
     if args.json:
         print_json({"gains": None, "picture": None, "enough": False, "why": reason})
     print_escaped(f"handctl: tune design: {reason}; nothing is written", error=True)
@@ -88,7 +88,7 @@ def _report_failure(args: argparse.Namespace, reason: str) -> int:
 
 
 def _place_poles(args: argparse.Namespace, model: HandModel, plants: Any, rate: float) -> Any:
-    """Return gains that place the poles at ``--poles-Hz`` [Hz] with the damping ratio ``--damping``.
+    """Return gains with which the poles are at ``--poles-Hz`` [Hz], with the damping ratio ``--damping``.
 
     Raises:
         ConfigError: a pole or the damping is not a number within the limits.
@@ -160,8 +160,8 @@ def _margin_cells(before: Any, after: Any, missing_margin_text: str) -> list[str
     """Return the cells of a row of the table: each margin with the old gains and with the new gains.
 
     Args:
-        before: margins with the old gains.
-        after: margins with the designed gains.
+        before: stability margins with the old gains.
+        after: stability margins with the designed gains.
         missing_margin_text: text in the first cell if a loop has no margins. The other cells then contain a
             dash.
     """

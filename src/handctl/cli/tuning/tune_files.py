@@ -1,4 +1,4 @@
-"""Input and output files that all kinds of ``handctl tune`` share."""
+"""Input and output files of the commands ``handctl tune design``, ``search`` and ``verify``."""
 
 import argparse
 import shlex
@@ -88,10 +88,10 @@ def write_gains(
 
 
 class TunedHand(NamedTuple):
-    """Hand to tune, the same hand with identified parameters, and the spread of these parameters.
+    """Hand to tune: the hand of the hand file, the hand with identified parameters, and their spread.
 
     Attributes:
-        hand: hand with the parameters of the hand file. A gains file records the name and the
+        hand: hand with the parameters of the hand file. A gains file contains the name and the
             identity of this hand.
         identified_hand: hand with identified parameters in place of the parameters in the file.
             This hand is the model of the controller, as in a run with the same calibration. This

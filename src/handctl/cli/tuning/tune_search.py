@@ -1,4 +1,4 @@
-"""``handctl tune search``: search for the best gains on simulated hands.
+"""``handctl tune search``: search for the best gains by runs of simulated hands.
 
 An interrupted search can be resumed.
 """
@@ -30,9 +30,9 @@ from handctl.session.plan import control_rate
 
 
 def run(args: argparse.Namespace) -> int:
-    """Search for gains, draw the trials, and write the gains file and the picture.
+    """Search for gains, draw the trials of the search, and write the gains file and the picture.
 
-    The command fails if no trial keeps the stability margins.
+    The command fails if no trial has large enough stability margins.
     """
     from handctl.tune.plots import draw_search
     from handctl.tune.search.search import SearchPlan, run_search
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
 def _report_infeasible(
     args: argparse.Namespace, result: Any, storage: Path, picture: Path, trials: int
 ) -> int:
-    """Report that no trial keeps the stability margins, and return the exit code."""
+    """Report that no trial has large enough stability margins, and return the exit code."""
     if args.json:
         print_json(_report_fields(result, storage, None, picture))
     else:
@@ -98,7 +98,7 @@ def _report_infeasible(
 def _designed_gains(
     hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]
 ) -> tuple[Gains, ...]:
-    """Return gains that ``tune design`` finds for the same plants.
+    """Return the gains that ``tune design`` finds for the same simulated plants.
 
     The search also starts from these gains. If the design fails, return an empty tuple.
     """
@@ -114,7 +114,7 @@ def _designed_gains(
 
 
 class _SearchProgress:
-    """Display of a search's progress: completed trials, best trial and remaining time."""
+    """Display of the progress of a search: completed trials, best trial and remaining time."""
 
     def __init__(self, trials: int, quiet: bool) -> None:
         from rich.progress import (

@@ -1,4 +1,4 @@
-"""``handctl tune verify``: test new gains on the hand, in rounds of rising amplitude.
+"""``handctl tune verify``: test new gains on the hand, in rounds whose amplitude rises.
 
 If a round fails, the hand gets its old gains again.
 """
@@ -26,9 +26,9 @@ from handctl.session.simulate import SimulatorSettings
 
 
 def run(args: argparse.Namespace) -> int:
-    """Verify new gains on the hand.
+    """Test new gains on the hand, and return the exit code.
 
-    Return 0 only if the new gains pass the round with full amplitude.
+    The exit code is 0 only if the new gains pass the round with the full amplitude.
     """
     from handctl.programs.exercise import ExerciseProgram
     from handctl.tune.gains_verification import VerifyObserver, round_amplitudes
@@ -107,7 +107,7 @@ def _run_once(
 def _judge_run(
     plan: RunPlan, outcome: RunOutcome, observer: Any, log: Path, truth_file: Path | None
 ) -> dict[str, Any]:
-    """Compute the scores of one test run, and draw a picture of it.
+    """Compute the scores of one test run, and draw a picture of this run.
 
     Return the fields of the JSON result.
     """
@@ -137,9 +137,11 @@ def _judge_run(
 
 
 def _stop_reason(failure: str, observer: Any, round_count: int) -> str:
-    """Return the reason why a run did not pass all rounds. The text is empty if it passed them.
+    """Return the reason why a test run did not pass all of its rounds.
 
-    A blocked digit is reported before other reasons, because it explains most of them.
+    If the run passed all rounds, the text is empty.
+
+    A blocked digit is reported before all other reasons, because it explains most of the others.
     """
     if observer.blocked:
         return str(observer.blocked)
@@ -155,7 +157,7 @@ def _stop_reason(failure: str, observer: Any, round_count: int) -> str:
 def _report_verification(
     args: argparse.Namespace, runs: list[dict[str, Any]], outcome: RunOutcome
 ) -> int:
-    """Print the result of all test runs, and the table of the last run.
+    """Print the results of all test runs, and a table about the last run.
 
     Return the exit code.
     """
@@ -224,7 +226,7 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
     if result.get("columns"):
         _print_columns(result)
     console.print(f"log: {result['log']}\npicture: {result['picture']}", soft_wrap=True)
-    # The verdict is the last line, even if a run ended early.
+    # The last line is the verdict, even if a run has ended early.
     if result["verified"]:
         words = ("handctl", "gains", "apply", str(args.candidate), "--hand", str(args.hand))
         apply = shlex.join(words)
@@ -242,7 +244,7 @@ def return_text(back: dict[str, Any]) -> str:
 
 
 def _gains_label(number: int, back: dict[str, Any] | None, amplitudes: tuple[float, ...]) -> str:
-    """Return the label of the gains that a test round used: old, new, first new and then old, or again old."""
+    """Return the label of the gains in a test round: old, new, first new and then old, or old again."""
     from handctl.tune.gains_verification import OLD_GAINS_ROUNDS
 
     if number < OLD_GAINS_ROUNDS:

@@ -1,1 +1,1 @@
-"""Inputs of the safety monitor: the thresholds for a hand, and the number of excess replies from nodes."""
+"""Inputs of the safety monitor: the thresholds for a hand, and the number of replies that exceed the requests."""

@@ -76,8 +76,8 @@ def compiled_constants(
         drives: drives of the hand.
         sensors: sensor node of the hand.
         limits: safety thresholds.
-        tare: (N,) load-cell tare [N].
-        zero: (N,) motor zero [rad].
+        tare: (N,) tare of each load cell [N].
+        zero: (N,) zero angle of each motor [rad].
     """
     hand = model.hand
     period = model.period
@@ -118,7 +118,7 @@ def compiled_constants(
 
 
 def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object]:
-    """Return those constants of the drives' position loops that depend on the frames of the drives.
+    """Return those constants of the drives' position loops that depend on the number format in the drives' frames.
 
     For kp [N m/rad] and kd [N m s/rad], the constants are the step of one count and the largest
     value that a frame can contain. Further constants are the force [N] that one count of feedback
@@ -144,8 +144,8 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
             signal for message in drive.cyclic_messages.feedback for signal in message.signals
         ):
             if signal.quantity in inputs:
-                # A floating-point number has finer steps than the encoder whose position it
-                # contains.
+                # A floating-point number has finer steps than the encoder that measures the
+                # position.
                 encoder = model.space.encoder_step[n] / model.space.spool[n]
                 step = (
                     max(signal.step, encoder)
@@ -166,7 +166,7 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
 def torque_resolution(drive: Drive) -> float:
     """Return the torque of one count in the feedback or in the command, whichever is larger [N m at the spool].
 
-    For a torque in floating point, the result is 0.
+    If the torque is a floating-point number, the result is 0.
     """
     messages = (*drive.cyclic_messages.feedback, *drive.cyclic_messages.commands)
     signals = [
@@ -182,7 +182,7 @@ def torque_resolution(drive: Drive) -> float:
 
 
 def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorInterface) -> int:
-    """Return the number of frames in a tick above which the bus counts as flooded: twice the replies of all nodes."""
+    """Return the number of frames per tick above which the bus counts as flooded: twice the replies of all nodes."""
     return max(
         MIN_FRAMES_LIMIT,
         sum(len(drive.frames_per_tick) for drive in drives) + 2 * len(sensors.node_ids),
@@ -190,16 +190,16 @@ def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorInterface) -> in
 
 
 def _noise_limit(model: HandModel) -> float:
-    """Return the largest mean squared jerk of a motor's position that occurs without encoder noise [rad^2].
+    """Return the largest mean squared jerk of a motor's position that a healthy motor can have [rad^2].
 
-    Here, the jerk is the change of the position step from one tick to the next: acceleration times
-    period squared. This limit includes the jerk of a healthy motor and the rounding of the encoder.
+    Here, jerk is the change of the position step from one tick to the next: acceleration times the
+    period squared. The limit includes the jerk of a real motion and the rounding of the encoder.
     """
     space = model.space
     period = model.period
-    # Acceleration of the bare rotor at full torque [rad/s^2]. Torque / spool radius is a force, and
-    # force / mass is an acceleration along the tendon. This acceleration / spool radius is the
-    # acceleration of the rotor.
+    # Acceleration of a rotor without load at full torque [rad/s^2]. The torque divided by the spool
+    # radius is a force. This force divided by the mass is an acceleration along the tendon. This
+    # acceleration divided by the spool radius is the angular acceleration of the rotor.
     acceleration = float((model.torque_limit / space.spool / space.motor_mass / space.spool).max())
     rounding = ROUNDING_NOISE_COUNTS * float((space.encoder_step / space.spool).max()) ** 2
     return NOISE_FACTOR * (

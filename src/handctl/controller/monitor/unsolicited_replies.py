@@ -1,11 +1,13 @@
-"""Detection of unsolicited and duplicate replies: a node sends more replies than this host sent requests.
+"""Detection of unsolicited and duplicate replies.
 
-If a motor replies before the first request from this host, a second controller has sent it a
-request (fault H13). A single such reply is enough for this fault. If there are more replies than
-requests, the excess reply is a duplicate (fault B05), or a masquerade if its bytes differ (fault
-B06). Only frames that the state machine of the drive or sensor node accepts as replies are counted.
-Heartbeats and frames with an old counter are not counted. This code runs only in ticks with excess
-replies.
+They exist if a node sends more replies than this host has sent requests.
+
+If a motor replies before this host has sent the first request, a second controller has sent a
+request to the motor (fault H13). A single such reply is sufficient for the fault. If a node sends
+more replies than requests, the excess reply is a duplicate (fault B05). If its bytes differ,
+another node may pretend to be this one (fault B06). Only frames that the state machine of the drive
+or sensor node accepts as replies are counted here. Heartbeats and frames with an old counter are
+not counted. This code runs only in ticks with more replies than requests.
 """
 
 from collections.abc import Sequence
@@ -30,26 +32,26 @@ def detect_unsolicited_replies(
     state: ControllerState,
     frames: Sequence[Frame],
 ) -> tuple[str, ...]:
-    """Detect unsolicited and duplicate replies in a tick.
+    """Detect the unsolicited and the duplicate replies of a tick.
 
-    The numbers of duplicates are written into ``DUPLICATES``.
+    The function writes the numbers of duplicates into the field ``DUPLICATES``.
 
     Args:
         drives: drives of the hand.
         sensors: sensor node of the hand.
-        last_state: state before the tick.
-        state: state that includes the data received in the tick.
+        last_state: state of the controller before the tick.
+        state: state of the controller with the data that were received in the tick.
         frames: frames received in the tick.
 
     Returns:
-        One phrase for each motor that replied without a request.
+        One phrase for each motor that has replied without a request.
     """
     duplicates = state.view("twice")
     surplus = state.view("surplus").tolist()
     signs = []
     for n, count in enumerate(surplus):
-        # The field counts the outstanding requests plus 1. So the value 1 at a reply means that
-        # there was no request.
+        # This field contains the number of requests without a reply, plus 1. So if a reply arrives
+        # while the value is 1, there was no request for it.
         if count == 1:
             signs.append(f"{drives[n].name} answering it")
         elif count:
@@ -89,10 +91,10 @@ def _detect_duplicate_answers(
 
 
 def _has_lost_answers(last_state: ControllerState) -> bool:
-    """Return True if answers of the load cells were missing in the last ``LATE_ANSWER_WINDOW_TICKS`` ticks.
+    """Return True if an answer of the load cells was missing in the last ``LATE_ANSWER_WINDOW_TICKS`` ticks.
 
     An additional answer without a counter is then regarded as late, and not as a duplicate. The
-    same holds after a tick without an answer, and after a tick that this host has missed.
+    result is also True after a tick without an answer, and after a tick that this host has missed.
     """
     return bool(
         last_state.layout.table(last_state.block, "node_int")[s.LOST_REPLIES, -1]
@@ -101,14 +103,14 @@ def _has_lost_answers(last_state: ControllerState) -> bool:
 
 
 def _duplicate_kind(payloads: list[bytes], due: int) -> int:
-    """Return 2 if the bytes of an excess reply differ from those of the last expected reply, and otherwise 1."""
+    """Return 2 if the bytes of an excess reply differ from the last expected reply, and 1 if they are equal."""
     return 2 if len(set(payloads[due - 1 :])) > 1 else 1
 
 
 def _accepted_payloads(
     drive: Drive, last_state: ControllerState, n: int, frames: Sequence[Frame]
 ) -> list[bytes]:
-    """Return the payloads that the state machine of the drive accepts as replies, in the order of reception."""
+    """Return the payloads that the state machine of a drive accepts as replies, in the order of reception."""
     drive_state = last_state.drive(n)
     payloads = []
     for frame in frames:

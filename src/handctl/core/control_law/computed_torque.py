@@ -1,23 +1,23 @@
-"""Two control laws of a tendon-driven digit: computed torque for motions, and a tension loop for pulling.
+"""Two control laws for a tendon-driven digit: computed torque for motions, and a tension loop for pulling.
 
-Motion: inverse dynamics give the joint torque that the trajectory requires. The tensions f of the
-tendons must make this joint torque. The motor force u is the tension f_0 at the load cell, plus the
-feedback, plus the force for the inertia and the friction of the motor:
+Motion: inverse dynamics gives the joint torques that the trajectory requires. The tensions f of the
+tendons must produce these joint torques. The motor force u has three parts: the tension f_0 at the
+load cell, the feedback, and the force for the inertia and friction of the motor.
 
     f = allocate(M theta_d'' + h(theta_d, theta_d'))    f_0 = f / efficiency
     u = f_0 + (m_m + m_l) (k (s_d - s) + d (s_d' - v))
         + c_i m_m s_d'' + c_f (b_m v + friction(s_d'))
         - c_d disturbance + K_f (f_0 - f_hat)
 
-The excursions of the tendons are s = R_r theta. With moment arms that vary with the joint angles q,
-the excursions are e(q), and s'' = R q'' + R' q'^2. The speed v is the speed of the tendon at its
-spool, so the feedback damps the rotor, and not the digit behind the tendon. The factors c_i, c_f
-and c_d are fractions that belong to the gains. The mass m_m of the rotor is about twenty times the
-mass m_l of the finger. The feedback accelerates both the rotor and the finger.
+The tendon excursions are s = R_r theta. If moment arms depend on the joint angles q, the excursions
+are e(q), and s'' = R q'' + R' q'^2. The speed v is the speed of the tendon at its spool. So the
+feedback damps the rotor, and not the digit behind the tendon. The factors c_i, c_f and c_d are
+fractions that the gains contain. The mass m_m of the rotor is about twenty times the mass m_l of
+the finger. The feedback has to accelerate both the rotor and the finger.
 
-Tension: the tension loop is a state feedback of tension error and tendon speed, with a slow
-integral. If the digit is expected to follow a trajectory, the loop feeds forward the speed of the
-tendon and the force for the rotor's inertia. Source: LQR of ``motion_design``.
+Tension: the tension loop is a state feedback of the tension error and the tendon speed, with a slow
+integral. If the digit is expected to follow a trajectory, the speed of the tendon and the force for
+the rotor's inertia are fed forward. Source: LQR of ``motion_design``.
 """
 
 import math
@@ -99,9 +99,9 @@ RELAX_FLOOR_N = 5.0
 
 @kernel_helper
 def command_no_torque(x: StateTables, c: ConstantTables) -> None:
-    """Command no torque.
+    """Command zero torque for every motor.
 
-    When a later tension loop begins, its setpoint starts at the present tension.
+    If a tension loop begins later, its setpoint starts at the tension of that time.
     """
     begin_servo_commands(x, c)
     for n in range(x.tendon.shape[1]):
@@ -119,9 +119,10 @@ def command_no_torque(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
-    """Start or end a hold that the safety monitor demands.
+    """Begin or end the holding of the position that the safety monitor demands.
 
-    During the hold, the tensions at its start, plus a margin, are limits.
+    While the hand holds its position, tensions are limited to those at the beginning, plus a
+    margin.
 
     Args:
         x: state tables.
@@ -139,13 +140,13 @@ def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
 
 @kernel_helper
 def present_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
-    """Return the present tension limits (N,) [N], which apply in addition to the limits of the hand file.
+    """Return the tension limits (N,) that apply at present, in addition to those of the hand file [N].
 
-    For a warm drive, the limit falls from the ceiling at the soft temperature to the floor at the
-    hard temperature. The limit of a blocked digit is ``MAX_PRESS_N`` above the tension that the
-    trajectory requires. During a hold that the safety monitor demands, the limit is
-    ``HOLD_MARGIN_N`` above the tension at the start of the hold. The limit of a spool pair applies
-    to the net tension in both directions.
+    If a drive is warm, the limit falls from the ceiling at the soft temperature to the floor at the
+    hard temperature. If a digit is blocked, the limit is ``MAX_PRESS_N`` above the tension that the
+    trajectory requires. While the safety monitor makes the hand hold its position, the limit is
+    ``HOLD_MARGIN_N`` above the tension at the beginning. For a spool pair, the limit applies to the
+    net tension in both directions.
     """
     limit = np.full(x.tendon.shape[1], math.inf)
     warm = False
@@ -166,7 +167,7 @@ def present_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
 
 @kernel_helper
 def _derated_tension(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the largest tension that the temperature of the drive allows.
+    """Return the largest tension that the temperature of a drive allows [N].
 
     A drive that reports no temperature counts as cool.
     """
@@ -196,10 +197,11 @@ def write_motor_torques(
         x: state tables.
         c: constants of the hand.
         trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
-        relax_rate: rate at which the envelope of the motor forces falls while the hand relaxes
-            [N/s]. The value is 0 in other modes.
-        open_loop: True if the motor forces of a relaxing hand equal the envelope, without feedback.
-        ticks: number of periods since the last tick, 1 without missed ticks.
+        relax_rate: rate at which the envelope (the upper bound of the motor forces) falls while the
+            hand relaxes [N/s]. In all other modes, the value is 0.
+        open_loop: True if the motor forces of a relaxing hand are the envelope itself, without
+            feedback.
+        ticks: number of control periods since the last tick, which is 1 if no tick was missed.
     """
     begin_servo_commands(x, c)
     limit = present_tension_limits(x, c)
@@ -254,7 +256,7 @@ def write_motor_torques(
 
 @kernel_helper
 def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> float:
-    """Return a motor force, reduced to the limits of the motor and of the tension [N].
+    """Return a motor force, reduced to the limits of the motor and the tension [N].
 
     Args:
         c: constants of the hand.
@@ -263,8 +265,7 @@ def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> flo
         limit: present tension limit [N].
     """
     force = min(max(force, c.tendon[h.FORCE_MIN, n]), c.tendon[h.FORCE_MAX, n])
-    # The bound of the motor force is the tension limit plus the friction that the motor has to
-    # overcome.
+    # The largest motor force is the tension limit plus the friction that the motor has to overcome.
     bound = limit + c.tendon[h.MOTOR_COULOMB, n]
     force = min(force, bound)
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
@@ -276,19 +277,20 @@ def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> flo
 def _write_filter_force(
     x: StateTables, c: ConstantTables, n: int, force: float, carried: float
 ) -> None:
-    """Write the force with which the tension filter predicts the motion of the rotor.
+    """Write the motor force from which the tension filter predicts the motion of the rotor.
 
     Args:
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        force: motor force of the coming period [N].
-        carried: acceleration of the tendon that the trajectories of carrying digits cause [m/s2].
+        force: motor force during the coming control period [N].
+        carried: acceleration of the tendon caused by the trajectories of digits that carry its
+            digit [m/s2].
     """
     x.tendon[s.FILTER_FORCE, n] = force - _motor_friction(x, c, n, force)
     if c.run_int[h.HAS_CARRIER_ARMS]:
-        # The spool travel in the filter excludes the motion of carrying digits, so the force for
-        # this motion is subtracted.
+        # In the filter, the spool travel does not include the motion of carrying digits. So the
+        # force for that motion is subtracted.
         x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carried
         x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(
             c, n, x.joint[s.DQ]
@@ -299,7 +301,7 @@ def _write_filter_force(
 def _write_joint_torques(
     x: StateTables, c: ConstantTables, trajectory: Matrix, load: Vector
 ) -> None:
-    """Write the joint torques that the tensions make, and the goals of joints on a trajectory.
+    """Write the joint torques that the tensions produce, and the goals of the joints on a trajectory.
 
     Args:
         x: state tables.
@@ -330,7 +332,7 @@ def _write_joint_torques(
 def _relaxing_force(
     x: StateTables, c: ConstantTables, n: int, force: float, ceiling: float, open_loop: bool
 ) -> float:
-    """Return the motor force of a relaxing hand [N].
+    """Return the motor force of a tendon while the hand relaxes [N].
 
     The value is at most the envelope, and in open loop it is the envelope itself.
 
@@ -338,9 +340,9 @@ def _relaxing_force(
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        force: motor force of the control law [N].
+        force: motor force from the control law [N].
         ceiling: envelope, the largest motor force [N].
-        open_loop: True to return the envelope.
+        open_loop: True to return the envelope itself.
     """
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         last = x.tendon[s.COMMANDED_FORCE, n]
@@ -353,11 +355,11 @@ def _relaxing_force(
 def _motion_terms(
     x: StateTables, c: ConstantTables, trajectory: Matrix, limit: Vector
 ) -> tuple[Vector, Matrix, Matrix]:
-    """Return pulley efficiencies (N,), and the goal, feedback, null-space force and integral of each tendon [N].
+    """Return pulley efficiencies, and the goal, feedback, null-space force and integral of each tendon [N].
 
-    The results are an array (N,), an array (2, N) with tension goals and feedback forces, and an
-    array (2, N) with null-space forces and integrals. The feedback accelerates both the rotor and
-    the digit. All terms are 0 for tendons that follow no trajectory.
+    The results are the efficiencies (N,), an array (2, N) with tension goals and feedback forces,
+    and an array (2, N) with null-space forces and integrals. The feedback has to accelerate both
+    the rotor and the digit. For tendons that follow no trajectory, all terms are 0.
 
     Args:
         x: state tables.
@@ -378,8 +380,8 @@ def _motion_terms(
         place = x.tendon[s.EXCURSION, n]
         if c.tendon_int[h.HAS_SURPLUS, n]:
             surplus = True
-            # If a part of the excursions fits no motion of the digit, this part is an error of
-            # tendon length. The feedback ignores it.
+            # If a part of the excursions cannot come from any motion of the digit, it is an error
+            # of the tendon lengths. The feedback ignores this part.
             place = (
                 part_explained_by_motion(c, n, x.tendon[s.EXCURSION])
                 + c.tendon[h.EXPLAINED_OFFSET, n]
@@ -393,8 +395,8 @@ def _motion_terms(
             * (rate - x.tendon[s.SPEED, n])
         )
         counted = c.run[h.FRICTION_FRACTION]
-        # Tension behind the pulleys, as a fraction of the tension before them. The fraction is the
-        # efficiency while the tendon is wound up, and 1 / efficiency while it is paid out.
+        # Tension behind the pulleys, divided by the tension before them. It is the efficiency while
+        # the tendon is wound up, and 1 / efficiency while the tendon is paid out.
         winding = math.tanh(
             (rate + _goal_of_carriers(c, n, trajectory)[0]) / CAPSTAN_FRICTION_SPEED_M_S
         )
@@ -420,7 +422,7 @@ def _motion_terms(
 
 @kernel_helper
 def _takes_up_slack(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True for a slack tendon of a digit that follows streamed angles.
+    """Return True for a slack tendon whose digit follows streamed angles.
 
     A spool pair is never slack.
     """
@@ -433,13 +435,13 @@ def _takes_up_slack(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 @kernel_helper
 def _is_moved_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if the drive of a tendon closes the position loop itself, and the tendon takes up no slack."""
+    """Return True if the drive of a tendon controls the position itself, and the tendon is not taking up slack."""
     return is_loop_closed_by_drive(x, c, n) and not _takes_up_slack(x, c, n)
 
 
 @kernel_helper
 def _take_up_speed(rate: float) -> float:
-    """Return the speed [m/s] at which a spool takes up slack, given the rate of its tendon on the trajectory [m/s]."""
+    """Return the speed at which a spool takes up slack [m/s], given the tendon's rate on the trajectory [m/s]."""
     return max(rate, 0.0) + TAKE_UP_SPEED_M_S
 
 
@@ -447,21 +449,22 @@ def _take_up_speed(rate: float) -> float:
 def _take_up_slack(
     x: StateTables, c: ConstantTables, trajectory: Matrix, terms: Matrix, internal: Matrix
 ) -> None:
-    """Replace the feedback on slack tendons, so that their spools wind at a low speed.
+    """Replace the feedback on slack tendons, so that their spools wind the tendons up at a low speed.
 
     A slack tendon does not move its digit. Position feedback could pay the tendon out further, or
     pull it taut with a jerk that looks like a torn tendon. For a nearly slack tendon, feedback that
     pays out is reduced, so that springs or the antagonist open the digit first.
 
-    This applies to streamed digits. In other motions, only feedback that pays out a slack tendon is
-    replaced, see ``_is_paid_out_while_slack``.
+    These rules apply to digits that follow streamed angles. In other motions, only feedback that
+    pays out a slack tendon is replaced, see ``_is_paid_out_while_slack``.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
-        terms: (2, N) tension goal and feedback of motion [N], modified in place.
-        internal: (2, N) null-space force and integral [N], modified in place.
+        trajectory: (3, J) angles, rates and accelerations of the joints on their trajectories.
+        terms: (2, N) tension goals and feedback forces of the motion loop [N], modified in place.
+        internal: (2, N) forces in the null space, and integrals of the tension errors [N], modified
+            in place.
     """
     for n in range(x.tendon.shape[1]):
         if _is_paid_out_while_slack(x, c, n, terms[1, n]):
@@ -484,8 +487,9 @@ def _take_up_slack(
 def _is_paid_out_while_slack(x: StateTables, c: ConstantTables, n: int, feedback: float) -> bool:
     """Return True if the feedback of a motion without stream would pay out a slack tendon without load cell.
 
-    Neither the motor nor a load cell measures the excursion of such a tendon. If its estimate is
-    too large, the motor would pay out more and more of the tendon, because the estimate stays.
+    Neither the motor nor a load cell measures the excursion of a slack tendon without load cell. If
+    the estimated excursion is too large, the motor would pay out more and more of the tendon,
+    because no measurement corrects the estimate.
 
     Args:
         x: state tables.
@@ -562,7 +566,7 @@ def _motion_force(
     rate: float,
     acceleration: float,
 ) -> float:
-    """Return the motor force of a moving tendon by computed torque [N], and write its tension goal.
+    """Return the motor force of a tendon on a trajectory by computed torque [N], and write the tension goal.
 
     Args:
         x: state tables.
@@ -570,16 +574,16 @@ def _motion_force(
         n: index of the tendon.
         tension: tension goal at the load cell [N].
         feedback: feedback force of the errors of excursion and speed [N].
-        rate: rate of the tendon at its spool on the trajectories [m/s].
-        acceleration: acceleration of the tendon at its spool on the trajectories [m/s2].
+        rate: rate of the tendon at its spool on the trajectory [m/s].
+        acceleration: acceleration of the tendon at its spool on the trajectory [m/s2].
     """
     speed = motor_speed(x, c, n)
     counted = c.run[h.FRICTION_FRACTION]
     x.tendon[s.TENSION_GOAL, n] = tension
     if _takes_up_slack(x, c, n):
         rate = _take_up_speed(rate)
-    # If the drive closes the position loop, its position command includes the planned stretch of
-    # the tendon. The loop in the drive then also controls the tension.
+    # If the drive closes the position loop, the position in its command includes the planned
+    # stretch of the tendon. The position loop of the drive then also controls the tension.
     inner_gain = 0.0 if _is_moved_by_drive(x, c, n) else c.run[h.TENSION_FEEDBACK]
     return (
         tension
@@ -598,13 +602,13 @@ def _motion_force(
 def _tension_force(
     x: StateTables, c: ConstantTables, n: int, limit: float
 ) -> tuple[float, float, float]:
-    """Return the motor force of the tension loop, its setpoint and its integral [N].
+    """Return three values of a tendon's tension loop: motor force, setpoint and integral of the error [N].
 
     Args:
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        limit: largest tension [N].
+        limit: largest allowed tension [N].
     """
     target = min(x.tendon[s.TENSION_TARGET, n], limit)
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
@@ -626,8 +630,7 @@ def _tension_force(
         - c.run[h.DISTURBANCE_REJECTION] * x.tendon[s.DISTURBANCE, n]
     )
     if slack and setpoint > 0.0:
-        # The small tension error of a slack tendon does not overcome the friction of a rotor at
-        # rest.
+        # The small tension error of a slack tendon cannot overcome the friction of a motor at rest.
         force += c.tendon[h.MOTOR_COULOMB, n]
     if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT_OF_TENDON, n]] != NO_TRAJECTORY:
         force += _feedforward_force(x, c, n)
@@ -637,7 +640,7 @@ def _tension_force(
 
 @kernel_helper
 def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the feedforward motor force of a tension-controlled tendon on an expected trajectory [N]."""
+    """Return the feedforward motor force of a tension-controlled tendon whose digit is expected to move [N]."""
     speed = 0.0
     acceleration = 0.0
     for k in range(x.coordinate.shape[1]):
@@ -654,7 +657,7 @@ def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
 def _relaxing_force_limit(
     x: StateTables, c: ConstantTables, n: int, rate: float, ticks: int
 ) -> float:
-    """Return the largest motor force of a relaxing hand [N], see ``controller.relaxing``."""
+    """Return the largest motor force while the hand relaxes [N], see ``controller.relaxing``."""
     last = x.tendon[s.COMMANDED_FORCE, n]
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         last = abs(last)
@@ -665,10 +668,10 @@ def _relaxing_force_limit(
 
 @kernel_helper
 def _motor_friction(x: StateTables, c: ConstantTables, n: int, command_force: float) -> float:
-    """Return the average Coulomb friction of the motor in the coming period [N].
+    """Return the Coulomb friction of a motor, averaged over the coming control period [N].
 
-    The implicit midpoint rule ensures that friction can stop a rotor within a period, but cannot
-    reverse its motion.
+    With the implicit midpoint rule, friction can stop a motor within a period, but cannot reverse
+    its motion.
     """
     coasting = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (
         command_force - x.tendon[s.TENSION, n]
@@ -678,7 +681,10 @@ def _motor_friction(x: StateTables, c: ConstantTables, n: int, command_force: fl
 
 @kernel_helper
 def _fade_trim(x: StateTables, c: ConstantTables) -> None:
-    """Reduce the trim of all tendons. Set all trims to 0 when the largest trim is negligible."""
+    """Reduce the trim of each tendon, which is a small force added to the motor force.
+
+    Set all trims to 0 when the largest trim is negligible.
+    """
     if not x.run_int[s.TRIMMED]:
         return
     largest = 0.0

@@ -1,4 +1,4 @@
-"""Goal of a digit, which a task, an operator or a program sets."""
+"""Goal of a digit: the motion or tension that a task, an operator or a program requests."""
 
 import enum
 import math
@@ -21,17 +21,20 @@ class GoalKind(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DigitGoal:
-    """Goal of a digit.
+    """Goal of a digit: the requested motion or tension, and the largest force.
 
-    Goals are compared by identity, so that values derived from a goal can be cached.
+    Two goals with equal values count as different, so that values derived from a goal can be
+    cached.
 
     Attributes:
-        kind: type of control.
-        trajectory: for MOTION, the trajectory in the digit's coordinates. For TENSION, the expected
-            motion of the digit, which is fed forward without feedback.
+        kind: kind of control.
+        trajectory: trajectory of the digit's coordinates, for a goal of the kind MOTION. For a goal
+            of the kind TENSION, the trajectory is the expected motion, which the control law feeds
+            forward but does not correct.
         since: program time at which the trajectory starts [s].
-        tension: for TENSION, (n_t,) target tensions at the load cells [N].
-        rate: for TENSION, rate at which the setpoint approaches the target [N/s].
+        tension: (n_t,) target tensions at the load cells, for a goal of the kind TENSION [N].
+        rate: rate at which the tension setpoint approaches the target, for a goal of the kind
+            TENSION [N/s].
         force_limit: largest motor force that the goal allows [N].
     """
 

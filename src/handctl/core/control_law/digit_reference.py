@@ -1,4 +1,4 @@
-"""Reference motion of each digit in a tick, and the joint torques and tensions that this motion requires."""
+"""Position of each digit on its trajectory in a tick, with the required joint torques and tensions."""
 
 import math
 
@@ -31,15 +31,16 @@ NO_TRAJECTORY, MINIMUM_JERK, SAMPLED, STREAMED = 0, 1, 2, 3
 def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool) -> None:
     """Write position, rate and acceleration of each coordinate on its trajectory.
 
-    Without trajectory, write 0.
+    A coordinate without a trajectory gets zeros.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        is_time_frozen: True while the safety monitor holds the hand. The digits then rest at their
-            present positions on the trajectory.
+        is_time_frozen: True while the safety monitor holds the hand. While the monitor holds the
+            hand, the digits rest at their present positions on the trajectories.
 
-    Source: Flash & Hogan (1985): position 10 s^3 - 15 s^4 + 6 s^5 of normalised time s.
+    Source: Flash & Hogan (1985), with the position 10 s^3 - 15 s^4 + 6 s^5, where s is the fraction
+        of the duration.
     """
     t = x.run[s.GOAL_TIME]
     x.run_int[s.STREAM_LIMITED] = 0
@@ -75,7 +76,7 @@ def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool)
 
 @kernel_helper
 def _add_blend(x: StateTables, k: int, elapsed: float, blend_duration: float) -> None:
-    """Add the part of a minimum-jerk move that continues an earlier motion, see ``trajectory.MinimumJerk``.
+    """Add to a minimum-jerk move the part that continues an earlier motion, see ``trajectory.MinimumJerk``.
 
     Args:
         x: state tables.
@@ -106,7 +107,7 @@ def _add_blend(x: StateTables, k: int, elapsed: float, blend_duration: float) ->
 
 @kernel_helper
 def joint_trajectories(x: StateTables, c: ConstantTables) -> Matrix:
-    """Return the angles, rates and accelerations (3, J) of all joints on their trajectories."""
+    """Return the angles, rates and accelerations of all joints on their trajectories (3, J)."""
     joints = x.joint.shape[1]
     way = np.zeros((3, joints))
     for j in range(joints):
@@ -135,7 +136,7 @@ def is_tendon_streamed(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 @kernel_helper
 def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix) -> None:
-    """Write the joint torques that the trajectories require, from inverse dynamics, springs and damping.
+    """Write the joint torques that the trajectories require against inertia, gravity, springs and damping.
 
     Args:
         x: state tables.
@@ -155,7 +156,7 @@ def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix)
                 for j in range(first, end):
                     motion[order, j] = trajectory[order, j]
         else:
-            # A digit without a trajectory rests at its estimated angles.
+            # A digit without a trajectory is assumed to rest at its estimated angles.
             for j in range(first, end):
                 motion[0, j] = x.joint[s.Q, j]
     if not moving:
@@ -183,13 +184,14 @@ def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix)
 
 @kernel_helper
 def write_required_tensions(x: StateTables, c: ConstantTables) -> int:
-    """Write tensions at the joints that make the required joint torques.
+    """Write the tensions at the joints that make the required joint torques.
 
     Returns:
-        A number with one bit for each digit. The bit is 1 if the tensions of the digit are out of
-        bounds or not unique. For these digits the bounded least-squares problem of
-        ``tension_allocation`` must be solved. If a digit has a single tendon and its tension is out
-        of bounds, the bound itself is the best tension. The bit of such a digit is 0.
+        A number with one bit for each digit. A bit is 1 if the tensions of its digit are out of
+        bounds or not unique. For a digit with the bit 1, the caller must solve the bounded
+        least-squares problem of ``tension_allocation``. If a digit has a single tendon, and the
+        tension of this tendon is out of bounds, the bound is used as the tension. The bit of a
+        digit with a single tendon is therefore 0.
     """
     undecided = 0
     for d in range(x.digit.shape[1]):

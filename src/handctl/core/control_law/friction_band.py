@@ -1,6 +1,6 @@
-"""Prediction of a moving digit's tension within its friction band.
+"""Prediction of the tension of a moving digit, which depends on friction.
 
-The prediction is an input of the tension filter.
+The tension filter uses the predicted tension as an input.
 
 Because of friction, the tension of a moving digit is in a band around the tension that springs and
 gravity require. The tension is at the upper edge of the band while the tendon is wound, and at the
@@ -36,18 +36,18 @@ MAX_EFFICIENCY = 1.0 - 1e-9
 def predict_moving_tension(
     x: StateTables, c: ConstantTables, n: int, rate: float, efficiency: float
 ) -> None:
-    """Predict the tension of a moving tendon, its rate of change, and the development of its friction.
+    """Predict for the next tick the tension of a moving tendon, the rate of the tension, and the friction.
 
-    The prediction is for the next tick.
+    The friction is a number from 1 for a tendon that is wound to -1 for a tendon that is paid out.
 
     Args:
-        x: state tables, with ``PLANNED_TENSION`` of the last tick and ``FILTER_FORCE`` of this
-            tick.
+        x: state tables, with ``PLANNED_TENSION`` of the last tick and ``FILTER_FORCE`` of the
+            present tick.
         c: constants of the hand.
         n: index of the tendon.
         rate: planned speed of the tendon [m/s].
-        efficiency: tension at the joints as a fraction of the tension at the load cell, while the
-            tendon is wound.
+        efficiency: tension at the joints, divided by the tension at the load cell, while the tendon
+            is wound.
     """
     before = x.tendon[s.PLANNED_TENSION, n]
     period = c.run[h.PERIOD]
@@ -93,14 +93,15 @@ def tension_after_period(
     Args:
         present_tension: present tension [N].
         load: tension that the digit would need at the next tick without friction [N].
-        efficiency: tension at the joints as a fraction of the tension at the load cell, while the
-            tendon is wound.
-        wound_length: length that the spool winds in the period [m].
+        efficiency: tension at the joints, divided by the tension at the load cell, while the tendon
+            is wound.
+        wound_length: tendon length that the spool winds in the period [m].
         stiffness: stiffness of the tendon [N/m].
         crept_length: largest length by which the tendon can creep in the period [m].
     """
     creep = stiffness * crept_length / (load * (1.0 - efficiency) + MIN_FRICTION_N)
-    # The viscous slider is computed by an implicit Euler step, which is stable for any period.
+    # The motion of the viscous slider is computed by an implicit Euler step, which is stable for
+    # any period.
     sticking = (present_tension + stiffness * wound_length + creep * load) / (1.0 + creep)
     return min(max(sticking, load * efficiency), load / efficiency)
 
@@ -116,8 +117,7 @@ def _predict_pair_tension(
 ) -> None:
     """Write the results of ``predict_moving_tension`` for a spool pair.
 
-    At both edges of the friction band, one tendon of the pair is wound up, and the other is paid
-    out.
+    Whenever the pair moves, one of its tendons is wound and the other is paid out.
 
     Args:
         x: state tables.
@@ -127,14 +127,15 @@ def _predict_pair_tension(
             [N].
         efficiency: tension at the joints as a fraction of the tension at the load cell, while a
             tendon is wound.
-        wound_length: length that the spool winds in the period [m].
+        wound_length: tendon length that the spool winds in the period [m].
     """
     before = x.tendon[s.PLANNED_TENSION, n]
     pretension = c.tendon[h.PRETENSION, n]
     period = c.run[h.PERIOD]
     upper = net_tension_at_spool(coming_tension, pretension, efficiency)
     lower = net_tension_at_spool(coming_tension, pretension, 1.0 / efficiency)
-    now = x.tendon[s.TENSION, n] if before == 0.0 else before  # 0 stands for an unknown tension
+    # 0 means that the tension of the last tick is unknown.
+    now = x.tendon[s.TENSION, n] if before == 0.0 else before
     stiffness = c.tendon[h.TENDON_STIFFNESS, n]
     creep = stiffness * MIN_SLIDING_SPEED_M_S * period / (0.5 * (upper - lower) + MIN_FRICTION_N)
     sticking = (now + stiffness * wound_length + creep * coming_tension) / (1.0 + creep)

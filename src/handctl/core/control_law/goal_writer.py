@@ -36,8 +36,8 @@ def write_goals(
     ):
         kinds[tendons] = int(_kind_of_control(goal))
         if goal.kind == GoalKind.TENSION and goal.trajectory is not None:
-            # While the other tendons pull, spool pairs that move the digit sideways hold their
-            # position.
+            # While the other tendons of a digit pull, a spool pair that moves the digit sideways
+            # holds its position.
             kinds[tendons][model.redundancy.side[tendons] == 0.0] = int(GoalKind.MOTION)
         if goal.kind == GoalKind.TENSION and goal.tension is not None:
             tendon[s.TENSION_TARGET, tendons] = np.clip(
@@ -63,7 +63,7 @@ def write_goals(
 def _kind_of_control(goal: DigitGoal) -> GoalKind:
     """Return the kind of control of a goal.
 
-    The kind is LIMP if the goal lacks the trajectory or the tension that it needs.
+    The kind is LIMP if the goal has no trajectory or tension although its kind requires one.
     """
     if (goal.kind == GoalKind.MOTION and goal.trajectory is None) or (
         goal.kind == GoalKind.TENSION and goal.tension is None
@@ -75,7 +75,7 @@ def _kind_of_control(goal: DigitGoal) -> GoalKind:
 def sample_trajectories(
     model: HandModel, layout: BlockLayout, block: BlockArray, goals: tuple[DigitGoal, ...], t: float
 ) -> None:
-    """Write the motion at time t [s] on those trajectories that compiled code cannot evaluate."""
+    """Write the motion at time t [s] on those trajectories that only Python code can evaluate."""
     for trajectory, since, places in sampled_goals(model, goals):
         layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, places] = (
             trajectory.motion_at(t - since)
@@ -86,7 +86,7 @@ def sample_trajectories(
 def sampled_goals(
     model: HandModel, goals: tuple[DigitGoal, ...]
 ) -> tuple[tuple[Trajectory, float, slice], ...]:
-    """Return trajectory, start time [s] and slice of coordinates of each goal that needs Python code."""
+    """Return trajectory, start time [s] and coordinates of each goal whose trajectory Python must evaluate."""
     rows = zip(goals, model.digit_coordinates, strict=True)
     return tuple(
         (goal.trajectory, goal.since, places)

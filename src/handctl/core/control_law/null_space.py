@@ -1,9 +1,10 @@
-"""Tension control in the null space of (R B)^T, for digits with surplus tendons.
+"""Tension control in digits with more tendons than coordinates, without an effect on the joint torque.
 
-Tensions in this null space make no joint torque. Position feedback acts only on the coordinates of
-the digit. In the null space, a tension feedback with an integral keeps the tensions at their goals.
-So neither motor friction nor an error of tendon length makes a tendon slack. Source: Abdallah et
-al. (2010), tension and joint space of tendon-driven fingers.
+Tensions in the null space of (R B)^T make no joint torque. The position feedback acts only on the
+coordinates of the digit. In the null space, a feedback of the tension error, with an integral,
+keeps the tensions at their goals. Neither motor friction nor a wrong tendon length can then make a
+tendon slack.
+Source: Abdallah et al. (2010), tension and joint space of tendon-driven fingers.
 """
 
 import math
@@ -36,20 +37,20 @@ feedback has to move.
 def raise_tensions_to_floor(
     x: StateTables, c: ConstantTables, limit: Vector, terms: Matrix, internal: Matrix
 ) -> None:
-    """Raise the tension goals of surplus tendons in moving digits above the floor, and write the null-space forces.
+    """Raise the tension goals in digits with surplus tendons to the tension floor, and write null-space forces.
 
     The feedback of the motion may reduce the force on a tendon to less than the tension floor. In
     this case, a multiple of the balance tensions is added to the goals of all tendons of the digit.
-    Balance tensions make no joint torque. If the feedback would need more than the allowed
-    multiple, it is reduced.
+    Balance tensions make no joint torque. If more than the largest allowed multiple of the balance
+    tensions would be necessary, the feedback is reduced.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        limit: (N,) present tension limits [N].
-        terms: (2, N) tension goal and feedback of motion [N], modified in place.
-        internal: (2, N) result: force that the tension error in the null space causes, and the
-            integral of this error [N].
+        limit: (N,) largest tensions allowed at present [N].
+        terms: (2, N) tension goals and feedback forces of the motion loop [N], modified in place.
+        internal: (2, N) result: forces that the tension errors in the null space cause, and
+            integrals of these errors [N].
     """
     count = x.tendon.shape[1]
     error = np.zeros(count)
@@ -62,7 +63,7 @@ def raise_tensions_to_floor(
             continue
         for n in range(first, end):
             # Only the part of the feedback that moves the digit may raise tension goals. The other
-            # part, in the null space, damps the rotors.
+            # part of the feedback, in the null space, damps the motion of the motors.
             feedback[n] = part_explained_by_motion(c, n, terms[1])
         bound = _largest_balance_factor(c, first, end, limit, terms)
         fraction = _fraction_of_feedback(c, first, end, bound, terms, feedback)
@@ -88,7 +89,7 @@ def raise_tensions_to_floor(
 def _largest_balance_factor(
     c: ConstantTables, first: int, end: int, limit: Vector, terms: Matrix
 ) -> float:
-    """Return the largest factor of the balance tensions with which all tendons of a digit stay within their limits."""
+    """Return the largest factor of the balance tensions that keeps all tendons of a digit within their limits."""
     factor = math.inf
     for n in range(first, end):
         room = min(c.tendon[h.TENSION_CEILING, n], limit[n]) - terms[0, n]
@@ -102,14 +103,14 @@ def _largest_balance_factor(
 def _fraction_of_feedback(
     c: ConstantTables, first: int, end: int, bound: float, terms: Matrix, feedback: Vector
 ) -> float:
-    """Return the fraction of the feedback with which all tendons of a digit stay at or above the tension floor.
+    """Return the largest fraction of the feedback that keeps all tendons of a digit above the tension floor.
 
     Args:
         c: constants of the hand.
         first, end: tendons of the digit.
         bound: largest factor of the balance tensions.
-        terms: (2, N) tension goal and feedback of motion [N].
-        feedback: (N,) part of the feedback that moves the digit [N].
+        terms: (2, N) tension goals and feedback forces of the motion loop [N].
+        feedback: (N,) part of the feedback forces that moves the digit [N].
     """
     fraction = 1.0
     for n in range(first, end):

@@ -1,7 +1,7 @@
-"""Tensions at the joints that the goals require.
+"""Tensions at the joints that the goals of the digits require.
 
-Compiled code computes these tensions for most digits. For the other digits, Python solves a bounded
-least-squares problem.
+Compiled code computes the required tensions of most digits. For the other digits, Python code
+solves a bounded least-squares problem.
 """
 
 from dataclasses import replace
@@ -33,13 +33,12 @@ def write_tension_goals(
         layout: layout of the state block.
         constants: constants of the hand.
         block: state block, modified in place.
-        action: reaction that the safety monitor demands, as a number of
-            ``safety.action.SafetyAction``.
+        action: reaction of the safety monitor, as a number of ``safety.action.SafetyAction``.
     """
     constants_in = constants.block, constants.layout.places
     undecided = tick_stages.evaluate_goals(block, layout.places, *constants_in, action)
     required = layout.view(block, "joint_required")
-    # an experiment has replaced the function of the inverse dynamics
+    # an experiment has replaced the function that computes the inverse dynamics
     if model.inverse is not required_torque:
         way = tick_stages.joint_motion(block, layout.places, *constants_in)
         for digit in model.digits:
@@ -65,10 +64,10 @@ def allocate_bounded_tensions(
     Args:
         model: model of the hand.
         layout: layout of the state block.
-        constants: constants of the hand, with the moment arms at the present angles.
+        constants: constants of the hand, with the moment arms at the present joint angles.
         block: state block, modified in place.
         undecided_digits: a number with one bit for each digit. The bit is 1 for these digits.
-        trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
+        trajectory: (3, J) angles, rates and accelerations of the joints on their trajectories.
     """
     required = layout.view(block, "joint_required")
     load = layout.view(block, "load")
@@ -91,7 +90,7 @@ def allocate_bounded_tensions(
 
 
 def _with_present_arms(digit: DigitModel, constants: HandConstants) -> DigitModel:
-    """Return a copy of a digit's model with the moment arms at the present angles."""
+    """Return a copy of a digit's model with the moment arms at the present joint angles."""
     arms = constants.layout.view(constants.block, "moment_arms")[digit.tendons, digit.joints]
     return replace(digit, moment_arms=arms, reduced_moment_arms=arms @ digit.coupling)
 
@@ -99,11 +98,11 @@ def _with_present_arms(digit: DigitModel, constants: HandConstants) -> DigitMode
 def _tensions_with_friction(
     model: HandModel, digit: DigitModel, required: Vector, trajectory: Vector
 ) -> Vector:
-    """Return the tensions at the joints [N] (n_t,) of a digit whose tendons act against each other.
+    """Return the tensions at the joints [N] (n_t,) for a digit with antagonistic tendons, including friction.
 
     Each pulley of a tendon has its own friction. In a digit without springs, the torques of all
-    tendons must be in balance at each joint. Therefore friction is included in the moment arms of
-    the problem.
+    tendons must be in balance at each joint. Therefore the friction of each pulley is included in
+    the moment arms of the least-squares problem.
 
     Args:
         model: model of the hand.
@@ -124,8 +123,8 @@ def _tensions_with_friction(
     high = model.ceiling[tendons]
     reduced = (arms * factors) @ digit.coupling
     tension, _ = allocate_tension(reduced, required @ digit.coupling, low, high)
-    # The control law later divides by the mean efficiency over the pulleys. The tensions are
-    # therefore multiplied by this efficiency here.
+    # The control law later divides the tensions by the mean efficiency over the pulleys. The
+    # tensions are therefore multiplied by the mean efficiency here.
     weights = model.pulley_weights[tendons, digit.joints]
     if digit.has_varying_arm:
         weights = np.abs(arms) / np.abs(arms).sum(axis=1, keepdims=True)

@@ -1,34 +1,37 @@
-"""Commands to drives that close the position loop of a moving digit by themselves.
+"""Commands to drives that control the position of a moving digit themselves.
 
 A command consists of a position p_d, a velocity v_d, a stiffness kp, a damping kd and a torque t.
-Many times within a tick, the drive computes its torque from the position p and the velocity v that
-it measures:
+Many times within a tick, the drive measures the position p and the velocity v, and computes its
+torque:
 
     kp (p_d - p) + kd (v_d - v) + t
 
 The commanded position is the sum of three lengths, divided by the spool's radius r: the planned
 excursion s_d, the stretch of the tendon under its planned tension f_0, and the estimated stretch
-offset o. The stiffness of the tendon is k, and its estimated tension is f_hat:
+offset o. The stiffness of the tendon is k, and its estimated tension is f_hat = k (r p - s - o).
+The position error then contains the errors of excursion and tension:
 
     r p_d = s_d + f_0 / k + o
-    r (p_d - p) = (s_d - s) + (f_0 - f_hat) / k      by f_hat = k (r p - s - o)
+    r (p_d - p) = (s_d - s) + (f_0 - f_hat) / k
 
-The controller does not know the torque that the drive will make. The controller estimates p and v
-half a period ahead. From these estimates, the controller predicts the mean torque of the coming
-period. The controller limits this torque in the same way as in torque control. It then chooses the
-commanded position so that the drive would make the limited torque. The torque limits therefore also
-limit the distance of the commanded position from the motor.
+The controller does not know the torque that the drive will make. The controller therefore estimates
+p and v half a period ahead. From these estimates of p and v, the controller predicts the mean
+torque of the coming period. The controller limits the predicted torque in the same way as a torque
+command. The controller then chooses the position in the command so that the drive would make the
+limited torque. The torque limits therefore also limit the distance between the commanded position
+and the motor.
 
-Most drives keep the commanded position until the next command. For such a drive, the position in a
-command includes the planned motion of half a period. Other drives move the commanded position on,
-with the commanded velocity. A command to such a drive contains the position at the start of the
-period. If the host fails, such a drive moves the commanded position on until its watchdog fires.
-Therefore its command contains a torque limit slightly above the predicted torque.
+Most drives keep the commanded position unchanged until the next command. For a drive that keeps the
+commanded position, the command includes the planned motion of half a period. Other drives change
+the commanded position continuously, at the commanded velocity. A command to a drive that changes
+the commanded position contains the position at the start of the period. If the host fails, such a
+drive moves the commanded position further until its watchdog fires. A command to such a drive
+therefore also contains a torque limit slightly above the predicted torque.
 
 In commands for a digit that moves freely on its trajectory, kp and kd are above 0. In all other
-commands they are 0, and t is the whole torque. Such commands are sent if the digit touches an
-object, relaxes, takes up slack, or is held by the safety monitor, or if the tick has no measured
-motor position.
+commands, kp and kd are 0, and t is the whole torque. Commands with kp and kd of 0 are sent if the
+digit touches an object, relaxes, takes up slack, or is held by the safety monitor, or if the motor
+position was not measured in the tick.
 """
 
 import math
@@ -61,10 +64,10 @@ In free motions, the force changes by less than 1 N within a period.
 
 @kernel_helper
 def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
-    """Store the commands of the last tick, and set the commands of this tick to 0.
+    """Store the commands of the last tick, and set the commands of the present tick to 0.
 
-    Some drives move the commanded position on by themselves. For such a drive, the stored position
-    is the one that it has reached by now.
+    Some drives change the commanded position continuously, at the commanded velocity. For such a
+    drive, the stored position is the commanded position that the drive has now.
     """
     elapsed = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
     for n in range(x.servo.shape[1]):
@@ -77,9 +80,9 @@ def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def command_torque_only(x: StateTables, n: int) -> None:
-    """Replace the command of a drive by a pure torque command.
+    """Replace the command of a drive by a command that contains only a torque.
 
-    This applies to a hand in which some drive closes a position loop.
+    The function has an effect in a hand in which at least one drive closes a position loop.
     """
     x.servo[s.SERVO_KP, n] = x.servo[s.SERVO_KD, n] = 0.0
     x.servo[s.SERVO_TORQUE, n] = x.tendon[s.TORQUE, n]
@@ -87,7 +90,7 @@ def command_torque_only(x: StateTables, n: int) -> None:
 
 @kernel_helper
 def is_loop_closed_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if the drive of a tendon closes the position loop in this tick."""
+    """Return True if the drive of a tendon controls the position itself in the present tick."""
     if not c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or x.tendon_int[s.GOAL_KIND, n] != MOTION:
         return False
     if x.run_int[s.MODE] != ACTIVE_MODE or x.run_int[s.HOLDING]:
@@ -106,7 +109,7 @@ def is_loop_closed_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 @kernel_helper
 def servo_stiffness(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the stiffness kp [N m/rad] of a drive's position loop for the present goal, as the command encodes it."""
+    """Return the stiffness kp [N m/rad] of a drive's position loop for the present goal, rounded as in the command."""
     step = c.tendon[h.SERVO_KP_STEP, n]
     wanted = x.tendon[s.STIFFNESS_FRACTION, n] * max(c.tendon[h.SERVO_STIFFNESS, n], step)
     return step * math.floor(min(wanted, c.tendon[h.SERVO_KP_MAX, n]) / step + 0.5)
@@ -114,7 +117,7 @@ def servo_stiffness(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def servo_damping(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the damping kd [N m s/rad] of a drive's position loop for the present goal, as the command encodes it."""
+    """Return the damping kd [N m s/rad] of a drive's position loop for the present goal, rounded as in the command."""
     step = c.tendon[h.SERVO_KD_STEP, n]
     wanted = x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SERVO_DAMPING, n]
     return step * math.floor(min(wanted, c.tendon[h.SERVO_KD_MAX, n]) / step + 0.5)
@@ -122,10 +125,10 @@ def servo_damping(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def servo_speed_force(x: StateTables, c: ConstantTables, n: int, rate: float) -> float:
-    """Return the mean force that the speed error causes in a drive's position loop over the coming period [N].
+    """Return the mean force that the speed error causes in a drive's position loop in the coming period [N].
 
-    Within the period, the speed error also adds to the position error. On average, the position
-    error grows by the speed error times half a period.
+    Within the period, the speed error also increases the position error. On average over the
+    period, the position error grows by the speed error times half a period.
 
     Args:
         x: state tables.
@@ -145,7 +148,7 @@ def servo_speed_force(x: StateTables, c: ConstantTables, n: int, rate: float) ->
 def servo_force(
     x: StateTables, c: ConstantTables, n: int, excursion: float, rate: float, tension: float
 ) -> float:
-    """Return the predicted mean force of the drive's position loop over the coming period [N].
+    """Return the predicted mean force of a drive's position loop in the coming period [N].
 
     Args:
         x: state tables.
@@ -170,15 +173,15 @@ def servo_force(
 def write_servo_command(
     x: StateTables, c: ConstantTables, n: int, rate: float, feedforward: float, force: float
 ) -> None:
-    """Write the command with which a drive makes a given mean force over the coming period.
+    """Write the command with which a drive makes a given mean force in the coming period.
 
     Args:
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
         rate: rate of the digit's excursion on the trajectory [m/s].
-        feedforward: motor force without the force of the drive's loop [N].
-        force: limited motor force, including the force of the drive's loop [N].
+        feedforward: motor force without the force of the drive's position loop [N].
+        force: motor force after the limits, including the force of the drive's position loop [N].
     """
     spool = c.tendon[h.SPOOL_RADIUS, n]
     kp = servo_stiffness(x, c, n)
@@ -187,8 +190,8 @@ def write_servo_command(
     travel = x.tendon[s.TRAVEL, n]
     speed = rate
     if c.run_int[h.HAS_CARRIER_ARMS]:
-        # The commanded position and speed follow the estimated motion of carrying digits, so that
-        # tracking errors of carrying digits have no effect.
+        # The commanded position and speed include the estimated motion of carrying digits, so that
+        # errors of this motion have no effect.
         travel += carrier_excursion(c, n, x.joint[s.Q])
         speed += carrier_excursion(c, n, x.joint[s.DQ])
     ahead = 0.0 if c.tendon_int[h.DRIVE_MOVES_TARGET, n] else 0.5 * c.run[h.PERIOD] * speed
@@ -206,11 +209,11 @@ def write_servo_command(
 
 @kernel_helper
 def predict_reports(x: StateTables, c: ConstantTables) -> None:
-    """Write the force [N] that the report of each drive in this tick should show.
+    """Write the force [N] that each drive should report in the present tick.
 
-    A report contains position, speed and torque at one instant. At the instant of the report, the
-    drive still obeyed the command before the last. The expected torque follows from this command
-    and the reported position and speed.
+    A report contains position, speed and torque at one instant. When a drive sends its report, the
+    drive still obeys the command before the last command. The expected torque follows from this
+    command, and from the position and speed in the report.
     """
     for n in range(x.servo.shape[1]):
         torque = x.servo[s.SERVO_BEFORE + 4, n]

@@ -1,14 +1,15 @@
 """Motion along streamed targets: interpolation to the latest target, then limits on speed and acceleration.
 
-A segment is a polynomial of time for each coordinate. A segment leads from the reference at the
-arrival of a target to this target. After the end of a segment, the reference stays at the target,
-because targets are not extrapolated.
+A segment is a polynomial of time for each coordinate. A segment leads from the reference position
+at the arrival of a target to this target. After the end of a segment, the reference position stays
+at the target, because targets are not extrapolated.
 
-The reference follows the segment exactly if speed and acceleration stay within their limits.
-Otherwise the reference approaches the target as fast as the limits allow, and arrives there with
-the rate of the stream. The range of a joint limits the speed in a similar way, so that a motion
-stops before the end of the range. The reference is never more than ``MAX_LEAD_RAD`` ahead of the
-digit. The reference waits for a digit that is held, and follows a digit that is pushed away.
+The reference position follows the segment exactly if speed and acceleration stay within their
+limits. Otherwise the reference position approaches the target as fast as the limits allow, and
+reaches the target with the rate of the stream. The speed towards the end of a joint's range is
+limited, so that a motion can stop before this end. The reference position is never more than
+``MAX_LEAD_RAD`` ahead of the digit. If a digit is held, the reference position waits, and if a
+digit is pushed away, the reference position follows the digit.
 """
 
 import math
@@ -51,20 +52,22 @@ def begin_segments(
     max_rate: float,
     minimum_jerk: int,
 ) -> bool:
-    """Begin the motion from the present reference to a target. Return True if the target was clipped.
+    """Begin the motion of all coordinates from their reference positions to a target.
+
+    Return True if the target was changed because it exceeds the limits.
 
     Args:
         block: state block, modified in place.
         at: ``BlockLayout.places`` of the state block.
         target_coordinates: (C,) requested coordinates [rad].
-        held_coordinates: (C,) the coordinates nearest to the present ones that taut tendons can
-            hold [rad].
+        held_coordinates: (C,) coordinates nearest to the present ones that the hand can hold with
+            taut tendons [rad].
         since: start of the motion [s].
         duration: duration of the motion [s].
         target_interval: time between this target and the previous target [s]. If this time is
             infinite, the motion ends at rest.
-        max_rate: largest rate that the motion may have at the target [rad/s].
-        minimum_jerk: 1 for a motion of minimum jerk, 0 for a linear motion.
+        max_rate: largest rate that a coordinate may have when the target is reached [rad/s].
+        minimum_jerk: 1 for a motion of minimum jerk, 0 for a motion at constant rate.
     """
     x = state_tables(block, at)
     clipped = False
@@ -89,14 +92,15 @@ def _write_segment(
 ) -> None:
     """Write the polynomial of the motion of a coordinate to a target, lowest power first [rad, s].
 
-    The motion of minimum jerk begins with the position, rate and acceleration of the reference, and
-    ends at the target with the given speed. The acceleration at the end is free, so the jerk ends
-    at 0. With the remaining time u, the jerk is b u + c u^2. The linear motion has a constant rate.
+    The motion of minimum jerk begins with the present reference position, rate and acceleration,
+    and ends at the target with the given rate. The acceleration at the end of the motion is not
+    prescribed, so the jerk is 0 at the end. If the time u remains until the end, the jerk is b u +
+    c u^2. The linear motion has a constant rate.
 
     Args:
         x: state tables.
         k: index of the coordinate.
-        target: position at the end [rad].
+        target: position at the end of the motion [rad].
         speed: rate at the end of a motion of minimum jerk [rad/s].
         duration: duration T of the motion [s].
         minimum_jerk: True for a motion of minimum jerk, False for a linear motion.
@@ -129,7 +133,7 @@ def position_on_segment(x: StateTables, k: int, t: float) -> tuple[float, float]
     if after >= x.run[s.STREAM_DURATION]:
         return x.coordinate[s.STREAM_TARGET, k], 0.0
     position = rate = 0.0
-    for power in range(5, -1, -1):  # Horner's scheme, for the polynomial and its derivative
+    for power in range(5, -1, -1):  # Horner's scheme evaluates the polynomial and its derivative
         rate = rate * after + position
         position = position * after + x.coordinate[s.STREAM_SEGMENT + power, k]
     return position, rate
@@ -137,10 +141,10 @@ def position_on_segment(x: StateTables, k: int, t: float) -> tuple[float, float]
 
 @kernel_helper
 def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None:
-    """Move the reference of a streamed coordinate from the last tick to the present tick.
+    """Move the reference position of a streamed coordinate from the last tick to the present tick.
 
     Args:
-        x: state tables, with the reference of the last tick in ``TRAJECTORY``.
+        x: state tables, with the reference position of the last tick in ``TRAJECTORY``.
         c: constants of the hand.
         d: index of the digit.
         k: index of the coordinate.
@@ -155,8 +159,8 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
     aim, aim_rate = position_on_segment(x, k, now)
     remaining = max(x.run[s.STREAM_SINCE] + x.run[s.STREAM_DURATION] - now, 0.0)
     end_rate = x.coordinate[s.STREAM_TARGET_RATE, k] if remaining > 0.0 else 0.0
-    # This point moves at the rate of the targets, and reaches the latest target at the end of the
-    # segment.
+    # This position moves at the rate of the targets, and reaches the latest target at the end of
+    # the segment.
     point = x.coordinate[s.STREAM_TARGET, k] - end_rate * remaining
     mean = (aim - position) / period
     allowed = gain * (1.0 + LIMIT_TOLERANCE)
@@ -182,9 +186,9 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
 
 @kernel_helper
 def coordinate_scale(c: ConstantTables, d: int, k: int) -> float:
-    """Return the motion of coordinate k of digit d that counts like 1 rad.
+    """Return the motion of coordinate k of digit d that is limited like a rotation of 1 rad.
 
-    The value is 1 for hinges, and less for prismatic joints.
+    The value is 1 for hinges, and less than 1 for prismatic joints.
     """
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         if c.joint_coordinate[h.COUPLING, j, k] != 0.0:
@@ -196,10 +200,10 @@ def coordinate_scale(c: ConstantTables, d: int, k: int) -> float:
 def _allowed_rates(
     x: StateTables, c: ConstantTables, d: int, k: int, period: float, scale: float, gain: float
 ) -> tuple[float, float]:
-    """Return the lowest and the highest allowed rate of a coordinate's reference [rad/s].
+    """Return the lowest and the highest allowed rate of a coordinate's reference position [rad/s].
 
-    Both rates follow from the speed limit, from the range of the coordinate, and from the distance
-    between reference and digit.
+    Both rates follow from the speed limit, the range of the coordinate, and the distance between
+    reference position and digit.
 
     Args:
         x: state tables.
@@ -207,7 +211,7 @@ def _allowed_rates(
         d: index of the digit.
         k: index of the coordinate.
         period: time since the last tick [s].
-        scale: motion of the coordinate that counts like 1 rad, see ``coordinate_scale``.
+        scale: motion of the coordinate that is limited like 1 rad, see ``coordinate_scale``.
         gain: largest change of the rate within the period [rad/s].
     """
     position = x.coordinate[s.TRAJECTORY, k]
@@ -232,7 +236,7 @@ def _allowed_rates(
 
 @kernel_helper
 def _estimated_coordinate(x: StateTables, c: ConstantTables, d: int, k: int) -> tuple[float, float]:
-    """Return the estimated position [rad] and rate [rad/s] of a coordinate, computed from the joints that it moves."""
+    """Return position [rad] and rate [rad/s] of a coordinate, computed from the estimated joint angles."""
     position = rate = total = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         coupling = c.joint_coordinate[h.COUPLING, j, k]
@@ -244,19 +248,19 @@ def _estimated_coordinate(x: StateTables, c: ConstantTables, d: int, k: int) -> 
 
 @kernel_helper
 def _speed_to(distance: float, gain: float, period: float) -> float:
-    """Return the largest speed towards a point at which a motion can still stop there [rad/s].
+    """Return the largest speed towards a point from which a motion can still stop at this point [rad/s].
 
-    The distance is signed.
+    The distance to the point is positive or negative, and the speed has the same sign.
     """
     return math.copysign(max_stoppable_speed(abs(distance), gain, period), distance)
 
 
 @kernel_helper
 def max_stoppable_speed(distance: float, gain: float, period: float) -> float:
-    """Return the largest speed from which a motion stops within a distance, in steps of a period [rad/s].
+    """Return the largest speed from which a motion stops within a distance [rad/s].
 
-    A motion with the speed w = n g + r, 0 <= r < g, covers the distance ((n + 1) w - g n (n + 1) /
-    2) T until it stops.
+    With control periods T, a motion with the speed w = n g + r, 0 <= r < g, covers the distance ((n
+    + 1) w - g n (n + 1) / 2) T until it stops.
 
     Args:
         distance: distance to the stop [rad]. A distance of 0 or less allows no speed.

@@ -1,10 +1,10 @@
 """Digits without return springs, and digits with more tendons than coordinates.
 
-Antagonistic tendons return such a digit. The tendons of such a digit act against each other: some
-tensions in the null space of (R B)^T, all above the floor, make no torque. Such tensions are the
-balance tensions of the digit. For n coordinates, a digit with n + 1 tendons has a null space of one
-dimension, and a digit with 2 n tendons has a null space of n dimensions. Source: Lee & Tsai (1991),
-Salisbury & Craig (1982).
+Antagonistic tendons return a digit that has no springs. In a digit with more tendons than
+coordinates, some tensions in the null space of (R B)^T are all above the tension floor, but make no
+torque. Tensions that make no torque are the balance tensions of the digit. For n coordinates, a
+digit with n + 1 tendons has a null space of one dimension, and a digit with 2 n tendons has a null
+space of n dimensions. Source: Lee & Tsai (1991), Salisbury & Craig (1982).
 """
 
 from dataclasses import dataclass
@@ -29,12 +29,13 @@ class TendonRedundancy:
     Attributes:
         side: 1 for a tendon that is wound while its digit closes, -1 for a tendon that is paid out,
             0 for a spool pair that moves its digit sideways.
-        sprung: True if springs return the digit of the tendon to its lower joint limits.
+        sprung: True if springs move the digit of the tendon back to its lower joint limits.
         surplus: True for a tendon of a digit with more tendons than coordinates.
-        balance: smallest tensions that are all above the floor and make no torque [N]. The values
-            are 0 for a digit without surplus tendons.
+        balance: smallest tensions that make no joint torque, and are all above the tension floor
+            [N]. The balance tensions are 0 for a digit without surplus tendons.
         open_excursion: excursion at the lower joint limits [m].
-        excursion_range: (2, N) smallest and largest excursion within the joint limits [m].
+        excursion_range: (2, N) smallest and largest excursion of each tendon within the joint
+            limits [m].
     """
 
     side: Vector
@@ -48,7 +49,7 @@ class TendonRedundancy:
 def redundancy_of_hand(
     digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector, is_pair: BoolArray
 ) -> TendonRedundancy:
-    """Derive the directions and the balance tensions of all tendons.
+    """Derive the directions and the balance tensions of all tendons of a hand.
 
     Args:
         digits: digit models, in file order.
@@ -84,7 +85,7 @@ def tendon_directions(digit: DigitModel, is_pair: BoolArray) -> Vector:
 
 
 def _excursion_range(digit: DigitModel) -> Vector:
-    """Return the smallest and the largest excursions of a digit within the joint limits, (2, n_t) [m]."""
+    """Return the smallest and largest excursion of each tendon of a digit within the joint limits (2, n_t) [m]."""
     if digit.has_varying_arm:
         ends = excursions_at(digit.arm_polynomials, digit.joint_limits, digit.joint_limits)
     else:
@@ -101,9 +102,9 @@ def is_sprung(digit: DigitModel) -> bool:
 
 
 def _balance_tensions(digit: DigitModel, floor: Vector, ceiling: Vector) -> Vector:
-    """Return the balance tensions of a digit (n_t,) [N].
+    """Return the tensions of a digit's tendons that balance each other without joint torque (n_t,) [N].
 
-    If the bounds do not allow a balance, return the floor.
+    If no such tensions are within the bounds, return the smallest allowed tensions.
     """
     arms = digit.reduced_moment_arms
     tension, missing = tensions_for_torque(arms, np.zeros(arms.shape[1]), floor, ceiling)

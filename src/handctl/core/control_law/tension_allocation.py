@@ -1,9 +1,10 @@
-"""Conversion of joint torque to tendon tensions: the bounded least-squares problem of a tendon-driven digit.
+"""Conversion of joint torques to tendon tensions, by a bounded least-squares problem for each digit.
 
-The problem is: minimise |R^T f - tau|^2 / r^2 + regularisation |f - f_min|^2 subject to f_min <= f
-<= f_max, with the mean moment arm r. If the equations R^T f = tau have a unique solution within the
-bounds, this solution is used. If no tensions within the bounds make the torque, the closest
-possible torque is used, with equal weights of all coordinates. The missing torque is then returned.
+The problem, with the mean moment arm r, is: minimise |R^T f - tau|^2 / r^2 + regularisation |f -
+f_min|^2 subject to f_min <= f <= f_max. If the equations R^T f = tau have a unique solution within
+the bounds, this solution is used. If no tensions within the bounds make the required torque, the
+tensions make the closest possible torque, and all coordinates have equal weights. The difference
+between required and possible torque is also returned.
 Source: Lee & Tsai (1991).
 """
 
@@ -24,16 +25,17 @@ The weight is so small that it only selects one of several solutions with equal 
 def tensions_for_torque(
     moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector
 ) -> tuple[Vector, Vector]:
-    """Return the tensions of a digit that make a torque, and the part of the torque that they do not make.
+    """Return the tensions of a digit that make a torque, and the part of the torque that they cannot make.
 
     Args:
         moment_arms: (n_t, n_c) reduced moment arms [m].
-        torque: (n_c,) torque in the digit's coordinates [N m].
-        floor: (n_t,) smallest tensions [N].
-        ceiling: (n_t,) largest tensions [N].
+        torque: (n_c,) required torque in the digit's coordinates [N m].
+        floor: (n_t,) smallest allowed tensions [N].
+        ceiling: (n_t,) largest allowed tensions [N].
 
     Returns:
-        The tensions (n_t,) [N], and the missing torque (n_c,) [N m].
+        The tensions (n_t,) [N], and the part of the torque that the tensions cannot make (n_c,) [N
+        m].
     """
     tension = _unique_solution(moment_arms, torque)
     if tension is None or (tension < floor).any() or (tension > ceiling).any():
@@ -60,9 +62,9 @@ class _AllocationProblem(NamedTuple):
 
     Attributes:
         arms: (n_t, n_c) moment arms divided by their mean.
-        mean: mean moment arm [m].
+        mean: mean of the moment arms [m].
         weight: (n_t, n_t) matrix of the quadratic form.
-        unconstrained: (0, n_t) matrix of the linear constraints, of which there are none.
+        unconstrained: (0, n_t) matrix without rows, because the program has no linear constraints.
     """
 
     arms: Vector
@@ -77,9 +79,9 @@ MAX_CACHED_PROBLEMS = 64
 
 
 def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
-    """Return the quadratic program for moment arms.
+    """Return the quadratic program for given moment arms.
 
-    The quadratic program is cached under the identity of the array, if the array of arms is
+    The program is kept for later calls with the same array, if the array of moment arms is
     read-only.
     """
     result = _cached_problems.get(id(moment_arms))
@@ -100,7 +102,7 @@ def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
 def solve_bounded(
     moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector, preferred_tension: Vector
 ) -> Vector:
-    """Return the tensions (n_t,) within the bounds that solve the quadratic program, by daqp.
+    """Return the tensions (n_t,) within the bounds that solve the quadratic program, by the solver daqp.
 
     Args:
         moment_arms: see ``tensions_for_torque``.
@@ -114,7 +116,7 @@ def solve_bounded(
     arms, mean, weight, unconstrained = _cached_problem(moment_arms)
     linear = -(arms.dot(torque / mean) + REGULARISATION_WEIGHT * floor)
     start = np.minimum(np.maximum(preferred_tension, floor), ceiling)
-    # Bounds and weights are copied, because daqp may write into its arguments.
+    # The bounds and the weights are copied, because daqp may change the arrays in its arguments.
     result = solve(
         weight.copy(), linear, unconstrained, ceiling.copy(), floor.copy(), primal_start=start
     )

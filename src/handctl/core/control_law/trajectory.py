@@ -10,7 +10,7 @@ from handctl.core.tick_types import Vector
 
 
 class Trajectory(Protocol):
-    """Motion of a digit from rest to rest."""
+    """Motion of a digit that starts and ends at rest."""
 
     @property
     def duration(self) -> float:
@@ -27,16 +27,16 @@ class Trajectory(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BlendTrajectory:
-    """Part of a move that continues an earlier motion and fades out.
+    """Part of a move that continues an earlier motion of the digit, and fades out.
 
-    The part is the sum of two quintics. The first quintic has a rate of 1 at the start, and the
-    second quintic has an acceleration of 1. All other values, rates and accelerations at the start
-    and at the end are 0.
+    The added position is the sum of two polynomials of degree 5. At the start, the first polynomial
+    has a rate of 1, and the second has an acceleration of 1. All other values, rates and
+    accelerations of the two polynomials at the start and at the end are 0.
 
     Attributes:
-        speed: (n,) rate at t = 0 [rad/s].
-        acceleration: (n,) acceleration at t = 0 [rad/s^2].
-        duration: time in which the part fades out [s], > 0.
+        speed: (n,) rate of the earlier motion at t = 0 [rad/s].
+        acceleration: (n,) acceleration of the earlier motion at t = 0 [rad/s^2].
+        duration: time in which the earlier motion fades out [s], > 0.
     """
 
     speed: Vector
@@ -64,13 +64,14 @@ class BlendTrajectory:
 class MinimumJerk:
     """A straight move of a digit's coordinates with minimum jerk, which ends at rest.
 
-    Source: Flash & Hogan (1985): position 10 s^3 - 15 s^4 + 6 s^5 of normalised time s.
+    Source: Flash & Hogan (1985), with the position 10 s^3 - 15 s^4 + 6 s^5, where s is the fraction
+        of the duration.
 
     Attributes:
         start: (n,) coordinates at t = 0 [rad].
         end: (n,) coordinates at t = duration [rad].
         duration: duration of the move [s], > 0.
-        blend: part of the move that continues an earlier motion. None if the move starts at
+        blend: part of the move that continues an earlier motion, or None if the move starts at
             rest.
     """
 
@@ -103,14 +104,15 @@ class StreamedTrajectory:
 
 @dataclass(frozen=True, slots=True)
 class CurveTrajectory:
-    """A cubic spline through points, at rest at both ends.
+    """Motion of a digit along a cubic spline through given points, at rest at both ends.
 
     The coordinates of a digit either share one spline, or have a spline each.
 
     Attributes:
         times: (k,) times of the points [s], in rising order from 0.
-        coefficients: (4, k - 1) coefficients of the cubic in each piece of the curve, highest power
-            first [rad/s^3 .. rad]. With one cubic for each coordinate, the shape is (4, k - 1, n).
+        coefficients: (4, k - 1) coefficients of the cubic polynomial in each piece of the curve,
+            highest power first [rad/s^3 .. rad]. If each coordinate has its own spline, the shape
+            is (4, k - 1, n).
         coordinates: number of the digit's coordinates.
     """
 
@@ -122,7 +124,7 @@ class CurveTrajectory:
     def through_points(
         times: tuple[float, ...], angles: tuple[float, ...] | Vector, coordinates: int
     ) -> "CurveTrajectory":
-        """Return the curve through angles (k,) or (k, n) [rad] at times [s]."""
+        """Return the curve through the angles (k,) or (k, n) [rad] at the given times [s]."""
         from scipy.interpolate import CubicSpline
 
         spline = CubicSpline(times, angles, bc_type="clamped")
@@ -153,9 +155,9 @@ class CurveTrajectory:
         return _equal_coordinates(values, self.coordinates)
 
     def peak_speed(self) -> float:
-        """Return the peak speed [rad/s].
+        """Return the largest speed on the curve [rad/s].
 
-        The peak occurs at an end of a piece, or where the acceleration is 0.
+        The largest speed occurs at an end of a piece, or where the acceleration is 0.
         """
         a, b, c, _ = self.coefficients
         length = np.diff(self.times).reshape(-1, *(1,) * (a.ndim - 1))
@@ -173,7 +175,7 @@ class SampledTrajectory:
         position: (n,) coordinates [rad].
         velocity: (n,) rates of the coordinates [rad/s].
         acceleration: (n,) accelerations of the coordinates [rad/s^2].
-        duration: 0 [s], because the end is unknown.
+        duration: 0 [s], because the end of the motion is unknown.
     """
 
     position: Vector
@@ -182,7 +184,7 @@ class SampledTrajectory:
     duration: float = 0.0
 
     def motion_at(self, t: float) -> Vector:
-        """Return the instant of motion (3, n), which is the same for every time.
+        """Return position, velocity and acceleration (3, n), which are the same for every time t.
 
         See ``Trajectory.motion_at``.
         """
@@ -191,17 +193,17 @@ class SampledTrajectory:
 
 @dataclass(frozen=True, slots=True)
 class ChirpTrajectory:
-    """Oscillation about an angle.
+    """Oscillation of a digit about a joint angle, with rising frequency.
 
-    The frequency of the motion rises linearly, and the amplitude grows and decays smoothly.
+    The frequency of the oscillation rises linearly, and the amplitude grows and decays smoothly.
 
     Attributes:
-        centre: mean angle [rad].
-        amplitude: largest amplitude [rad].
+        centre: mean joint angle [rad].
+        amplitude: largest amplitude of the oscillation [rad].
         low: frequency at the start [Hz].
         high: frequency at the end [Hz].
         duration: duration of the oscillation [s].
-        coordinates: number of the digit's coordinates. All of them have the same motion.
+        coordinates: number of the digit's coordinates, which all have the same motion.
     """
 
     centre: float
@@ -230,7 +232,7 @@ class ChirpTrajectory:
         return _equal_coordinates(values, self.coordinates)
 
     def _amplitude_envelope(self, t: float) -> tuple[float, float, float]:
-        """Return the factor on the amplitude at time t [s], with its rate [1/s] and its acceleration [1/s^2]."""
+        """Return the factor of the amplitude at time t [s], and its first [1/s] and second [1/s^2] time derivative."""
         ramp = 0.1 * self.duration
         left = min(t, self.duration - t)
         if left >= ramp:
@@ -254,7 +256,7 @@ PEAK_SPEED_RATIO = 1.875
 
 
 def minimum_jerk_duration(distance: float, speed: float, shortest: float) -> float:
-    """Return the duration [s] of a minimum-jerk move over ``distance`` [rad] with peak speed ``speed`` [rad/s].
+    """Return the duration [s] of a minimum-jerk move over ``distance`` [rad] with the peak speed ``speed`` [rad/s].
 
     The result is at least ``shortest`` [s].
     """

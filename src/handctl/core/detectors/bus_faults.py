@@ -1,4 +1,4 @@
-"""Detectors of the bus faults, rows B01 to B17 of the fault catalogue, see ``safety.faults.bus``."""
+"""Detectors of bus faults, rows B01 to B17 of the fault catalogue, see ``safety.faults.bus``."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,7 @@ def detect_bus_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: 
 
 @kernel_helper
 def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
-    """Find motors with overdue feedback.
+    """Find motors whose feedback is overdue.
 
     If the host missed a tick, feedback is not overdue, because the host requested none.
     """
@@ -81,7 +81,7 @@ def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Eviden
 
 @kernel_helper
 def _detect_lost_replies(x: StateTables, evidence: Evidence) -> None:
-    """Find nodes that have not sent many of their replies."""
+    """Find nodes of which many replies are missing."""
     for node in range(x.node_int.shape[1]):
         number = count_lost_replies(x, node)
         if number > HOLD_LOST_FRAMES:

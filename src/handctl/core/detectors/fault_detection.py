@@ -1,7 +1,7 @@
-"""Fault detection of a tick: update the memory of the detectors, find faults, and debounce them.
+"""Fault detection of a tick: detectors update their memory, find faults, and count ticks with a fault.
 
-Afterwards ``safety.tick_verdict`` latches these faults, adds the faults that buses and host report,
-and chooses the reaction.
+Afterwards ``safety.tick_verdict`` latches the faults that are active, adds the faults that the
+buses and the host report, and chooses the reaction.
 """
 
 import math
@@ -38,7 +38,7 @@ FAULT_ROWS = len(ACTION_NUMBERS)
 def find_and_debounce_faults(
     x: StateTables, c: ConstantTables, initial: StateTables
 ) -> tuple[int, Evidence]:
-    """Find the faults of a tick, debounce them, and write the number of newly active faults to ``NEW_FAULTS``.
+    """Find the faults of a tick, and write the number of newly active faults to ``NEW_FAULTS``.
 
     Args:
         x: state tables.
@@ -47,10 +47,10 @@ def find_and_debounce_faults(
 
     Returns:
         The most severe action of all active faults, and the evidence of each fault (faults,
-        instances). The evidence is NaN where a fault is absent.
+        instances). The evidence of an absent fault is NaN.
     """
     mode = x.run_int[s.MODE]
-    # Motor torque is permitted from ARMING to RELAX, and not in DISARM and CUT.
+    # Motors may make torque in the states from ARMING to RELAX, but not in DISARM and CUT.
     armed = ARMING_MODE <= mode <= RELAX_MODE
     cut = mode == CUT_MODE or mode == DISARM_MODE
     evidence = np.full((FAULT_ROWS, x.instance_int.shape[1]), math.nan)
@@ -79,7 +79,7 @@ def find_and_debounce_faults(
 
 @kernel_helper
 def update_fault_memory(x: StateTables, c: ConstantTables) -> None:
-    """Update the memory of the detectors that work while the hand is under torque."""
+    """Update the memory of the detectors that work while the motors may make torque."""
     missed = x.run_int[s.MISSED_TICKS]
     tared = x.run_int[s.TARED] == 1
     tendon_slip.update_slip(x, c, tared)
@@ -94,7 +94,7 @@ def update_fault_memory(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def debounce_faults(x: StateTables, evidence: Evidence) -> int:
-    """Count, for each fault, the consecutive ticks in which it is present.
+    """Count for each fault the consecutive ticks in which the fault is present.
 
     Return the most severe action of the active faults.
     """

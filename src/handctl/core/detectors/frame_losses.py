@@ -1,7 +1,8 @@
-"""Counts of lost, malformed and unknown frames.
+"""Counts of lost frames, malformed frames and frames with unknown identifiers.
 
-A word stores one bit for each tick in which a frame of a node was lost. Bit 0 is the newest tick.
-Another word stores the ticks with malformed frames.
+For each node, an integer stores one bit for each recent tick, which is 1 if a frame of the node was
+lost. Bit 0 belongs to the newest tick. A second integer stores the ticks in which the node sent
+malformed frames.
 """
 
 from handctl.compiled import kernel_helper
@@ -31,8 +32,8 @@ def ticks_overdue(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) ->
     Args:
         now_ns: time of the tick [ns].
         heard_ns: time of the latest reading [ns], -1 before the first reading.
-        cyclic_ns: period in which the node sends readings without a request [ns]. The value is 0 if
-            every tick requests a reading.
+        cyclic_ns: period in which the node sends readings without a request [ns], or 0 if every
+            tick requests a reading.
         period_ns: control period [ns].
     """
     if heard_ns < 0:
@@ -69,15 +70,15 @@ def cell_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -
 def update_loss_counts(
     x: StateTables, c: ConstantTables, now_ns: int, unknown: int, counts_losses: bool
 ) -> None:
-    """Update the counts of lost, malformed and unknown frames of all nodes.
+    """Update the counts of lost frames, malformed frames and unknown frames of all nodes.
 
     Args:
         x: state tables.
         c: constants of the hand.
         now_ns: time of the tick [ns].
         unknown: number of frames with unknown identifiers in the tick.
-        counts_losses: True to count missing replies. This is the case if torque may act and the
-            host missed no tick.
+        counts_losses: True to count missing replies. Missing replies are counted if the motors may
+            make torque and the host missed no tick.
     """
     tendons = x.tendon.shape[1]
     for node in range(tendons + 1):
@@ -89,26 +90,26 @@ def update_loss_counts(
                 late |= cell_ticks_overdue(x, c, n, now_ns) > 0
         recent = x.node_int[s.LOST_REPLIES, node]
         earlier = x.node_int[s.LOST_REPLIES + 1, node]
-        # The two words form a shift register: the oldest bit of the recent word moves into the
-        # earlier word.
+        # The two integers form a shift register: the oldest bit of the first integer moves into the
+        # second one.
         x.node_int[s.LOST_REPLIES + 1, node] = (
             earlier << 1 | recent >> (BITS_PER_WORD - 1)
         ) & WORD_MASK
         x.node_int[s.LOST_REPLIES, node] = (recent << 1 | (late and counts_losses)) & WORD_MASK
         misread = x.node_int[s.MALFORMED_NOW, node] != 0
         x.node_int[s.MALFORMED, node] = (x.node_int[s.MALFORMED, node] << 1 | misread) & SHORT_MASK
-    # The rate of unknown frames is a leaky counter with a time constant of 1 s. A small value is
-    # set to 0, so that the counter becomes constant.
+    # The count of unknown frames decays with a time constant of 1 s. A small count of unknown
+    # frames is set to 0, so that the stored value becomes constant.
     leaked = x.run[s.UNKNOWN_RATE] * (1.0 - c.run[h.PERIOD]) + unknown
     x.run[s.UNKNOWN_RATE] = leaked if leaked > 1e-3 else 0.0
 
 
 @kernel_helper
 def count_set_bits(bits: int) -> int:
-    """Return the number of bits that are set in a word."""
+    """Return the number of bits in an integer that are 1."""
     number = 0
     while bits:
-        # The AND operation clears the lowest set bit.
+        # The AND operation clears the lowest bit that is 1.
         bits &= bits - 1
         number += 1
     return number
@@ -126,9 +127,9 @@ def count_lost_replies(x: StateTables, node: int) -> int:
 def misses_every_second(x: StateTables, node: int) -> bool:
     """Return True if about every second reply of a node is missing in the last ``MALFORMED_WINDOW_TICKS`` ticks.
 
-    Two consecutive replies may be missing at most once.
+    At most one pair of consecutive replies may be missing.
     """
     recent = x.node_int[s.LOST_REPLIES, node] & SHORT_MASK
-    # The word is ANDed with itself, shifted by one. The result has a bit for each pair of
-    # consecutive misses.
+    # The integer is combined by AND with itself, shifted by one bit. The result has a bit of 1 for
+    # each pair of consecutive missing replies.
     return count_set_bits(recent) >= HALF_RATE_MISSES and count_set_bits(recent & recent >> 1) <= 1

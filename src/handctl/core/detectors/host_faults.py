@@ -22,7 +22,7 @@ from handctl.safety.faults.host import (
 @kernel_helper
 def detect_host_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Run the detectors of host faults, and write their results into the evidence table."""
-    # Delay of the tick's start, as a fraction of the control period.
+    # Delay of the start of the tick, as a fraction of the control period.
     late = x.run_int[s.LATE_NS] / c.run_int[h.PERIOD_NS]
     missed = x.run_int[s.MISSED_TICKS]
     if late > LATE_FRACTION:

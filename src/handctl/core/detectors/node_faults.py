@@ -1,4 +1,4 @@
-"""Detectors of the faults of drives and sensors, rows N01 to N17 of the fault catalogue, see ``safety.faults.node``."""
+"""Detectors of faults of drives and sensors, rows N01 to N17 of the fault catalogue, see ``safety.faults.node``."""
 
 import math
 
@@ -100,7 +100,7 @@ def _detect_drive_errors(x: StateTables, evidence: Evidence) -> None:
 
 @kernel_helper
 def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
-    """Find load cells and joint encoders that have sent no reading for too long."""
+    """Find load cells and joint encoders from which no reading has arrived for too long."""
     now_ns = x.run_int[s.T_NS]
     for n in range(x.tendon.shape[1]):
         age = cell_ticks_overdue(x, c, n, now_ns)
@@ -109,7 +109,7 @@ def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: Evidence
     last = -1
     for j in range(x.joint.shape[1]):
         group = c.joint_int[h.JOINT_GROUP, j]
-        if group > last:  # the first joint of a frame represents the frame
+        if group > last:  # a frame with several joints is tested once, for its first joint
             last = group
             heard_ns = x.group_int[s.GROUP_NS, group]
             if heard_ns < now_ns - c.run_int[h.MUTE_NS]:
@@ -118,9 +118,9 @@ def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: Evidence
 
 @kernel_helper
 def _detect_rejected_positions(x: StateTables, evidence: Evidence) -> None:
-    """Find positions of motors and joints that were rejected.
+    """Find motors and joints whose measured positions were rejected.
 
-    The evidence row for joints follows the evidence row for motors.
+    In the evidence table, the row for joints follows the row for motors.
     """
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.REJECTED_STEP, n] > 0.0:
@@ -129,7 +129,7 @@ def _detect_rejected_positions(x: StateTables, evidence: Evidence) -> None:
                 evidence[N05B, n] = x.tendon[s.REJECTED_STEP, n]
     for j in range(x.joint.shape[1]):
         if x.joint[s.REJECTED_JOINT_STEP, j] > 0.0:
-            # A fault that both motors and joints can have takes two rows of the evidence table. The
+            # A fault that can occur in motors and in joints has two rows of the evidence table. The
             # second row is for joints.
             evidence[N05A + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
             if x.joint[s.REJECTED_JOINT_ANGLES, j] > 1.0:
@@ -160,9 +160,9 @@ def detect_node_faults_under_torque(x: StateTables, c: ConstantTables, evidence:
 
 @kernel_helper
 def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
-    """Find encoders whose readings are constant although something moves that they measure.
+    """Find encoders whose readings stay constant although the measured motor or joint moves.
 
-    The evidence row for joints follows the evidence row for motors.
+    In the evidence table, the row for joints follows the row for motors.
     """
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_S:
@@ -189,9 +189,9 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
 
 @kernel_helper
 def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
-    """Find tendons that are still under tension after the torque was cut.
+    """Find tendons that are still under tension after the motor torque was cut.
 
-    The load cell or the reported torque shows this.
+    The tension is visible in the load-cell reading or in the torque that the drive reports.
     """
     if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < STILL_PULLING_S:
         return
@@ -208,15 +208,16 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
 
 @kernel_helper
 def _still_reports_torque(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if a drive still reports the torque that it had before the torque was cut."""
+    """Return True if a drive still reports the torque that it made before the torque was cut."""
     # A drive that sends its torque in a separate frame sends no torque after a cut. The last torque
-    # report is then old.
+    # report of such a drive is then old.
     if not c.tendon_int[h.ANSWERS_ONCE, n]:
         return False
-    # The last report before the cut is in REPORT_FORCES, which is updated only while torque is
-    # permitted.
+    # The last report before the cut is in REPORT_FORCES, which is updated only while the motors may
+    # make torque.
     before = abs(x.tendon[s.REPORT_FORCES + 3, n])
     reported = abs(x.tendon[s.MEASURED_FORCE, n])
-    # A drive with a coarse torque code may report one step although it makes no torque.
+    # A drive that reports its torque in large steps may report one step although it makes no
+    # torque.
     threshold = STILL_REPORTED_N + c.tendon[h.TORQUE_STEP, n]
     return reported > threshold and reported > STILL_PULLING_FRACTION * before

@@ -1,4 +1,6 @@
-"""Requests that motors have not yet answered. A late reply answers an old request, so it is not counted as a duplicate.
+"""Requests to motors that have not been answered yet.
+
+A late reply answers an old request, so a late reply is not counted as a duplicate.
 
 The host sends a request to each motor in every tick. A missing reply may be lost. The missing reply
 may also come later, together with other replies. In another case, all replies come a tick late
@@ -27,14 +29,14 @@ READY_PHASE = int(DrivePhase.READY)
 
 @kernel_helper
 def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
-    """Close the newest outstanding request for each reply of this tick.
+    """Close the newest open request for each reply of the present tick.
 
-    The request of a lost reply stays outstanding.
+    If a reply is lost, its request stays open.
 
     Returns:
-        True if a motor or the sensor node sent more replies than it had outstanding requests.
-        ``EXCESS_REPLIES`` of a motor with such replies is set to the number of its outstanding
-        requests plus 1. For all other motors, ``EXCESS_REPLIES`` is set to 0.
+        True if a motor or the sensor node sent more replies than it had open requests. For a motor
+        that sent too many replies, ``EXCESS_REPLIES`` is set to the number of its open requests
+        plus 1. For all other motors, ``EXCESS_REPLIES`` is set to 0.
     """
     any_excess = False
     for n in range(x.tendon.shape[1]):
@@ -52,17 +54,17 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
 
 @kernel_helper
 def add_requests(x: StateTables, k: int) -> None:
-    """Add an outstanding request for every motor in tick k.
+    """Add an open request for every motor in tick k.
 
-    A motor that was not ready before this tick does not answer older requests. The new request is
-    then its only outstanding request.
+    A motor that was not ready before tick k does not answer older requests. The only open request
+    of such a motor is therefore the new one.
     """
     for n in range(x.tendon.shape[1]):
         count = x.tendon_int[s.OUTSTANDING_REQUESTS, n]
         if x.tendon_int[s.PHASE_BEFORE, n] < READY_PHASE:
             count = 0
         remaining = 0
-        # Keep at most MAX_REQUESTS - 1 old requests, to leave a place for the new request.
+        # At most MAX_REQUESTS - 1 old requests are kept, so that the new request has a place.
         for i in range(max(count - MAX_REQUESTS + 1, 0), count):
             outstanding = x.tendon_int[s.REQUEST_TICKS + i, n]
             if i == count - 1 or k - outstanding < LOSS_WINDOW_TICKS:

@@ -1,11 +1,11 @@
-"""Detection of old load-cell readings in frames with a new SYNC counter.
+"""Detection of load-cell frames that contain old readings although their SYNC counter is new.
 
-The reading of a load cell has noise of several counts. If each reading of a channel equals its
-reading a fixed number of ticks ago, the channel sends old readings. If a delay of n ticks starts
-without a gap, n readings are sent twice. A channel with a constant reading repeats its readings
-too. So does a channel of a tendon whose control loop oscillates with an amplitude of a few counts.
-This detector does not regard repetitions of constant readings as a fault. The detector
-``stuck_sensors`` judges constant readings instead.
+The readings of a load cell vary by several counts, because of noise. If each reading of a load cell
+equals its reading a fixed number of ticks ago, the frames contain old readings. When a delay of n
+ticks begins, and no tick is without a reading, the last n readings are sent a second time. A load
+cell with a constant reading also repeats its readings. Readings also repeat if the tension control
+of the tendon oscillates with an amplitude of a few counts. This detector does not regard
+repeated constant readings as a fault. The detector ``stuck_sensors`` tests for constant readings.
 """
 
 import math
@@ -32,7 +32,7 @@ reaches the threshold. With noise of 1.5 counts, a run of 22 pairs is necessary.
 
 @kernel_helper
 def update_repetitions(x: StateTables, tared: bool) -> None:
-    """Compare the load-cell readings of this tick with the readings of the last ``MAX_AGE_TICKS`` ticks."""
+    """Compare the load-cell readings of the present tick with the readings of the last ``MAX_AGE_TICKS`` ticks."""
     count = x.tendon.shape[1]
     for n in range(count):
         x.tendon[s.COMPARED_READING, n] = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
@@ -52,12 +52,12 @@ def update_repetitions(x: StateTables, tared: bool) -> None:
 
 @kernel_helper
 def age_of_repeated_readings(x: StateTables, n: int) -> int:
-    """Return the age [ticks] of the readings that a load-cell channel repeats.
+    """Return the age of the readings that a load cell repeats [ticks].
 
-    Return 0 if it repeats none.
+    Return 0 if the load cell does not repeat readings.
     """
     longest = x.tendon_int[s.LONGEST_REPETITION, n]
-    # The probability of such a run of equal readings is compared as a logarithm, because the power
+    # The probability of so many equal readings is compared as a logarithm, because the probability
     # itself is too small a number.
     if (
         longest < MIN_REPEATS

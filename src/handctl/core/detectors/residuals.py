@@ -1,12 +1,12 @@
-"""Low-passed residuals of each tendon.
+"""Difference between the measured and the expected force of each tendon, low-passed.
 
-The main residual is the motor force minus tension, inertia and friction.
+The main residual is the motor force minus tension, inertial force and friction.
 
-The rotor obeys m a = F - T - b v - c sign(v). Here m is the mass, a the acceleration and v the
-speed of the rotor at the spool, F the motor force, T the tension, b the viscous friction and c the
-Coulomb friction. If the measurements disagree with this equation over 0.2 s, the load cell, the
-motor or the friction differs from the model. The thresholds are far above the noise: they cause
-less than one false alarm in ten thousand hours.
+The rotor of a motor obeys the equation m a = F - T - b v - c sign(v). In this equation, m is the
+mass, a the acceleration and v the speed of the rotor at the spool, F the motor force, T the
+tension, b the viscous friction and c the Coulomb friction. If the measurements disagree with the
+equation over 0.2 s, the load cell, the motor or the friction differs from the model. The thresholds
+of the residuals are far above the noise, and cause less than one false alarm in ten thousand hours.
 """
 
 import math
@@ -39,7 +39,7 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
     Args:
         x: state tables.
         c: constants of the hand.
-        missed: ticks missed before the present tick. In a tick after missed ticks, positions and
+        missed: ticks missed before the present tick. In the tick after a missed tick, positions and
             speeds are not used.
         tared: True if the zeros of the load cells are known.
     """
@@ -55,12 +55,13 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
         made = commanded if math.isnan(force) else force
         monitored = monitored_tension(x, c, n, tared)
         if not initialized:
-            # The two fast filters start at the present tension and the present motor force.
+            # The two fast filters start at the present tension and at the present motor force.
             x.tendon[s.RESIDUAL + TENSION, n] = 0.0 if math.isnan(monitored) else monitored
             x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(made) else made
         turned = position - x.tendon[s.LAST_POSITION, n]
-        # Friction is proportional to tanh(1000 v). Above some millimetres per second, friction is
-        # fully developed. At rest, the sign of the friction therefore does not chatter.
+        # The friction is computed as proportional to tanh(1000 v), with the speed v in m/s. Above
+        # some millimetres per second, the computed friction has its full value. When the motor is
+        # at rest, the computed friction therefore does not change its sign in every tick.
         drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[h.MOTOR_COULOMB, n] * math.tanh(
             speed * 1e3
         )
@@ -75,8 +76,8 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
         now[QUICK_FORCE] = made
         now[SLIP] = x.tendon[s.SLIP, n]
         now[JERK] = square(turned - x.tendon[s.LAST_POSITION_STEP, n])
-        # Friction has the sign of the speed. Excess friction is therefore the residual of the force
-        # balance, times this sign.
+        # Friction has the sign of the speed. The excess friction is therefore the residual of the
+        # force balance, multiplied by the sign of the speed.
         now[EXCESS_FRICTION] = (
             math.copysign(1.0, speed) * balance
             if abs(speed) > FULL_FRICTION_SPEED_M_S
@@ -95,7 +96,7 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
 
 @kernel_helper
 def unexplained_tension(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the tension difference [N] that friction and torque-constant tolerance leave unexplained.
+    """Return the difference [N] between two tensions that friction and the tolerance of the motor cannot explain.
 
     The result is 0 or more."""
     explained = c.tendon[h.MOTOR_COULOMB, n] + GAIN_FRACTION * abs(

@@ -16,9 +16,9 @@ LATE_READING_S = 0.08
 
 @kernel_helper
 def update_slack_history(x: StateTables, c: ConstantTables) -> None:
-    """Update the tension history of a hand under torque.
+    """Update the tension history while the motors may make torque.
 
-    Tensions of a spool pair are positive in the direction of the commanded tension.
+    For a spool pair, a tension in the direction of the commanded tension is positive.
     """
     x.run_int[s.CUT_TICKS] = -1
     for n in range(x.tendon.shape[1]):
@@ -28,8 +28,8 @@ def update_slack_history(x: StateTables, c: ConstantTables) -> None:
         if pair and commanded < 0.0:
             tension = -tension
             commanded = -commanded
-        # Without a commanded tension, the history of a tendon is cleared, so that the tendon does
-        # not count as snapped.
+        # If no tension is commanded, the history of a tendon is cleared, so that the tendon does
+        # not count as torn.
         if math.isnan(commanded):
             x.tendon_int[s.TICKS_SINCE_TAUT, n] = -1
             x.tendon_int[s.SLACK_TICKS, n] = 0
@@ -38,21 +38,24 @@ def update_slack_history(x: StateTables, c: ConstantTables) -> None:
             x.tendon_int[s.SLACK_TICKS, n] = 0
         elif x.tendon_int[s.TICKS_SINCE_TAUT, n] >= 0:
             x.tendon_int[s.TICKS_SINCE_TAUT, n] += 1
-            # Both tendons of a spool pair are taut at any net tension below twice the pretension.
-            # So no tendon of the pair counts as slack while a smaller net tension is commanded.
+            # Both tendons of a spool pair are taut if the net tension is below twice the
+            # pretension. So no tendon of a spool pair counts as slack while the commanded net
+            # tension is below twice the pretension.
             loose = tension < SLACK_N and commanded > max(TAUT_N, 2.0 * c.tendon[h.PRETENSION, n])
             x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if loose else 0
         is_taut = tension > TAUT_N or (x.tendon_int[s.IS_TAUT, n] == 1 and tension > SLACK_N)
-        x.tendon_int[s.IS_TAUT, n] = is_taut or pair  # one tendon of a spool pair is always taut
+        # At least one tendon of a spool pair is always taut.
+        x.tendon_int[s.IS_TAUT, n] = is_taut or pair
 
 
 @kernel_helper
 def update_history_after_cut(x: StateTables, c: ConstantTables, tared: bool) -> None:
-    """Update the tension history of a hand whose torque was cut.
+    """Update the tension history after the motor torque was cut.
 
-    The tension at the cut is the reading of the tick in which the torque is cut. If this reading is
-    missing, the last reading before the cut is used. If there is none, the first reading after the
-    cut is used. Readings are often missing in a tick in which a cut is necessary.
+    The tension at the cut is the load-cell reading of the tick in which the torque is cut. If the
+    reading of this tick is missing, the last reading before the cut is used. If there is no reading
+    before the cut, the first reading after the cut is used. In a tick in which a cut is necessary,
+    readings are often missing.
 
     Args:
         x: state tables.

@@ -1,10 +1,13 @@
-"""Detection of stuck readings. A reading is stuck if it is constant while a correlated reference signal moves.
+"""Detection of sensors whose readings are stuck at a constant value.
 
-A constant reading is no fault while its reference is at rest. A motor's encoder has two references:
-the goal of the tendon's excursion, and the tension of the tendon. The reference of a load cell is
-the range of the motor force, because the tension loop may first raise the force and then lower it.
-The reference of a joint encoder is the joint angle that is computed from the positions of the
-spools.
+A reading is stuck if it stays constant although another measurement shows that the measured
+quantity changes.
+
+A constant reading is no fault while the other measurement, the reference, is also constant. The
+encoder of a motor has two references: the goal of the tendon's excursion, and the tension of the
+tendon. The reference of a load cell is the range of the motor force, because the tension loop may
+first raise the force and then lower it. The reference of a joint encoder is the joint angle that is
+computed from the positions of the spools.
 """
 
 import math
@@ -32,9 +35,9 @@ PRESSING_TENSION_N = 8.0
 
 @kernel_helper
 def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
-    """Update the count of constant readings of each sensor.
+    """Update for each sensor the number of ticks in which its reading was constant.
 
-    A missing reading leaves the count unchanged.
+    If a reading is missing, the number does not change.
 
     Args:
         x: state tables.
@@ -42,8 +45,8 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
         tared: True if the zeros of the load cells are known.
     """
     for n in range(x.tendon.shape[1]):
-        # The test uses the position of the encoder instead of the travel, because the travel also
-        # changes with the angle of a carrying joint.
+        # The position of the encoder is compared instead of the tendon travel, because the travel
+        # also changes with the angle of a carrying joint.
         value = x.tendon[s.MEASURED_POSITION, n] * c.tendon[h.SPOOL_RADIUS, n]
         last = x.tendon[s.STUCK_TEST_POSITION, n]
         moved = not math.isnan(value) and value != last
@@ -86,11 +89,11 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
 
 @kernel_helper
 def reference_tension(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the tension [N] with which a motor's encoder is compared.
+    """Return the tension [N] with which the encoder of a motor is compared.
 
     Return NaN if other motors also change this tension.
 
-    In a digit with surplus tendons an antagonist can stretch a tendon whose own motor is at rest.
+    In a digit with surplus tendons, an antagonist can stretch a tendon whose own motor is at rest.
     """
     return math.nan if c.tendon_int[h.HAS_SURPLUS, n] else x.tendon[s.RESIDUAL + TENSION, n]
 
@@ -109,7 +112,7 @@ def are_all_tendons_taut(x: StateTables, c: ConstantTables, j: int) -> bool:
 
 @kernel_helper
 def joint_angle_by_spools(x: StateTables, c: ConstantTables, j: int) -> float:
-    """Return a joint angle computed from spool positions [rad], NaN if a tendon that moves the joint is slack."""
+    """Return a joint angle computed from spool positions [rad], or NaN if a tendon of the joint is slack."""
     if not are_all_tendons_taut(x, c, j):
         return math.nan
     angle = c.joint[h.ANGLE_OFFSET, j]
@@ -124,9 +127,9 @@ def joint_angle_by_spools(x: StateTables, c: ConstantTables, j: int) -> float:
 
 @kernel_helper
 def motion_since_reading(reference: float, anchor: float) -> float:
-    """Return how far the reference of a sensor has moved since the sensor's reading became constant.
+    """Return how far the reference of a sensor has moved since the reading of the sensor became constant.
 
-    Return 0 if this is unknown.
+    Return 0 if the motion of the reference is unknown.
     """
     apart = abs(reference - anchor)
     return 0.0 if math.isnan(apart) else apart
@@ -134,14 +137,14 @@ def motion_since_reading(reference: float, anchor: float) -> float:
 
 @kernel_helper
 def filter_goals(x: StateTables, c: ConstantTables) -> None:
-    """Filter the goal of each motor, because no motor can follow a jump of its goal at once.
+    """Filter the goal of each motor, because no motor can follow a sudden change of its goal.
 
     While the encoder's reading changes, the filtered goal equals the goal. The detector judges the
     motion of the filtered goal since the reading became constant, because friction may stop the
     motor before the goal. When a motor has reached its goal, the filtered goal is set to the
-    estimated excursion. The detector does not judge the jump of the filtered goal that this setting
-    causes. The goal of a streamed digit that presses on an object is not judged either, because a
-    client may send targets beyond an object that the client does not know.
+    estimated excursion. This change of the filtered goal does not count as a motion of the motor's
+    goal. The goal of a streamed digit that presses on an object is not used either, because the
+    client may send targets beyond an object that it does not know.
     """
     fraction = 1.0 - math.exp(-c.run[h.PERIOD] / MOTOR_FOLLOWING_TIME_CONSTANT_S)
     min_step = SLOW_GOAL_M_S * c.run[h.PERIOD]
@@ -165,7 +168,8 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
             x.tendon[s.FILTERED_GOAL, n] = present
             if abs(present - before) > GOAL_JUMP_M:
                 # The filtered goal jumps to the estimated excursion. No motor had to follow this
-                # jump. The anchor from which the motion is counted therefore also jumps.
+                # jump of the filtered goal. The value from which the motion of the filtered goal is
+                # counted therefore jumps too.
                 x.tendon[s.MOTOR_ANCHOR, n] += present - before
         elif _is_digit_pressing(x, c, n):
             x.tendon[s.MOTOR_ANCHOR, n] += x.tendon[s.FILTERED_GOAL, n] - before

@@ -33,7 +33,8 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
     for n in range(x.tendon.shape[1]):
         tension = monitored_tension(x, c, n, tared)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]  # one tendon of a spool pair is always taut
+            # At least one tendon of a spool pair is always taut.
+            x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]
         elif tension < SLACK_N or _is_tautness_unknown(x, c, n):
             x.tendon[s.TAUT_S, n] = 0.0
         elif tension > TAUT_N:
@@ -59,8 +60,8 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
 def _is_tautness_unknown(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True for a tendon without load cell whose motor is commanded to make no torque.
 
-    Such a motor turns freely when its tension is cut, and the tendon becomes slack. The friction of
-    a motor at rest looks like tension.
+    After the torque of such a motor is cut, the motor turns freely, and its tendon becomes slack.
+    Without a load cell, the friction of a motor at rest looks like tension.
     """
     return c.tendon_int[h.CELL_GROUP, n] < 0 and math.isnan(x.tendon[s.COMMANDED_TENSION, n])
 

@@ -1,9 +1,9 @@
-"""Detection of a tension that oscillates about the commanded tension, by torque ripple or by an unstable control loop.
+"""Detection of a tension that oscillates, because of torque ripple or an unstable control loop.
 
-A torque ripple of 0.1 N m near the resonance of rotor and tendon (about 20 Hz) makes the tension
-oscillate by tens of newtons. The other detectors do not find this oscillation. Cogging torque does
-not appear in the motor current, so the comparison of reported with commanded torque (fault N14)
-cannot detect it.
+A torque ripple of 0.1 N m near the resonance of motor and tendon, about 20 Hz, makes the tension
+oscillate by tens of newtons. The other detectors do not find an oscillation of the tension. Cogging
+torque does not appear in the motor current, so the comparison of reported and commanded torque
+(fault N14) cannot find the oscillation.
 """
 
 import math
@@ -26,7 +26,7 @@ MEAN_SQUARE_TIME_CONSTANT_S = 0.025
 
 @kernel_helper
 def update_swing(x: StateTables, c: ConstantTables, tared: bool) -> None:
-    """Update the mean square of the oscillation of each tension, from measured minus commanded tension."""
+    """Update for each tendon the mean square of the difference between measured and commanded tension."""
     period = c.run[h.PERIOD]
     slow = 1.0 - math.exp(-period / SLOW_PART_TIME_CONSTANT_S)
     mean = 1.0 - math.exp(-period / MEAN_SQUARE_TIME_CONSTANT_S)
@@ -36,7 +36,7 @@ def update_swing(x: StateTables, c: ConstantTables, tared: bool) -> None:
         if tared and not math.isnan(deviation):
             x.tendon[s.SWING_SLOW, n] += slow * (deviation - x.tendon[s.SWING_SLOW, n])
             quick = deviation - x.tendon[s.SWING_SLOW, n]
-        # A missing reading counts as a reading without oscillation.
+        # A missing reading counts as a difference of 0.
         x.tendon[s.SWING_SQUARE, n] += mean * (quick * quick - x.tendon[s.SWING_SQUARE, n])
         large = x.tendon[s.SWING_SQUARE, n] > square(SWING_N)
         x.tendon[s.SWING_S, n] = x.tendon[s.SWING_S, n] + period if large else 0.0

@@ -1,11 +1,11 @@
-"""Test whether a drive obeys its commands, by the correlation of its reported torque with its commanded torque.
+"""Test whether a drive obeys its commands, by the correlation of reported and commanded torque.
 
 A drive that obeys reports the commanded torque, including the small changes that noise adds to
-every command. The changes in the reports differ from those in the commands in three cases: the
-reports come from another drive, the torque acts on another joint, or the drive obeys late. The
-difference is visible even if all motors pull with equal force and no joint moves. Let a be the
-increment of the command from one tick to the next, and b the increment of the report, both as
-forces at the spool [N]. The test uses low-passed products S of these increments:
+every command. The reported torque does not follow these changes in three cases: the reports come
+from another drive, the torque acts on another joint, or the drive obeys late. The difference
+between commands and reports is visible even if all motors pull with equal force and no joint moves.
+Let a be the change of the command from one tick to the next, and b the change of the report, both
+as forces at the spool [N]. The test uses low-passed products S of a and b:
 
     S_ab + 4 sqrt(S_aa S_bb / n) < 0.4 S_aa      n = 2 tau / T samples
 
@@ -14,16 +14,16 @@ present if the drive reports less than 0.4 of the changes in the command, with a
 standard deviations of this estimate. The sample covariance of uncorrelated increments has the
 variance S_aa S_bb / n. Source: Bartlett's formula for white noise.
 
-At a contact, increments are a hundred times as large as during a hold. Without a limit, these
-increments would dominate the products for seconds after the contact. All increments are therefore
-limited to two counts of the torque. If a drive obeys, the limited increments of its commands and
-reports have equal signs.
+When a digit touches an object, the changes of the command are a hundred times as large as while the
+digit is held. Without a limit, these large changes would dominate the products S for seconds after
+the contact. All changes of command and report are therefore limited to two counts of the torque. If
+a drive obeys, the limited changes of commands and reports have equal signs.
 
-A pair of increments counts only after ``SETTLED_TICKS`` consecutive ticks, each with a reply in
-time. After a pause, a drive replies to all queued commands before it obeys the last one. The next
-report of the drive therefore belongs to an older command. On a slow bus, a report may come a tick
-late, and then belongs to a command one tick older. The test computes the correlation with and
-without this delay, and uses the larger correlation.
+The changes of command and report are used only after ``SETTLED_TICKS`` consecutive ticks, each with
+a reply in time. After a pause, a drive replies to all waiting commands before it obeys the last of
+them. The next report of the drive then belongs to an older command. On a slow bus, a report may
+come a tick late, and then belongs to a command that is one tick older. The test computes the
+correlation with and without a delay of one tick, and uses the larger correlation.
 """
 
 import math
@@ -96,10 +96,10 @@ that comes a tick late), report squared, and the response of the filter to a con
 
 @kernel_helper
 def update_correlation(x: StateTables, c: ConstantTables, missed: int) -> None:
-    """Update the low-passed products of the increments of commands and reports.
+    """Update the low-passed products of the changes of commands and reports.
 
-    A drive replies to a command before it obeys the command, so its report in this tick belongs to
-    the command before the last.
+    A drive replies to a command before it obeys the command, so the report of the present tick
+    belongs to the command before the last one.
 
     Args:
         x: state tables.
@@ -108,7 +108,7 @@ def update_correlation(x: StateTables, c: ConstantTables, missed: int) -> None:
     """
     fraction = 1.0 - math.exp(-c.run[h.PERIOD] / REPORTED_S)
     for n in range(x.tendon.shape[1]):
-        # The last command, and the three commands before it, the newest first.
+        # The last command and the three commands before it are stored, the newest first.
         command = x.tendon[s.COMMANDED_FORCE, n]
         first = x.tendon[s.REPORT_FORCES, n]
         second = x.tendon[s.REPORT_FORCES + 1, n]
@@ -135,8 +135,8 @@ def update_correlation(x: StateTables, c: ConstantTables, missed: int) -> None:
             _low_pass_moment(x, n, FILTER_RESPONSE_ROW, fraction, 1.0)
         x.tendon[s.REPORT_ON_TIME, n] = settled
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
-            # For a drive that closes its position loop, the force that was predicted for this
-            # report takes the place of the command. The stored history is therefore shifted by a
+            # For a drive that closes its position loop, the predicted force of the report is stored
+            # instead of the command. The stored values of such a drive are therefore shifted by one
             # tick.
             x.tendon[s.REPORT_FORCES, n] = first
             x.tendon[s.REPORT_FORCES + 1, n] = second
@@ -149,7 +149,7 @@ def update_correlation(x: StateTables, c: ConstantTables, missed: int) -> None:
 
 @kernel_helper
 def _smallest_increment(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the smallest increment of a motor's torque that counts as a change, as a force at the spool [N]."""
+    """Return the smallest change of a motor's torque that is more than rounding, as a force at the spool [N]."""
     rounding = max(MOVED_FRACTION * c.tendon[h.DRIVE_LIMIT, n], 0.5 * c.tendon[h.TORQUE_STEP, n])
     if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] and x.servo[s.SERVO_SHARE, n] > MIN_SERVO_SHARE:
         rounding = max(rounding, SERVO_COUNTS * c.tendon[h.SERVO_ROUNDING, n])
@@ -158,7 +158,10 @@ def _smallest_increment(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def _clipped_increment(increment: float, largest: float) -> float:
-    """Return an increment limited to plus or minus ``largest``. NaN stays NaN."""
+    """Return a change of force, limited to plus or minus ``largest``.
+
+    If the change is NaN, the result is NaN.
+    """
     if increment > largest:
         return largest
     return -largest if increment < -largest else increment
@@ -180,8 +183,8 @@ def is_command_ignored(x: StateTables, c: ConstantTables, n: int) -> bool:
         x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n],
         x.tendon[s.REPORT_MOMENTS + LATE_COMMAND_REPORT_ROW, n],
     )
-    # The command and the report must both change by more than rounding errors. A constant report is
-    # a sign of another fault.
+    # The command and the report must both change by more than the rounding of the torque. A report
+    # that stays constant is a sign of another fault.
     moves = min(aa, bb) > square(_smallest_increment(x, c, n))
     if x.tendon[s.REPORT_MOMENTS + FILTER_RESPONSE_ROW, n] <= MIN_FILLING or not moves:
         return False
@@ -193,9 +196,9 @@ def is_command_ignored(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 @kernel_helper
 def fraction_of_command_reported(x: StateTables, n: int) -> float:
-    """Return the fraction of the changes of a motor's command that its reports show.
+    """Return the fraction of the changes of a motor's command that appears in its reports.
 
-    The value is 1 for a drive that obeys.
+    The fraction is 1 for a drive that obeys.
     """
     ab = max(
         x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n],
@@ -207,17 +210,18 @@ def fraction_of_command_reported(x: StateTables, n: int) -> float:
 
 @kernel_helper
 def is_command_contradicted(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if a motor reports a force that none of its last three commands explains.
+    """Return True if a motor reports a force that differs from each of its last three commands.
 
     The low-passed difference between command and report must have the same sign, so a single report
-    is not sufficient. A drive that obeys reports a command of the last three ticks, even after a
-    lost frame. The difference is then 0, however fast the command changes. This test therefore
-    finds some faults earlier than the low-passed difference alone, for example if two drives are
-    exchanged and their loops drive each other.
+    is not sufficient. A drive that obeys reports one of the commands of the last three ticks, even
+    after a lost frame. The difference between report and command is then 0, however fast the
+    command changes. This test finds some faults earlier than the low-passed difference alone, for
+    example if two drives are exchanged.
 
-    Only motors of tendons without a load cell are tested. With a load cell, another detector finds
-    a wrong force, and replies on a busy computer may be older than three ticks. Because replies may
-    be late, three ticks must take at least ``MIN_COMMAND_WINDOW_S``.
+    Only motors of tendons without a load cell are tested. If a tendon has a load cell, another
+    detector finds a wrong force, and on a busy computer a reply may be older than three ticks.
+    Because replies may be late, the test is used only if three ticks take at least
+    ``MIN_COMMAND_WINDOW_S``.
 
     A drive that closes its position loop is not tested, because it has no torque command. A drive
     that sends its torque in a separate frame is not tested either, because the torque may be older

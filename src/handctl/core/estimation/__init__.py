@@ -1,1 +1,1 @@
-"""Estimation of tensions, joint angles, contacts and forces from measurements, with variances."""
+"""Estimation of tensions, joint angles, contacts and forces from measurements, with their variances."""

@@ -55,7 +55,7 @@ def update_blocked(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def reset_blocked(x: StateTables) -> None:
-    """Mark all digits as not blocked, because contact cannot be observed without torque."""
+    """Mark all digits as not blocked, because a contact cannot be observed without motor torque."""
     for d in range(x.digit.shape[1]):
         x.digit[s.TOUCH, d] = 0.0
         if x.digit_int[s.BLOCKED, d]:

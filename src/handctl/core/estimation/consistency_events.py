@@ -1,4 +1,4 @@
-"""Log events for tendons whose model becomes inconsistent or consistent again, and for blocked digits."""
+"""Log events for tendons whose measurements start or stop to agree with the model, and for blocked digits."""
 
 from typing import Any, Protocol
 
@@ -14,7 +14,7 @@ class NamedFields(Protocol):
     """State block whose fields are read by name."""
 
     def view(self, name: str) -> NDArray[Any]:
-        """Return the array of a field."""
+        """Return the array of the field with the given name."""
         ...
 
 
@@ -25,8 +25,8 @@ def consistency_events(
 
     Args:
         model: model of the hand.
-        before: state after the last tick.
-        after: state in the present tick.
+        before: state of the controller after the last tick.
+        after: state of the controller in the present tick.
     """
     events: list[TickEvent] = []
     doubtful = after.view("doubtful")

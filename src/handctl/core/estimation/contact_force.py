@@ -1,18 +1,21 @@
 """Force at the tip of a closing digit, as a sign of contact, and the opening of a digit that holds an object.
 
-While a digit closes, the unexplained tensions of its tendons are converted into a force at its tip.
-Each tendon has a weight: the load that a unit force at the tip puts on this tendon. A proximal
-tendon has the largest load and the least friction, so it has the largest weight. The force is
-low-passed over a few milliseconds. The force of a contact remains after the low pass, and the
-alternating force of a chattering tendon cancels.
+While a digit closes, the part of its tensions that the model does not explain is converted into a
+force at the tip. The weight of a tendon in this conversion is the tension that a force of 1 N at
+the tip causes in the tendon. A proximal tendon bears the largest tension and has the least
+friction, so its weight is the largest. The tip force is averaged over a few milliseconds by a
+low-pass filter. The force of a contact is still present after the filter, while the alternating
+force of a chattering tendon cancels out.
 
-Two errors of the tip force are corrected. If the model expects too much tension, the force is
-negative and hides a contact. This error lasts longer than a contact force needs to grow, so a
-negative mean is subtracted. If a load cell drifts, the force is positive during the whole closing
-motion. A positive mean over a long time is therefore also subtracted.
+Two errors of the tip force are corrected. If the model expects too much tension, the tip force is
+negative and hides a contact. A wrong model causes an error for longer than a contact force needs to
+grow, so a negative average of the force is subtracted. If the reading of a load cell drifts, the
+tip force is positive during the whole closing motion. A positive average of the tip force over a
+long time is therefore also subtracted.
 
-While a digit holds an object, the wound length of a tendon minus its stretch is known to a few
-micrometres. If an object pushes the digit open, a fast and a slow average of this length differ.
+While a digit holds an object, the length that a spool has wound, minus the stretch of the tendon,
+is known to a few micrometres. If an object pushes the digit open, a fast and a slow average of this
+length differ.
 """
 
 import math
@@ -53,7 +56,8 @@ The tendons of such a digit cannot feel a force at its tip.
 def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
     """Update the tip forces of closing digits.
 
-    Reset the tip forces of all other digits, but keep the estimated drift.
+    For all other digits, the tip force is set to 0, but the estimated drift of the load cells is
+    kept.
     """
     closing = False
     for d in range(x.digit.shape[1]):
@@ -74,8 +78,8 @@ def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
         mean = force if math.isnan(x.digit[s.TIP_FORCE_MEAN, d]) else x.digit[s.TIP_FORCE_MEAN, d]
         drift = 0.0 if math.isnan(x.digit[s.TIP_FORCE_DRIFT, d]) else x.digit[s.TIP_FORCE_DRIFT, d]
         x.digit[s.SMOOTHED_TIP_FORCE, d] = force
-        # A negative mean is attributed to an error of the model, and a positive drift to an error
-        # of the load cell.
+        # A negative average of the tip force is attributed to an error of the model, and a positive
+        # drift to an error of the load cell.
         x.digit[s.CONTACT_FORCE, d] = force - min(mean, 0.0) - max(drift, 0.0)
         x.digit[s.TIP_FORCE_MEAN, d] = mean + c.run[h.TIP_FORCE_MEAN_FRACTION] * (force - mean)
         x.digit[s.TIP_FORCE_DRIFT, d] = drift + c.run[h.DRIFT_FRACTION] * (force - drift)
@@ -83,7 +87,7 @@ def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
-    """Write the lever (J,) [m] of a force at a digit's tip about each joint, at the joint angles of the free digit.
+    """Write the lever (J,) [m] of a force at a digit's tip about each joint, at the angles of a free digit.
 
     A digit that closes counts as free until its contact is found.
     """
@@ -96,9 +100,9 @@ def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
 
 @kernel_helper
 def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> float:
-    """Return the tip force that fits the unexplained tensions of a digit best, by least squares [N].
+    """Return the force at the tip that fits the unexplained tensions of a digit best, by least squares [N].
 
-    The force is 0 if no tendon is loaded by a force at the tip.
+    The result is 0 if a force at the tip does not load any tendon of the digit.
     """
     work = 0.0
     size = 0.0
@@ -113,13 +117,14 @@ def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> 
 
 @kernel_helper
 def average_grip_travel(x: StateTables, c: ConstantTables) -> None:
-    """Update the fast and the slow average of wound length minus stretch.
+    """Update the fast and the slow average of the length on each spool minus the stretch of the tendon.
 
     Both averages are equal until the detection of slip begins.
     """
     judged = x.run[s.GOAL_TIME] + c.run[h.PERIOD] >= x.run[s.SLIP_JUDGED_FROM]
     for n in range(x.tendon.shape[1]):
-        # Wound length minus elastic stretch is the tendon length that moves the joints.
+        # The length on the spool minus the elastic stretch is the tendon length that moves the
+        # joints.
         here = x.tendon[s.TRAVEL, n] - x.tendon[s.TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
         fast = x.tendon[s.GRIP_TRAVEL_FAST, n]
         slow = x.tendon[s.GRIP_TRAVEL_SLOW, n]

@@ -50,7 +50,7 @@ def correct_covariance(
 ) -> float:
     """Correct the covariance of a tendon by the measurements of its encoder and its load cell.
 
-    The gain for joint encoders does not change.
+    The gain for the joint encoders stays unchanged.
 
     Args:
         x: state tables.
@@ -58,12 +58,12 @@ def correct_covariance(
         n: index of the tendon.
         z: (3,) measurements, NaN if missing.
         gain: (7, 3) steady gains. Replace the first two columns of the gain: encoder and load cell.
-        predicted: (7, 7) result: covariance after the update.
-        information: (3,) result: inverse covariance of the innovations, see
+        predicted: (7, 7) result: covariance after the correction.
+        information: (3,) result: inverse covariance of the two innovations, see
             ``constants.INFORMATION_AT``.
 
     Returns:
-        Standard deviation of the load-cell innovation [N].
+        Standard deviation of the difference between measured and expected load-cell reading [N].
     """
     kind = x.tendon_int[s.FILTER_KIND, n]
     H = np.zeros((2, STATE_COUNT))
@@ -80,7 +80,7 @@ def correct_covariance(
         R[m] = c.design[n, kind, h.R_AT + m] * (
             MISSING_VARIANCE_FACTOR if math.isnan(z[m]) else 1.0
         )
-    # Inverse of the innovation covariance [[a, b], [b, d]] in closed form.
+    # The inverse of the innovation covariance [[a, b], [b, d]] is computed by a formula.
     a = size[0, 0] + R[0]
     b = size[0, 1]
     d = size[1, 1] + R[1]
@@ -89,8 +89,8 @@ def correct_covariance(
     information[1] = -2.0 * b / determinant
     information[2] = a / determinant
     for i in range(STATE_COUNT):
-        # A load-cell error is not corrected if no measurement distinguishes it from tension.
-        # Instead, the variance of this error grows.
+        # If no measurement distinguishes a load-cell error from tension, the load-cell error is not
+        # corrected. Instead, the variance of the load-cell error grows.
         observed = observable if i == CELL_ERROR else 1.0
         gain[i, 0] = observed * (crossed[i, 0] * d - crossed[i, 1] * b) / determinant
         gain[i, 1] = observed * (crossed[i, 1] * a - crossed[i, 0] * b) / determinant
@@ -98,9 +98,9 @@ def correct_covariance(
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
             rest[i, j] = (1.0 if i == j else 0.0) - (gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j])
-    # Joseph form (I - K H) P (I - K H)^T + K R K^T. The Joseph form is symmetric and positive for
-    # any gain, even for a gain that does not correct the load-cell error (Schmidt's consider
-    # filter).
+    # The Joseph form of the covariance is (I - K H) P (I - K H)^T + K R K^T. The Joseph form is
+    # symmetric and positive for any gain, even for a gain that leaves the load-cell error
+    # uncorrected (Schmidt's consider filter).
     joseph = _multiply_by_transposed(_multiply_matrices(rest, P), rest)
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
@@ -116,8 +116,8 @@ def predict_covariances(x: StateTables, c: ConstantTables, predicted: Matrix, mi
 
     End the propagation if all covariances are steady.
 
-    If the filter design of a tendon has changed, its covariance becomes the steady covariance of
-    the new design.
+    If the filter design of a tendon has changed, its covariance is set to the constant covariance
+    of the new design.
     """
     periods = 1 + ticks_to_predict(c, missed)
     steady = True
@@ -131,7 +131,7 @@ def predict_covariances(x: StateTables, c: ConstantTables, predicted: Matrix, mi
             for i in range(STATE_COUNT):
                 for j in range(STATE_COUNT):
                     P[i, j] += Q[i, j]
-        # The propagated covariance belongs to the old filter design.
+        # The covariance that was computed so far belongs to the old filter design.
         if kind != x.tendon_int[s.FILTER_KIND_BEFORE, n]:
             P = _copy_design_matrix(c, n, kind, h.P_AT)
         for i in range(STATE_COUNT):
@@ -143,13 +143,13 @@ def predict_covariances(x: StateTables, c: ConstantTables, predicted: Matrix, mi
 
 @kernel_helper
 def ticks_to_predict(c: ConstantTables, missed: int) -> int:
-    """Return the number of missed ticks for which the covariance is predicted."""
+    """Return the number of missed ticks over which the covariance is predicted."""
     return min(missed, round(HELD_TORQUE_S / c.run[h.PERIOD]))
 
 
 @kernel_helper
 def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the standard deviation of a tendon's predicted tension [N], computed from the propagated covariance."""
+    """Return the standard deviation of a tendon's predicted tension [N], from the covariance of the filter."""
     kind = x.tendon_int[s.FILTER_KIND, n]
     P = np.empty((STATE_COUNT, STATE_COUNT))
     for i in range(STATE_COUNT):
@@ -162,7 +162,9 @@ def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
 def _present_covariance(x: StateTables, c: ConstantTables, n: int, kind: int) -> Matrix:
     """Return the covariance (7, 7) of a tendon's predicted states.
 
-    It is the propagated covariance if there is one, and otherwise the steady covariance."""
+    After a missing measurement, the covariance computed in each tick is returned, and otherwise the
+    constant covariance.
+    """
     P = _copy_design_matrix(c, n, kind, h.P_AT)
     if x.run_int[s.COVARIANCE_PROPAGATED]:
         for i in range(STATE_COUNT):
@@ -207,7 +209,10 @@ def _copy_design_matrix(c: ConstantTables, n: int, kind: int, at: int) -> Matrix
 
 @kernel_helper
 def _multiply_matrices(left: Matrix, right: Matrix) -> Matrix:
-    """Return the product of two matrices. The sums are added in a fixed order."""
+    """Return the product of two matrices.
+
+    The products are always added in the same order, so that equal inputs give equal results.
+    """
     matrix = np.zeros((left.shape[0], right.shape[1]))
     for i in range(left.shape[0]):
         for j in range(right.shape[1]):

@@ -1,4 +1,4 @@
-"""Prediction of the states of the tension filter to the present, by filterpy."""
+"""Prediction of the filter states to the present tick, by the package filterpy."""
 
 import numpy as np
 
@@ -15,10 +15,10 @@ with deferred_imports():
 def predict_filter_states(
     model: HandModel, layout: BlockLayout, block: BlockArray, missed: int = 0
 ) -> None:
-    """Predict the states of all tendons to the next tick.
+    """Predict the states of the tension filter for all tendons to the next tick.
 
-    For missed ticks, the prediction uses the motor force of the last tick, and no planned change of
-    tension.
+    For missed ticks, the prediction uses the motor force of the last tick, and assumes no planned
+    change of tension.
 
     Args:
         model: model of the hand.

@@ -23,7 +23,7 @@ force on the motor [N], load-cell error [N], stretch offset [m].
 
 
 class TendonRegime(enum.IntEnum):
-    """Regime of a tendon: the way in which the filter's model couples motor and digit."""
+    """Regime of a tendon: free, held or slack, each with its own relation between motor and digit."""
 
     FREE = 0
     """The tendon is taut, and the digit follows it freely.
@@ -52,23 +52,24 @@ SLACK_REGIME = int(TendonRegime.SLACK)
 
 @dataclass(frozen=True, slots=True)
 class FilterBlock:
-    """Steady-state filter of one tendon in one regime.
+    """Kalman filter with constant gains for one tendon in one regime.
 
     Attributes:
-        F: transition over a period, (7, 7).
-        B: effect of the inputs over a period in which they are constant, (7, 2).
-        H: expected measurements per state, (3, 7).
+        F: (7, 7) transition of the states over a period.
+        B: (7, 2) effect of the inputs on the states over a period in which the inputs are constant.
+        H: (3, 7) expected measurements per unit of each state.
         K: steady-state gain of the update, (7, 3).
-        Q: process noise covariance of a period, (7, 7).
-        R: variances of encoder and load cell, (2,).
-        P: covariance of the prediction in steady state, (7, 7).
-        cell_error_observable: True if the load-cell error is observable.
+        Q: (7, 7) covariance of the process noise over a period.
+        R: (2,) variances of encoder and load cell.
+        P: (7, 7) constant covariance of the predicted states.
+        cell_error_observable: True if the measurements distinguish a load-cell error from tension.
         cell_error_variance: part of ``tension_variance`` that an unobservable load-cell error
             causes [N^2].
-        tension_row: tension per state, (7,).
+        tension_row: (7,) tension per unit of each state.
         tension_variance: variance of the predicted tension [N^2].
-        innovation_information: inverse covariance of encoder and load-cell innovations, (2, 2).
-        cell_sigma: standard deviation of the load-cell innovation [N].
+        innovation_information: (2, 2) inverse covariance of the innovations of encoder and load
+            cell.
+        cell_sigma: standard deviation of the innovation of the load cell [N].
     """
 
     F: Matrix
@@ -89,11 +90,11 @@ class FilterBlock:
 class StateTransition(NamedTuple):
     """Transition of the states of all tendons over a period.
 
-    The 7 N states are the travels of all tendons, then their speeds, and so on.
+    The 7 N states are the travels of all tendons, then the speeds of all tendons, and so on.
 
     Attributes:
-        F: transition of the states, (7N, 7N).
-        B: effect of the inputs, (7N, 2N).
+        F: (7N, 7N) transition of the states.
+        B: (7N, 2N) effect of the inputs on the states.
     """
 
     F: Matrix
@@ -110,28 +111,29 @@ design kinds.
 
 @dataclass(frozen=True, slots=True)
 class FilterDesign:
-    """Filters of all tendons.
+    """Filter designs of all tendons in all regimes.
 
     Attributes:
-        blocks: filter of each tendon and kind, ``blocks[tendon][kind]``. The kind is the regime,
-            plus 3 for a filter with added process noise.
-        transition: function that returns the transition of all tendons. The argument of this
-            function contains the kinds of the N tendons, as the bytes of int64 numbers. The results
-            of this function are cached, because the kinds rarely change.
+        blocks: filter of each tendon and each kind of design, ``blocks[tendon][kind]``. The number
+            of a kind is the regime, plus 3 for a filter with added process noise.
+        transition: function that returns the ``StateTransition`` of all tendons. The argument of
+            this function contains the kinds of design of the N tendons, as the bytes of int64
+            numbers. The results of ``transition`` are cached, because the kinds of design rarely
+            change.
     """
 
     blocks: tuple[tuple[FilterBlock, ...], ...]
     transition: "Callable[[bytes], StateTransition]" = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Create the cache of the transition matrices."""
+        """Create the cache for the transition matrices."""
         object.__setattr__(
             self, "transition", functools.lru_cache(TRANSITION_CACHE_SIZE)(self._stacked_transition)
         )
 
     @property
     def held_sigma(self) -> Matrix:
-        """Return the standard deviation of each tendon's tension in the regime ``HELD``, (N,) [N]."""
+        """Return the standard deviation of each tendon's tension in the regime ``HELD`` (N,) [N]."""
         return np.sqrt([tendon[TendonRegime.HELD].tension_variance for tendon in self.blocks])
 
     def _stacked_transition(self, kinds: bytes) -> StateTransition:
@@ -146,12 +148,13 @@ class FilterDesign:
 
 
 def _stack_blocks(blocks: list[Matrix]) -> Matrix:
-    """Return a matrix for N tendons, made of one block (rows, columns) for each tendon.
+    """Return a matrix for N tendons, made of one block of shape (rows, columns) for each tendon.
 
-    The tendon is the inner index of the matrix's rows and columns.
+    In the rows and columns of the matrix, the tendon is the inner index.
     """
     n, (rows, columns), each = len(blocks), blocks[0].shape, np.arange(len(blocks))
-    # Index (row, tendon, column, tendon): each tendon is coupled with itself only.
+    # The indices are (row, tendon, column, tendon), because each tendon is coupled only with
+    # itself.
     matrix = np.zeros((rows, n, columns, n))
     matrix[:, each, :, each] = blocks
     return matrix.reshape(rows * n, columns * n)

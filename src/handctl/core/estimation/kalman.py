@@ -1,11 +1,11 @@
 """Tension filter: estimates of tension, excursion and contact force from load cells, motor and joint encoders.
 
-One linear filter contains the states of all tendons. ``correct_filter`` corrects the states by the
-measurements. ``filterpy`` predicts the states to the present (called in ``controller.tick``).
-``derive_estimate`` derives the estimate from the states. A missing or saturated measurement has no
-innovation. After such a measurement, the covariance is propagated until it is steady again. A
-single outlier of a load cell is rejected. The measurements that arrive in a tick were taken one
-period earlier, just before the command of the previous tick took effect.
+One linear Kalman filter contains the states of all tendons. ``correct_filter`` corrects the states
+by the measurements. ``filterpy`` predicts the states to the present (called in
+``controller.tick``). ``derive_estimate`` derives the estimate from the states. A missing or
+saturated measurement has no innovation. After such a measurement, the covariance is propagated
+until it is steady again. A single outlier of a load cell is rejected. The measurements that arrive
+in a tick were taken one period earlier, just before the command of the previous tick took effect.
 """
 
 import math
@@ -102,14 +102,14 @@ MAX_NIS_SAMPLE = 100.0
 
 @kernel_helper
 def filter_kind(x: StateTables, n: int) -> int:
-    """Return the index of a tendon's filter design: the regime of the tendon, plus 3 while process noise is added."""
+    """Return the index of a tendon's filter design: the tendon's regime, plus 3 while process noise is added."""
     regime = x.tendon_int[s.REGIME, n]
     return regime + 3 if x.tendon[s.ADDED_NOISE_S, n] > 0.0 else regime
 
 
 @kernel_helper
 def correct_filter(x: StateTables, c: ConstantTables, missed: int) -> None:
-    """Correct the filter by the measurements of a tick, and judge the slack, the stop and the contact of each tendon.
+    """Correct the filter by the measurements of a tick, and judge slack, open stop and contact of each tendon.
 
     A digit with ``PLANNED_CONTACT`` or ``BLOCKED`` counts as held, see ``is_in_contact``.
 
@@ -120,8 +120,8 @@ def correct_filter(x: StateTables, c: ConstantTables, missed: int) -> None:
     """
     count = x.tendon.shape[1]
     for n in range(count):
-        # The kind of filter design may change below. The measurements are still judged by the kind
-        # of design that predicted them.
+        # The kind of filter design may change in the code below. The measurements are still judged
+        # by the kind of design that predicted them.
         x.tendon_int[s.FILTER_KIND, n] = x.tendon_int[s.FILTER_KIND_BEFORE, n] = filter_kind(x, n)
     z = _usable_measurements(x)
     innovation = _innovations(x, c, z)
@@ -150,7 +150,7 @@ def correct_filter(x: StateTables, c: ConstantTables, missed: int) -> None:
 
 @kernel_helper
 def _usable_measurements(x: StateTables) -> Matrix:
-    """Return the measurements (N, 3) of encoder, load cell and joint encoders.
+    """Return the measurements (N, 3) of motor encoder, load cell and joint encoders that can correct the filter.
 
     Missing measurements are NaN.
 
@@ -177,7 +177,7 @@ def _usable_measurements(x: StateTables) -> Matrix:
 def _innovations(x: StateTables, c: ConstantTables, z: Matrix) -> Matrix:
     """Return the measurements minus their expected values, (N, 3).
 
-    The result is NaN where a measurement is missing.
+    The innovation of a missing measurement is NaN.
     """
     innovation = np.empty_like(z)
     for n in range(len(z)):
@@ -194,9 +194,9 @@ def _innovations(x: StateTables, c: ConstantTables, z: Matrix) -> Matrix:
 
 @kernel_helper
 def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> bool:
-    """Return True if a measurement is missing that the steady gains assume.
+    """Return True if a measurement is missing that the constant gains of the filter assume.
 
-    For a slack tendon, these gains assume no load-cell reading.
+    For a slack tendon, the constant gains assume no load-cell reading.
     """
     for n in range(len(z)):
         assumed = x.tendon_int[s.REGIME, n] != SLACK_REGIME and c.tendon_int[h.CELL_GROUP, n] >= 0
@@ -209,7 +209,7 @@ def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> boo
 def _write_steady_gain(
     c: ConstantTables, n: int, kind: int, gain: Matrix, information: Vector
 ) -> None:
-    """Write the steady gain (7, 3) of a tendon's filter, and the inverse covariance (3,) of the innovations."""
+    """Write the constant gain (7, 3) of a tendon's filter, and the inverse covariance (3,) of the innovations."""
     for i in range(STATE_COUNT):
         for m in range(3):
             gain[i, m] = c.design[n, kind, h.K_AT + 3 * i + m]
@@ -221,7 +221,9 @@ def _write_steady_gain(
 def _gate_and_correct(
     x: StateTables, c: ConstantTables, innovation: Matrix, gain: Matrix, cell_sigma: Vector
 ) -> None:
-    """Correct the states by the innovations. Reject a single outlier of a load cell, but accept two in a row.
+    """Correct the states of the filter by the innovations.
+
+    A single outlier of a load cell is rejected, but two outliers in a row are accepted.
 
     Args:
         x: state tables.
@@ -229,7 +231,7 @@ def _gate_and_correct(
         innovation: (N, 3) innovations. The values are NaN if the measurement is missing. Rejected
             innovations become NaN.
         gain: (N, 7, 3) gains.
-        cell_sigma: (N,) standard deviation of the load-cell innovation [N].
+        cell_sigma: (N,) standard deviation of the innovation of each load cell [N].
     """
     for n in range(len(innovation)):
         cell = innovation[n, 1]
@@ -248,7 +250,7 @@ def _gate_and_correct(
                 steady += (
                     c.design[n, kind, h.TENSION_ROW_AT + i] * c.design[n, kind, h.K_AT + 3 * i + 1]
                 )
-            # The correction by the gain is added below, so only the rest of STEP_FRACTION is
+            # The code below adds the correction by the gain, so only the rest of STEP_FRACTION is
             # applied here.
             jump = max(STEP_FRACTION - steady, 0.0) * cell
         if abs(sigmas) > OUTLIER_GATE_SIGMAS and not again:
@@ -258,17 +260,18 @@ def _gate_and_correct(
             for m in range(3):
                 if not math.isnan(innovation[n, m]):
                     x.tendon[s.TRAVEL + i, n] += gain[n, i, m] * innovation[n, m]
-        # At the same travel, more tension means more stretch, and therefore less excursion.
+        # At the same travel, more tension means more stretch of the tendon, and therefore less
+        # excursion.
         x.tendon[s.EXCURSION, n] -= jump / c.tendon[h.TENDON_STIFFNESS, n]
 
 
 @kernel_helper
 def _move_slack_with_taut(x: StateTables, c: ConstantTables) -> None:
-    """Move the excursion of each slack tendon with the other tendons of a digit with surplus tendons.
+    """Correct the excursion of slack tendons by the other tendons, in digits with surplus tendons.
 
-    The excursions of a digit are R q. If one tendon is slack, its excursion follows from those of
-    the other tendons. If several tendons are slack, each tick is one iteration of a Gauss-Seidel
-    solution.
+    The excursions of a digit are the product R q of its moment arms and joint angles. If one tendon
+    is slack, its excursion follows from the excursions of the other tendons. If several tendons are
+    slack, each tick is one step of an iterative (Gauss-Seidel) solution.
     """
     for n in range(x.tendon.shape[1]):
         if c.tendon_int[h.HAS_SURPLUS, n] and x.tendon_int[s.REGIME, n] == SLACK_REGIME:
@@ -285,12 +288,12 @@ def _move_slack_with_taut(x: StateTables, c: ConstantTables) -> None:
 def _normalised_innovation_squared(
     innovation: Vector, information: Vector, without_cell: bool
 ) -> float:
-    """Return the normalised innovation squared of encoder and load cell.
+    """Return the normalised innovation squared (NIS) of encoder and load cell.
 
-    Return NaN if either measurement is missing.
+    Return NaN if the encoder or the load-cell measurement is missing.
 
     For a tendon without a load cell (``without_cell``), the result is twice the value of the
-    encoder alone. The ideal mean of the result is 2, as with a load cell.
+    encoder alone. In both cases, the result has a mean of 2 if the model is correct.
     """
     if without_cell:
         return 2.0 * information[0] * innovation[0] * innovation[0]
@@ -307,9 +310,9 @@ def _judge_consistency(
 ) -> None:
     """Average the normalised innovations squared (NIS), and judge whether the model of each tendon is consistent.
 
-    NIS has a slow and a fast average. The slow average decides when the operator is informed. The
-    fast average decides when process noise is added. The fast average uses the covariance without
-    added noise, because added noise would hide an error of the model.
+    The NIS is averaged over a long and over a short time. The long average decides when the
+    operator is informed. The short average decides when process noise is added. The short average
+    uses the covariance without added noise, because added noise would hide an error of the model.
     """
     nominal = np.empty(3)
     for n in range(len(innovation)):
@@ -326,7 +329,8 @@ def _judge_consistency(
             continue
         nis = min(nis, MAX_NIS_SAMPLE)
         period = c.run[h.PERIOD]
-        # First-order low-pass. The period of a tick is short compared with the averaging time.
+        # The averages are first-order low-pass filters. The control period is short compared with
+        # the averaging times.
         x.tendon[s.NIS_MEAN, n] += period / NIS_AVERAGING_TIME_S * (nis - x.tendon[s.NIS_MEAN, n])
         if period <= ADDED_NOISE_MAX_PERIOD_S:
             x.tendon[s.NIS_FAST, n] += period / NOISE_NIS_S * (nis - x.tendon[s.NIS_FAST, n])
@@ -341,10 +345,10 @@ def _judge_consistency(
 
 @kernel_helper
 def _judge_noise(x: StateTables, c: ConstantTables) -> None:
-    """Decide by the fast average of NIS which tendons get added process noise.
+    """Decide by the short average of the NIS which tendons get added process noise.
 
     The added noise is kept for ``MAX_ADDED_NOISE_S``. A wrong friction in the model is visible only
-    while the tendon moves, and has the largest effect at the next reversal of its motion.
+    while the tendon moves, and its effect is largest when the motion reverses.
     """
     if c.run[h.PERIOD] > ADDED_NOISE_MAX_PERIOD_S:
         return
@@ -362,7 +366,7 @@ def _judge_noise(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def filtered_tension(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the tension of a tendon at its load cell, computed from the states of the filter [N].
+    """Return the tension of a tendon at its load cell [N], computed from the filter states.
 
     The computed tension may be negative.
     """
@@ -375,7 +379,7 @@ def filtered_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vector) -> None:
-    """Write the angles or rates (J,) that all joints would have if their digits were free, q = B R_r^+ s.
+    """Write the angles or rates (J,) that the joints would have if their digits were free, q = B R_r^+ s.
 
     B is the coupling of the joints. R_r are the reduced moment arms, and s are the excursions or
     their rates. With varying moment arms, the angles also have an offset, see
@@ -384,9 +388,9 @@ def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vecto
     Args:
         x: state tables.
         c: constants of the hand.
-        row: row of the tendon table that contains s: ``EXCURSION`` for angles, ``EXCURSION_RATE``
+        row: row of the tendon table with the values s: ``EXCURSION`` for angles, ``EXCURSION_RATE``
             for rates.
-        result: (J,) angles [rad] or rates [rad/s].
+        result: (J,) result: angles [rad] or rates [rad/s].
     """
     for j in range(len(result)):
         result[j] = c.joint[h.ANGLE_OFFSET, j] if row == s.EXCURSION else 0.0
@@ -396,7 +400,7 @@ def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vecto
 
 @kernel_helper
 def _load_forces(x: StateTables, c: ConstantTables) -> Matrix:
-    """Return three forces of each tendon, (3, N) [N]: the resistance, the speed-signed pull and the pull.
+    """Return three forces of each tendon (3, N) [N]: the resistance, the pull with the sign of speed, and the pull.
 
     The resistance is the tension at the joints that balances springs and gravity. The pull is the
     estimated tension at the joints, after the loss by friction. For a moving tendon, the control
@@ -432,17 +436,17 @@ def _load_forces(x: StateTables, c: ConstantTables) -> Matrix:
 
 @kernel_helper
 def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
-    """Update the regime of each tendon, and set the stretch offset of a newly taut tendon.
+    """Update the regime of each tendon, and set the stretch offset of each tendon that has become taut.
 
-    The regime depends on slack, on the open stop and on contact. Return the result of
-    ``_load_forces``, computed after this update.
+    The regime of a tendon depends on slack, on the open stop and on contact. Return the result of
+    ``_load_forces``, computed with the new regimes.
     """
     force = _load_forces(x, c)
     changed = False
     for n in range(x.tendon.shape[1]):
         regime = x.tendon_int[s.REGIME, n]
         cell = x.tendon[s.MEASURED_TENSION, n]
-        # While a tendon is slack, the encoder alone determines the length that must still be wound
+        # While a tendon is slack, only the encoder determines the length that must still be wound
         # up.
         near = (
             regime == SLACK_REGIME and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and is_nearly_taut(x, n)
@@ -451,15 +455,15 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         points = x.tendon_int[s.REGIME_EVIDENCE, n]
         tension = filtered_tension(x, c, n)
         if blind:
-            # The model of a slack tendon has no tension. Once the tendon is taut, the estimated
-            # disturbance therefore equals minus its tension.
+            # In the model of a slack tendon, the tension is 0. When the tendon has become taut, the
+            # estimated disturbance force therefore equals minus the tension.
             cell = -x.tendon[s.DISTURBANCE, n]
             points = regime_evidence_without_cell(regime, points, tension, cell)
         else:
             points = regime_evidence(regime, points, tension, cell, x.tendon[s.CELL_ERROR, n], near)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            # The spool of a pair turns the joint in both directions. One tendon of the pair is
-            # always taut.
+            # The spool of a pair turns the joint in both directions. At least one tendon of a spool
+            # pair is always taut.
             points = 0
             regime = FREE_REGIME
         elif is_regime_over(regime, points, blind):
@@ -472,7 +476,8 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         was = x.tendon_int[s.ON_OPEN_STOP, n] == 1
         stopped = c.tendon_int[h.HAS_RETURN_SPRINGS, n] == 1
         if stopped:
-            # For a tendon that opens its digit, the pull and the excursion are negative here.
+            # For a tendon that opens its digit, the pull and the excursion are negative in this
+            # test.
             side = c.tendon[h.CLOSING_SIGN, n]
             opened = c.tendon[h.OPEN_EXCURSION, n]
             stopped = _is_at_stop(
@@ -484,8 +489,9 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         x.tendon_int[s.ON_OPEN_STOP, n] = stopped
         if regime != SLACK_REGIME:
             if stopped and not was:
-                # The digit has come to rest on its open stop. The excursion is then known. The
-                # error of its estimate is added to the stretch offset.
+                # The digit has come to rest on its open stop. When a digit is on its open stop, the
+                # excursions of its tendons are known. The error of the estimated excursion is added
+                # to the stretch offset.
                 opened = c.tendon[h.OPEN_EXCURSION, n]
                 x.tendon[s.STRETCH_OFFSET, n] += x.tendon[s.EXCURSION, n] - opened
                 x.tendon[s.EXCURSION, n] = opened
@@ -507,14 +513,14 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
 
 @kernel_helper
 def is_in_contact(x: StateTables, d: int) -> bool:
-    """Return True if a digit is blocked, or if it touches an object according to the program while torque may act."""
+    """Return True if a digit is blocked, or if the program reports a contact while the motors may make torque."""
     acting = ARMING_MODE <= x.run_int[s.MODE] <= RELAX_MODE
     return (acting and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[s.BLOCKED, d] == 1
 
 
 @kernel_helper
 def _is_at_stop(was_at_stop: bool, excursion: float, force: float, resistance: float) -> bool:
-    """Return True if springs hold a digit on its open stop against the pull of the tendon."""
+    """Return True if springs hold a digit on its open stop against the pull of a tendon."""
     if was_at_stop:
         return excursion < STOP_BAND_STAY_M and force < resistance * STOP_PULL_STAY
     return excursion < STOP_BAND_REST_M and force < resistance * STOP_PULL_REST
@@ -529,24 +535,24 @@ def _choose_filter_kinds(x: StateTables) -> None:
 
 @kernel_helper
 def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) -> None:
-    """Write the unexplained load force of each tendon.
+    """Write for each tendon the load force that springs, gravity and friction do not explain.
 
-    The value is positive if it acts against closing.
+    The value is positive if the load force acts against the closing of the digit.
 
-    The force is 0 for a slack tendon, and while the digit is at its open stop.
+    The value is 0 for a slack tendon, and while the digit is at its open stop.
     """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0
         if x.tendon_int[s.REGIME, n] != SLACK_REGIME and not x.tendon_int[s.ON_OPEN_STOP, n]:
             damping = c.tendon[h.LOAD_DAMPING, n] * x.tendon[s.EXCURSION_RATE, n]
-            # The force is pull minus resistance. An object that resists the closing digit makes
-            # this difference positive.
+            # The load force is the pull of the tendon minus the resistance of springs and gravity.
+            # If an object resists the closing digit, the load force is positive.
             x.tendon[s.EXTERNAL_TENSION, n] = force[2, n] - force[0, n] - damping
 
 
 @kernel_helper
 def write_unknown_estimate(x: StateTables) -> None:
-    """Write the estimate of a tick in which not all sensors have been read yet: no contact and no innovation."""
+    """Write the estimate of a tick before the first reading of every sensor: no contact and no innovation."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0
         x.tendon[s.INNOVATION, n] = x.tendon[s.NIS, n] = math.nan
@@ -555,10 +561,10 @@ def write_unknown_estimate(x: StateTables) -> None:
 
 @kernel_helper
 def derive_estimate(x: StateTables, c: ConstantTables) -> None:
-    """Derive the estimate from the predicted states: tensions, standard deviations, angles of free digits."""
+    """Compute tensions, standard deviations and free joint angles from the predicted states of the filter."""
     for n in range(x.tendon.shape[1]):
         tension = filtered_tension(x, c, n)
-        # A tendon that is no spool pair cannot push.
+        # Only a spool pair can push, and a single tendon cannot.
         x.tendon[s.TENSION, n] = tension if c.tendon_int[h.IS_SPOOL_PAIR, n] else max(tension, 0.0)
         x.tendon[s.TENSION_SIGMA, n] = math.sqrt(
             c.design[n, x.tendon_int[s.FILTER_KIND, n], h.TENSION_VARIANCE_AT]

@@ -16,7 +16,10 @@ from handctl.core.state_block import StateTables
 
 @kernel_helper
 def write_measurements(x: StateTables, c: ConstantTables) -> None:
-    """Write the readings that arrived in this tick as measurements. Missing readings become NaN."""
+    """Write the readings that arrived in the present tick as measurements.
+
+    Missing readings become NaN.
+    """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.MEASURED_POSITION, n] = math.nan
         if x.tendon_int[s.FEEDBACKS_NOW, n] > 0:
@@ -44,7 +47,7 @@ def write_measurements(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def reject_outliers(x: StateTables, c: ConstantTables, missed: int) -> None:
-    """Reject positions that a rotor or a joint cannot have reached since the last accepted position.
+    """Reject positions that a motor or a joint cannot have reached since the last accepted position.
 
     Args:
         x: state tables.
@@ -76,22 +79,22 @@ def _reject_outlier(
     limit: float,
     missed: int,
 ) -> None:
-    """Reject a position that is too far from the last accepted position.
+    """Reject a position that is too far from the last accepted position of the same sensor.
 
     Args:
         table: table of the position, (rows, n).
         i: column of the position in the table.
         measured: row of the measured position.
         accepted: row of the last accepted position.
-        gap_row: row of a number of ticks. The accepted position may have been measured this number
+        gap_row: row of a number of ticks: the accepted position may have been measured this number
             of ticks before the last tick.
         jump: row of the rejected step.
-        dropped: row of the number of consecutive rejections.
+        dropped: row for the number of consecutive rejections.
         limit: largest possible step in a period [rad].
         missed: see ``reject_outliers``.
     """
     value = table[measured, i]
-    # A comparison with NaN is False. So no step is rejected if the measured or the accepted
+    # A comparison with NaN is False. So no position is rejected if the measured or the accepted
     # position is missing.
     step = abs(value - table[accepted, i])
     gap = table[gap_row, i] + 1.0 + missed
@@ -109,7 +112,7 @@ def _reject_outlier(
 
 @kernel_helper
 def clear_rejected_steps(x: StateTables) -> None:
-    """Set all rejected steps to 0, because positions are not tested while no torque acts."""
+    """Set the sizes of all rejected steps to 0, because positions are not tested while no motor makes torque."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.REJECTED_STEP, n] = 0.0
     for j in range(x.joint.shape[1]):
@@ -118,17 +121,17 @@ def clear_rejected_steps(x: StateTables) -> None:
 
 @kernel_helper
 def convert_positions(x: StateTables, c: ConstantTables) -> None:
-    """Write the measured travel, motor force and excursion of each tendon from the accepted positions."""
+    """Write the measured travel, motor force and excursion of each tendon, computed from accepted positions."""
     for n in range(x.tendon.shape[1]):
         spool = c.tendon[h.SPOOL_RADIUS, n]
         x.tendon[s.MEASURED_TRAVEL, n] = x.tendon[s.MEASURED_POSITION, n] * spool
         if c.run_int[h.HAS_CARRIER_ARMS]:
-            # The estimated joint angles come from the last tick, which predicted them to the time
-            # of this measurement.
+            # The estimated joint angles were computed in the last tick, which predicted them to the
+            # time of this measurement.
             x.tendon[s.MEASURED_TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
         valid = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
-        # A drive reports the torque that an ideal motor would make. The real motor makes this
-        # torque times ``TORQUE_GAIN``.
+        # A drive reports the torque that an ideal motor would make. The real motor makes the
+        # reported torque multiplied by ``TORQUE_GAIN``.
         made = x.tendon[s.REPORTED_TORQUE, n] * c.tendon[h.TORQUE_GAIN, n]
         x.tendon[s.MEASURED_FORCE, n] = made / spool if valid else math.nan
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
@@ -141,7 +144,7 @@ def convert_positions(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def monitored_tension(x: StateTables, c: ConstantTables, n: int, tared: bool) -> float:
-    """Return the tension that detectors judge [N]: the load-cell reading, or the estimate without a load cell.
+    """Return the tension that detectors judge [N]: the load-cell reading, or the estimate without load cell.
 
     Args:
         x: state tables.
@@ -175,10 +178,10 @@ def start_filter(x: StateTables, c: ConstantTables) -> None:
             h.SPOOL_RADIUS, n
         ]
         if c.run_int[h.HAS_CARRIER_ARMS]:
-            # The tendons of a carrying digit come before the tendons of the digits that it carries.
-            # The angles of the carrying digit are therefore known here.
+            # The tendons of a digit that carries other digits come before the tendons of the
+            # carried digits. The joint angles of the carrying digit are therefore known here.
             write_free_angles(x, c, s.EXCURSION, x.joint[s.Q])
             x.tendon[s.TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            x.tendon[s.EXCURSION, n] = x.tendon[s.TRAVEL, n]  # zero net tension means no stretch
+            x.tendon[s.EXCURSION, n] = x.tendon[s.TRAVEL, n]  # no stretch at zero net tension
     x.run_int[s.FILTER_STARTED] = 1

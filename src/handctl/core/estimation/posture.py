@@ -1,21 +1,22 @@
-"""Estimate of the joint angles of digits with fewer tendons than joints, with standard deviations.
+"""Joint angles of digits with fewer tendons than joints, with their standard deviations.
 
 Excursions determine the joint angles of a digit up to the null space of the moment arms. The joints
 of a free digit have the angles of its coupling, q = B theta. If the digit touches an object, the
 object turns its joints against each other. The turn of the joints is the torque of the contact
 times the compliance of the springs in the null space, N (N^T K N)^-1 N^T. The torque of the contact
 follows from the unexplained tension. The place of the contact is unknown, so the estimate is the
-mean over several
-places: the middle of each link, the tip, and a torque on all joints alike. The standard deviation
-of an angle has several parts: the differences between these places,
+mean over several places: the middle of each link, the tip, and a torque on all joints alike. The
+standard deviation of an angle has several parts: the differences between the assumed places of
+contact,
 
-- the error of the tension's model, at each of these places,
+- the error of the modelled tension, at each of these places,
 - capstan friction, whose sign depends on the direction of motion,
 - springs and gravity that do not agree with the coupling of a free digit,
 - the error of the excursion.
 
-Joint encoders, if present, are fused with this estimate (Kalman update with the full covariance).
-A digit with as many tendons as joints has no null space, so its excursions determine the angles.
+If the hand has joint encoders, a Kalman update with the full covariance combines their readings
+with this estimate. In a digit with as many tendons as joints, the excursions fully determine the
+joint angles.
 """
 
 import math
@@ -96,8 +97,8 @@ def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) 
             x.joint[s.Q_SIGMA, j] = math.sqrt(variance[j])
         return
     for d in range(x.digit.shape[1]):
-        # The contact tension rises at once when the digit touches an object, and decays with the
-        # time constant CONTACT_FADE_S.
+        # The contact tension rises at once when the digit touches an object, and later decays with
+        # the time constant CONTACT_FADE_S.
         x.digit[s.CONTACT_TENSION, d] = max(
             x.digit[s.TOUCH, d], x.digit[s.CONTACT_TENSION, d] * c.run[h.CONTACT_DECAY]
         )
@@ -117,7 +118,7 @@ def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) 
 
 @kernel_helper
 def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Vector]:
-    """Return how far the error of each excursion turns the joints, (J, N) [rad], and the resulting variances (J,)."""
+    """Return how far the error of each excursion turns the joints (J, N) [rad], and the variances (J,)."""
     joints = x.joint.shape[1]
     tendons = x.tendon.shape[1]
     spread = np.zeros((joints, tendons))
@@ -130,8 +131,9 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
             c.tendon[h.TENDON_STIFFNESS, n]
         )
         if c.run_int[h.HAS_CARRIER_ARMS]:
-            # Add the error that comes from the angles of carrying digits. The tendons of carrying
-            # digits come first, so ``total`` already contains this error.
+            # This adds the error that the joint angles of carrying digits cause. The tendons of
+            # carrying digits come first, so ``total`` already contains the error of the carrying
+            # digits.
             for j in range(joints):
                 variance += square(c.tendon_joint[h.CARRIER_ARMS, n, j]) * total[j]
         excursion = math.sqrt(variance)
@@ -145,7 +147,7 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
 def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     """Return deviations (2 H + 2, J) of the joint angles in the null space [rad].
 
-    Also write the turn that a contact causes.
+    The function also writes the turn of the joints that a contact causes.
 
     The covariance of the angles is the sum of the products of these deviations. H is the number of
     places of contact. The levers are computed at the angles of the last estimate, so each tick is
@@ -166,8 +168,8 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
         x.joint[s.CONTACT_TURN, j] = turn
         for place in range(places):
             root = math.sqrt(c.place_joint[h.PLACE_WEIGHT, place, j])
-            # The deviations are multiplied by the square root of the probability, so that the sum
-            # of their squares is the variance over the places.
+            # The errors are multiplied by the square root of the probability of their place, so
+            # that the sum of their squares is the variance over the places.
             columns[place, j] = root * (turns[place, j] - turn)
             columns[places + place, j] = root * deviation[place, j]
     for row in range(places, 2 * places + 2):
@@ -188,7 +190,7 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
 
 @kernel_helper
 def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
-    """Return the turn of each joint by a contact at each place, and its standard deviation, (H, J) [rad]."""
+    """Return the turn of each joint by a contact at each assumed place, and the standard deviation (H, J) [rad]."""
     places = c.place_joint.shape[1]
     joints = x.joint.shape[1]
     turns = np.zeros((places, joints))
@@ -219,8 +221,8 @@ def _write_place_levers(
 ) -> None:
     """Write the levers (J,) [m] of a force at a place of contact about the joints of a digit.
 
-    Place i is the middle of link i. The place after the last link is the tip. Further places have
-    no levers.
+    Place i is the middle of link i. The place after the last link is the tip. At all further
+    places, the levers are 0.
     """
     first = c.digit_int[h.JOINTS_FIRST, d]
     end = c.digit_int[h.JOINTS_END, d]
@@ -244,7 +246,7 @@ def _write_digit_turn(
     turns: Vector,
     deviation: Vector,
 ) -> None:
-    """Write how far a contact with given levers turns the joints of a digit.
+    """Write how far a contact turns the joints of a digit, for given levers of the contact force.
 
     Args:
         x: state tables.
@@ -252,9 +254,9 @@ def _write_digit_turn(
         d: index of the digit.
         lever: (J,) levers of the contact force about the joints [m].
         torque: (J,) torque of the contact [N m].
-        error: (J,) standard deviation of the torque [N m].
+        error: (J,) standard deviation of the torque of the contact [N m].
         turns: (J,) result: turn of each joint [rad].
-        deviation: (J,) result: standard deviation of the turn [rad].
+        deviation: (J,) result: standard deviation of each turn [rad].
     """
     first = c.digit_int[h.JOINTS_FIRST, d]
     end = c.digit_int[h.JOINTS_END, d]
@@ -276,15 +278,16 @@ def _write_digit_turn(
         deviation[j] = work_error / size * compliance
     fraction = _range_fraction(x, c, d, turns, 1.0)
     for j in range(first, end):
-        # all joints are reduced by the same fraction, so that the excursion does not change
+        # the turns of all joints are reduced by the same fraction, so that the excursion does not
+        # change
         turns[j] *= fraction
 
 
 @kernel_helper
 def _range_fraction(x: StateTables, c: ConstantTables, d: int, turn: Vector, sign: float) -> float:
-    """Return the largest fraction, 0 to 1, of a turn (J,) [rad] that keeps the joints of a digit within their ranges.
+    """Return the largest fraction (0 to 1) of a turn (J,) [rad] that keeps the joints within their ranges.
 
-    The turn starts at the angles of the free digit.
+    The turn starts at the joint angles of the free digit.
     """
     fraction = 1.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
@@ -297,7 +300,7 @@ def _range_fraction(x: StateTables, c: ConstantTables, d: int, turn: Vector, sig
 
 @kernel_helper
 def _write_free_errors(x: StateTables, c: ConstantTables, turn: Matrix) -> None:
-    """Write the turn of free digits out of their coupling by friction, and by springs with gravity, (2, J) [rad]."""
+    """Write how far friction, and springs with gravity, turn the joints of free digits [rad], (2, J)."""
     joints = x.joint.shape[1]
     torque = np.zeros((2, joints))
     write_static_torque(c, x.joint[s.Q], torque[1])
@@ -321,7 +324,7 @@ def _write_free_errors(x: StateTables, c: ConstantTables, turn: Matrix) -> None:
 def _fuse_encoders(
     x: StateTables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: int
 ) -> None:
-    """Correct the joint angles by the joint encoders, one after the other.
+    """Correct the joint angles by the readings of the joint encoders, one encoder after the other.
 
     This gives the exact result, because the noises of the encoders are independent.
 
@@ -330,7 +333,7 @@ def _fuse_encoders(
         c: constants of the hand.
         columns: (2 H + 2, J) deviations of the angles in the null space [rad], see
             ``_covariance_columns``.
-        spread: (J, N) deviations of the angles that the excursions cause [rad], see
+        spread: (J, N) errors of the angles that the errors of the excursions cause [rad], see
             ``_excursion_deviations``.
         t_ns: present time [ns].
 
@@ -360,7 +363,7 @@ def _fuse_encoders(
         noise = c.joint[h.ENCODER_VARIANCE, j] + square(RATE_ERROR_FRACTION * moved)
         residual = x.joint[s.JOINT_ANGLE, j] + moved - x.joint[s.Q, j]
         for a in range(joints):
-            # A row of the covariance is copied, because the loop below overwrites it.
+            # A row of the covariance is copied before the loop below changes it.
             gain[a] = covariance[a, j] / (covariance[j, j] + noise)
             before[a] = covariance[j, a]
         for a in range(joints):
@@ -375,11 +378,11 @@ def _fuse_encoders(
 
 @kernel_helper
 def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
-    """Write the tip-equivalent force of each digit, and its standard deviation from errors of angles and tensions.
+    """Write for each digit the force at the tip that has the same effect as the contact, and its standard deviation.
 
-    The tip-equivalent force acts at the tip, along the y axis of the last link, and makes the
-    torque of the contact. The tension of a finger with one tendon does not depend on the place of
-    contact. For such a finger, the tip is a convention.
+    This tip-equivalent force acts along the y axis of the last link, and makes the same torque as
+    the contact. The tension of a finger with one tendon does not show the place of the contact. For
+    a finger with one tendon, the tip is therefore assumed as the place.
     """
     joints = x.joint.shape[1]
     coordinates = x.coordinate.shape[1]
@@ -439,7 +442,7 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def _reduce_levers(c: ConstantTables, d: int, lever: Vector, result: Vector) -> None:
-    """Write the levers (C,) [m] about a digit's coordinates, from the levers (J,) [m] about its joints."""
+    """Write the levers (C,) [m] about a digit's coordinates, computed from the levers (J,) [m] about its joints."""
     for k in range(c.digit_int[h.COORDINATES_FIRST, d], c.digit_int[h.COORDINATES_END, d]):
         result[k] = 0.0
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
@@ -448,7 +451,7 @@ def _reduce_levers(c: ConstantTables, d: int, lever: Vector, result: Vector) -> 
 
 @kernel_helper
 def _dot_over_coordinates(c: ConstantTables, d: int, vector: Vector, other_vector: Vector) -> float:
-    """Return the dot product of two vectors (C,) over the coordinates of a digit."""
+    """Return the dot product of two vectors (C,), summed over the coordinates of a digit."""
     total = 0.0
     for k in range(c.digit_int[h.COORDINATES_FIRST, d], c.digit_int[h.COORDINATES_END, d]):
         total += vector[k] * other_vector[k]

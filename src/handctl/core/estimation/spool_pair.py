@@ -1,15 +1,15 @@
 """Net tension of a spool pair: two antagonistic tendons on one spool, wound in opposite directions.
 
-When the spool turns, it winds up a length dl of one tendon, and pays out an equal length of the
-other tendon. Each tendon has the pretension p and the stiffness k, so the tensions are p + k dl and
-p - k dl, but never below 0. The net tension u of the pair is the difference of the two tensions.
-While both tendons are taut, u is 2 k dl. If |u| exceeds 2 p, one tendon is slack, and the other
-tendon bears all of u. In one formula the first tendon has the tension max(p + u / 2, u, 0), and the
-second has max(p - u / 2, -u, 0).
+When the spool turns, it winds up a length dl of one tendon, and pays out the same length of the
+other tendon. The tensions of the two tendons are p + k dl and p - k dl, but never below 0, with the
+pretension p and the stiffness k of each tendon. The net tension u of the pair is the difference of
+the two tensions. While both tendons are taut, u is 2 k dl. If |u| exceeds 2 p, one tendon is slack,
+and the other tendon carries the whole net tension u. In all cases, the first tendon has the tension
+max(p + u / 2, u, 0), and the second tendon has the tension max(p - u / 2, -u, 0).
 
-Behind the pulleys, friction lowers the tension of the tendon that is wound, and raises the tension
-of the tendon that is paid out. Both effects resist the motion. Because of the pretension, even a
-pair without net tension therefore has friction.
+Behind the pulleys, friction makes the tension of the wound tendon smaller, and the tension of the
+other tendon larger. Both effects of friction resist the motion. Because of the pretension, a pair
+has friction even if its net tension is 0.
 """
 
 from handctl.compiled import kernel_helper
@@ -22,8 +22,8 @@ def net_tension_at_joint(net: float, pretension: float, passed_fraction: float) 
     Args:
         net: net tension at the spool [N].
         pretension: pretension of both tendons [N].
-        passed_fraction: tension of the first tendon behind the pulleys, as a fraction of its
-            tension at the spool. The second tendon moves in the opposite direction, so its fraction
+        passed_fraction: tension of the first tendon behind the pulleys, divided by its tension at
+            the spool. The second tendon moves in the opposite direction, so its ratio of tensions
             is the reciprocal.
 
     Source: capstan equation.

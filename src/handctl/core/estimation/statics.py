@@ -1,4 +1,4 @@
-"""Known forces of a hand at rest: torques of springs and gravity, and tensions after pulley friction."""
+"""Forces of a hand at rest: torques of springs and gravity, and tensions after the friction of pulleys."""
 
 import math
 
@@ -23,7 +23,7 @@ If the numbers of a bad hand exceed it, Python raises an error, but compiled cod
 
 @kernel_helper
 def link_poses_of_hand(c: ConstantTables, q: Vector) -> Matrix:
-    """Return the poses (J, rigid_body.POSE) of all links at joint angles q (J,) [rad], without carried masses."""
+    """Return the poses of all links (J, rigid_body.POSE) at joint angles q (J,) [rad], without carried masses."""
     pose = np.empty((len(q), rigid_body.POSE_COLUMN_COUNT))
     rigid_body.write_link_poses(c.joint, h.LINK_TABLE, c.joint_int[h.PARENT_JOINT], q, pose)
     return pose
@@ -37,7 +37,8 @@ MAX_OWN_FRACTION = 0.999
 def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
     """Write the joint torques (J,) [N m] that balance gravity and springs at joint angles q (J,) [rad].
 
-    The weight of a link acts on the joint of the link and on all joints towards the palm.
+    The weight of a link acts on the joint of the link and on all joints between the link and the
+    palm.
     """
     gravity = c.run[h.GRAVITY : h.GRAVITY + 3]
     rigid_body.write_weight_torques(
@@ -54,9 +55,9 @@ def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
 
 @kernel_helper
 def wrap_of_joint(c: ConstantTables, j: int, q: float) -> float:
-    """Return the wrap angle that joint j adds to a tendon at position q [rad].
+    """Return the wrap angle that joint j adds to a tendon when the joint is at position q [rad].
 
-    The value is 0 for a prismatic joint.
+    The wrap angle is 0 for a prismatic joint.
     """
     return 0.0 if c.joint[h.LINK_TABLE + rigid_body.PRISMATIC_ROW, j] != 0.0 else q
 
@@ -87,11 +88,11 @@ def pulley_torque(
     Args:
         c: constants of the hand.
         n: index of the tendon.
-        arm: moment arm about the joint [m].
-        tension: tension at the load cell [N]. For a spool pair, it is the net tension.
-        friction_state: development of friction, from 1 for a winding tendon to -1 for a tendon that is
+        arm: moment arm of the tendon about the joint [m].
+        tension: tension at the load cell, or the net tension of a spool pair [N].
+        friction_state: friction state of the tendon, from 1 while it is wound to -1 while it is
             paid out.
-        wrap_angle: wrap angle of the tendon up to the pulley [rad].
+        wrap_angle: wrap angle of the tendon up to and including the pulley [rad].
     """
     passed = capstan_ratio(c, n, friction_state, wrap_angle)
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
@@ -103,10 +104,10 @@ def pulley_torque(
 def subtract_passing_torque(
     c: ConstantTables, q: Vector, tension: Vector, friction_state: Vector, torque: Vector
 ) -> None:
-    """Subtract the torques of passing tendons from the joint torques (J,) that tendons of carrying digits must make.
+    """Subtract the torques of passing tendons from the joint torques (J,) of the digits that they pass.
 
-    A passing tendon belongs to a digit, and passes a joint of a digit that carries this digit, for
-    example the wrist.
+    A passing tendon belongs to a digit, and passes a joint of another digit that carries this
+    digit, for example the wrist.
 
     Args:
         c: constants of the hand.
@@ -129,7 +130,7 @@ def subtract_passing_torque(
 
 @kernel_helper
 def wrap_before_digit(c: ConstantTables, n: int, q: Vector) -> float:
-    """Return the wrap angle of tendon n before the joints of its digit [rad].
+    """Return the wrap angle of tendon n on the pulleys before its own digit [rad].
 
     Args:
         c: constants of the hand.
@@ -159,7 +160,7 @@ def write_tip_levers(c: ConstantTables, d: int, pose: Matrix, lever: Vector) -> 
 
 @kernel_helper
 def write_tensions_for_torque(c: ConstantTables, torque: Vector, tension: Vector) -> None:
-    """Write the smallest tensions (N,) [N] that make joint torques (J,) [N m]."""
+    """Write the smallest tensions (N,) [N] that make the given joint torques (J,) [N m]."""
     for n in range(len(tension)):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         tension[n] = 0.0
@@ -173,8 +174,8 @@ def write_tensions_at_joints(
 ) -> None:
     """Write the tensions at the joints, with the effect of friction.
 
-    Without friction, these tensions would make the same joint torques as the tensions at the load
-    cells make with friction.
+    These tensions make the same joint torques without friction as the tensions at the load cells
+    make with friction.
 
     Args:
         c: constants of the hand.
@@ -200,13 +201,13 @@ def write_tensions_at_joints(
 
 @kernel_helper
 def part_explained_by_motion(c: ConstantTables, n: int, values: Vector) -> float:
-    """Return the part of the value of tendon n that a motion of the digit explains: element n of R R^+ v.
+    """Return the part of a value of tendon n that a motion of the digit explains, element n of R R^+ v.
 
     Args:
         c: constants of the hand.
         n: index of the tendon.
-        values: (N,) values v along all tendons. If the values are excursions, ``EXPLAINED_OFFSET``
-            must be added to the result.
+        values: (N,) values v, one for each tendon, for example excursions or tensions. If the
+            values are excursions, the caller must add ``EXPLAINED_OFFSET`` to the result.
     """
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     total = 0.0
@@ -220,18 +221,19 @@ def part_explained_by_motion(c: ConstantTables, n: int, values: Vector) -> float
 
 @kernel_helper
 def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: float) -> float:
-    """Return the value of tendon n that follows from the other tendons of its digit.
+    """Return the value of tendon n that follows from the values of the other tendons of its digit.
 
-    Return NaN if it does not follow from them.
+    Return NaN if the value does not follow from the other tendons.
 
-    The values of a digit's tendons are R q. In a digit with more tendons than coordinates, the
-    values of the other tendons determine q, and therefore also the value of tendon n.
+    The values of a digit's tendons are the product R q. In a digit with more tendons than
+    coordinates, the other tendons determine q, and q determines the value of tendon n.
 
     Args:
         c: constants of the hand.
         n: index of the tendon.
-        values: (N,) values along all tendons, for example excursions [m].
-        offset: ``EXPLAINED_OFFSET`` for excursions, 0 for their rates.
+        values: (N,) values, one for each tendon, for example excursions [m].
+        offset: ``EXPLAINED_OFFSET`` if the values are excursions, 0 if they are rates of
+            excursions.
     """
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     own = 0.0
@@ -244,10 +246,10 @@ def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: 
 
 @kernel_helper
 def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
-    """Return the fraction of the tension at the load cell that reaches the joints while the tendon is wound up.
+    """Return the fraction of the load-cell tension that reaches the joints while the tendon is wound up.
 
-    The fraction is the mean over the pulleys, weighted by the moment arms. While the tendon is paid
-    out, this fraction is about the reciprocal of the result.
+    The result is the mean over the pulleys of the tendon, weighted by the moment arms. While the
+    tendon is paid out, the fraction is about the reciprocal of the result.
 
     Args:
         c: constants of the hand.

@@ -1,4 +1,4 @@
-"""Decision whether a tendon has become slack or taut, from its load-cell readings of several ticks."""
+"""Decision whether a tendon has become slack or taut, from load-cell readings of several ticks."""
 
 import math
 
@@ -48,17 +48,17 @@ RANGE_MARGIN_M = 1e-3
 def regime_evidence(
     regime: int, points: int, tension: float, cell: float, cell_error: float, is_nearly_taut: bool
 ) -> int:
-    """Return the evidence that a tendon's regime ends: points if it is slack, consecutive ticks if it is taut.
+    """Return a count that grows while a slack tendon seems to be taut (points), or a taut one slack (ticks).
 
-    A missing load-cell reading sets the number of ticks to 0, and does not change the points.
+    A missing load-cell reading sets the number of ticks to 0, but leaves the points unchanged.
 
     Args:
-        regime: regime of the tendon.
-        points: evidence before this tick.
+        regime: present regime of the tendon.
+        points: result of the function in the last tick.
         tension: estimated tension [N].
         cell: load-cell reading [N].
-        cell_error: estimated error of the load cell [N].
-        is_nearly_taut: True if the spool has wound up the slack length.
+        cell_error: estimated error of the load-cell reading [N].
+        is_nearly_taut: True if the spool has wound up the slack length of the tendon.
     """
     if regime != SLACK_REGIME:
         return points + 1 if tension < SLACK_BELOW_N and cell < SLACK_BELOW_N else 0
@@ -87,16 +87,16 @@ SLACK_TICKS_WITHOUT_CELL = 12
 
 @kernel_helper
 def regime_evidence_without_cell(regime: int, points: int, tension: float, missing: float) -> int:
-    """Return the evidence that the regime of a tendon without a load cell ends, see ``regime_evidence``.
+    """Return the count of ``regime_evidence`` for a tendon without a load cell.
 
-    The motor of a slack tendon turns without load. Once the tendon is taut, its tension takes a
-    part of the motor force away. This part is the missing force.
+    The motor of a slack tendon turns without load. When the tendon has become taut, its tension
+    reduces the force that accelerates the motor. The reduction of this force is the missing force.
 
     Args:
-        regime: regime of the tendon.
-        points: evidence before this tick.
+        regime: present regime of the tendon.
+        points: result of the function in the last tick.
         tension: estimated tension [N].
-        missing: force that is missing at the motor according to the model of a slack tendon [N].
+        missing: motor force that is missing, compared with the model of a slack tendon [N].
     """
     if regime != SLACK_REGIME:
         return points + 1 if tension < SLACK_BELOW_N else 0
@@ -114,9 +114,9 @@ def is_nearly_taut(x: StateTables, n: int) -> bool:
 
 @kernel_helper
 def is_regime_over(regime: int, points: int, without_cell: bool) -> bool:
-    """Return True if the evidence ends a regime.
+    """Return True if the number of points or ticks is large enough to end a regime.
 
-    Without load cell (``without_cell``), a taut tendon counts as slack only after more ticks.
+    A taut tendon without load cell (``without_cell``) counts as slack only after more ticks.
     """
     slack_ticks = SLACK_TICKS_WITHOUT_CELL if without_cell else SLACK_TICKS
     return points >= (POINTS_OF_TAUT if regime == SLACK_REGIME else slack_ticks)
@@ -124,10 +124,11 @@ def is_regime_over(regime: int, points: int, without_cell: bool) -> bool:
 
 @kernel_helper
 def set_offset_of_newly_taut(x: StateTables, c: ConstantTables, n: int, cell: float) -> None:
-    """Set stretch offset or excursion of a newly taut tendon, so that its stretch agrees with the load cell.
+    """Set the stretch offset or the excursion of a tendon that has become taut, to agree with the load cell.
 
-    If the excursion is known from the open stop or from joint encoders, the stretch offset is set.
-    Otherwise the length of the tendon is known from commissioning. The excursion is then set.
+    If the open stop or the joint encoders show the excursion, the stretch offset is set. Otherwise
+    the length of the tendon is known from commissioning. With a known tendon length, the excursion
+    is set.
 
     Args:
         x: state tables.

@@ -12,9 +12,9 @@ from handctl.hand.digit import DigitModel
 
 
 def joint_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the levers of a tip force about the joints: J^T n, (n,) [m].
+    """Return the levers J^T n of a force at the tip about the joints, (n,) [m].
 
-    The force acts along the y axis of the last link.
+    The force at the tip acts along the y axis of the last link.
 
     Args:
         digit: model of the digit.
@@ -27,9 +27,9 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
 
 
 def reduced_tip_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the levers of a tip force about the coordinates: B^T J^T n, (n_c,) [m].
+    """Return the levers B^T J^T n of a force at the tip about the digit's coordinates, (n_c,) [m].
 
-    See ``joint_lever``.
+    The direction of the force is the same as in ``joint_lever``.
     """
     return np.asarray(digit.coupling.T @ joint_lever(digit, q))
 
@@ -40,7 +40,7 @@ def tip_force(digit: DigitModel, q: Vector, external: Vector) -> float:
     Args:
         digit: model of the digit.
         q: (n,) joint angles [rad].
-        external: (n_t,) tensions that balance the contact [N].
+        external: (n_t,) tensions that balance the contact force [N].
     """
     lever = reduced_tip_lever(digit, q)
     torque = digit.reduced_moment_arms.T @ external

@@ -1,20 +1,20 @@
 """Moment arms that depend on the joint angles, and the structure tables for the present angles.
 
-Filter, control law and allocation use the linear relation q = B (R B)^+ s of joint angles q and
-excursions s. For a digit with varying arms, the tables of ``constants`` that depend on R are
-evaluated at the angles of the free digit: q0 = B theta, for which the excursions e(q0) equal s.
-Around q0 the excursion is e(q0) + R (q - q0), so the linear relation has an offset. With constant
-arms, the offsets are 0 and the tables do not change. The tables depend only on the state block. The
-tables are evaluated before each use in a tick. So a tick that is computed again from a stored state
-gives the same result.
+Filter, control law and allocation use the linear relation q = B (R B)^+ s between joint angles q
+and excursions s. For a digit with varying moment arms, the tables of ``constants`` that depend on R
+are evaluated at the angles q0 = B theta of the free digit, at which the excursions e(q0) equal s.
+Near q0 the excursion is e(q0) + R (q - q0), so the linear relation has an offset. If the moment
+arms are constant, the offsets are 0 and the tables do not change. The tables depend only on the
+state block. The tables are evaluated before each use in a tick. A tick that is computed again from
+a stored state therefore gives the same result.
 
 The tendons of a finger pass the wrist that carries the finger. If a tendon does not pass through
-the axis of the wrist, the motion of the wrist winds this tendon, and the tension of the tendon
-turns the wrist. The motion of the tendon and the torque on the wrist are known from the estimated
+the axis of the wrist, a motion of the wrist moves the tendon, and the tension of the tendon turns
+the wrist. The motion of the tendon and the torque on the wrist are computed from the estimated
 angle of the wrist and from the tension. The part of the travel that carrying digits such as the
-wrist cause is subtracted (``carrier_excursion``). So filter, goals and detectors treat the finger
-like a digit on a base at rest. The tendons of the wrist bear the torque of the tendons that pass
-the wrist (``statics.subtract_passing_torque``).
+wrist cause is subtracted from the travel (``carrier_excursion``). So filter, goals and detectors
+treat the finger as if its base were at rest. The tendons of the wrist must balance the torque of
+the tendons that pass the wrist (``statics.subtract_passing_torque``).
 
 Source: Tsai, Robot Analysis (1999), structure matrix; Gauss-Newton method.
 """
@@ -58,7 +58,7 @@ MIN_BALANCE_FRACTION = 0.05
 
 @kernel_helper
 def moment_arm(c: ConstantTables, n: int, j: int, q: float) -> float:
-    """Return the moment arm of tendon n about joint j, at an angle q of this joint [m]."""
+    """Return the moment arm of tendon n about joint j, when this joint is at the angle q [m]."""
     if not c.tendon_int[h.HAS_VARYING_ARM, n]:
         return c.tendon_joint[h.MOMENT_ARMS, n, j]
     held = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
@@ -124,7 +124,7 @@ def arm_slope(c: ConstantTables, n: int, j: int, q: float) -> float:
 
 @kernel_helper
 def update_structure(x: StateTables, c: ConstantTables) -> None:
-    """Write the structure tables of all digits with varying moment arms, for the joint angles of the free digits."""
+    """Compute the tables of all digits with varying moment arms, for the joint angles of the free digits."""
     q = np.empty(x.joint.shape[1])
     for d in range(x.digit.shape[1]):
         if not c.digit_int[h.DIGIT_VARYING, d]:
@@ -168,13 +168,13 @@ def keep_excursion(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
-    """Write the tables R, R B, B (R B)^+ and the offsets of a digit, at joint angles q (J,) [rad]."""
+    """Write the tables R, R B and B (R B)^+ and the offsets of a digit, for joint angles q (J,) [rad]."""
     joints = (c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d])
     tendons = (c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d])
     first = c.digit_int[h.COORDINATES_FIRST, d]
     count = c.digit_int[h.COORDINATES_END, d] - first
     gram = np.zeros((count, count))
-    rest = np.zeros(tendons[1] - tendons[0])  # excursion minus R q
+    rest = np.zeros(tendons[1] - tendons[0])  # excursion minus the product R q
     for n in range(tendons[0], tendons[1]):
         for j in range(joints[0], joints[1]):
             arm = moment_arm(c, n, j, q[j])
@@ -233,8 +233,8 @@ def _write_weights(c: ConstantTables, d: int) -> None:
             c.joint_tendon[h.POSTURE_TORQUE, j, n] = torque
         mean = c.tendon[h.MEAN_BALANCE, n]
         if c.tendon_int[h.HAS_SURPLUS, n] and mean > 0.0:
-            # The balance tensions for the mean moment arms are known. The part of them that makes
-            # no torque with the present moment arms becomes the new balance.
+            # The balance tensions for the mean moment arms are known. The part of these tensions
+            # that makes no torque with the present moment arms becomes the new balance.
             balance = mean - part_explained_by_motion(c, n, c.tendon[h.MEAN_BALANCE])
             c.tendon[h.BALANCE_TENSION, n] = c.tendon[h.RELAXED_TENSION, n] = max(
                 balance, MIN_BALANCE_FRACTION * mean

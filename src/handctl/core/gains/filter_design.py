@@ -6,14 +6,15 @@ excursion [m] and its rate [m/s], Gauss-Markov disturbance force on the motor [N
 change of a moving digit's tension [N/s]. The measurements are the encoder travel [m], the load cell
 [N], and the excursion from joint encoders [m].
 
-The model does not contain the equation of motion of the digit. The digit is twenty times lighter
-than the rotor, and a stiff tendon holds it. The friction at the pulleys of the digit is up to a
-third of the tension. The direction of this friction depends on the sign of a speed of micrometres
-per second. A filter with the digit's equation of motion chatters between both signs, with tension
-errors of 9 N instead of 0.5 N. Two assumptions take the place of this equation: a free digit
-follows its tendon with slowly changing tension, and a held digit is at rest. Source: linearised
-tendon plant, van Loan (1978) for the discretisation. The function that solves the Riccati equation
-comes from the package ``control``.
+The model does not contain the equation of motion of the digit. The digit has a twentieth of the
+mass of the rotor, and a stiff tendon holds it. The friction at the pulleys of the digit is up to a
+third of the tension. The direction of this friction depends on the sign of a very low speed,
+micrometres per second. In a filter with the digit's equation of motion, the sign of the friction
+changes all the time, with tension errors of 9 N instead of 0.5 N. Two assumptions replace the
+equation of
+motion: a free digit follows its tendon with slowly changing tension, and a held digit is at rest.
+Source: linearised tendon plant, van Loan (1978) for the discretisation. The function that solves
+the Riccati equation comes from the package ``control``.
 """
 
 import math
@@ -52,7 +53,8 @@ Without any decay the Riccati equation has no solution. A faster decay changes t
 tension: if an offset of one millimetre decays in a minute, the tension changes by 1.7 N per second.
 """
 
-# Noise that is added while the model of a tendon does not fit its measurements, see ``kalman``.
+# This noise is added while the model of a tendon does not fit the measurements of the tendon, see
+# ``kalman``.
 ADDED_DISTURBANCE_FACTOR = 5.0
 """Factor on the motor disturbance of a free tendon while noise is added to its filter.
 
@@ -92,13 +94,13 @@ def design_filter(
 ) -> FilterDesign:
     """Design the filter of each tendon in each regime.
 
-    Tendons with equal parameters share a design.
+    Tendons with equal parameters get the same design.
 
     Args:
         space: constants of the hand along the tendons.
         gains: noise that the filter assumes.
         period: control period [s].
-        joint_period: (N,) time between two excursions that joint encoders have measured [s], inf
+        joint_period: (N,) time between two readings of the joint encoders of a tendon [s], inf
             without joint encoders.
 
     Raises:
@@ -122,7 +124,7 @@ def design_filter(
                     *certain,
                     *adds_noise,
                     certain[TendonRegime.SLACK],
-                )  # no noise is added for a slack tendon
+                )  # the filter of a slack tendon never gets added noise
         found.append(made[kind])
     return FilterDesign(tuple(found))
 
@@ -130,7 +132,7 @@ def design_filter(
 def _continuous_model(
     space: TendonSpace, i: int, regime: TendonRegime, gains: FilterGains
 ) -> tuple[Matrix, Matrix, Matrix]:
-    """Return the continuous model of a tendon: A (7, 7), B (7, 2) and the row (7,) that computes the tension."""
+    """Return the continuous model of a tendon: A (7, 7), B (7, 2), and the row (7,) that computes the tension."""
     taut = regime != TendonRegime.SLACK
     k, c = (space.stiffness[i], space.damping[i]) if taut else (0.0, 0.0)
     tension = np.array([k, c, -k, -c, 0.0, 0.0, -k])
@@ -141,13 +143,14 @@ def _continuous_model(
     A[V, V] -= space.motor_damping[i] / space.motor_mass[i]
     A[V, D] = B[V, 0] = 1.0 / space.motor_mass[i]
     if regime == TendonRegime.FREE:
-        # A free digit follows the rotor: the digit has the acceleration of the rotor, and its rate
-        # decays to the rotor's speed.
+        # A free digit follows the rotor: it has the same acceleration as the rotor, and its speed
+        # slowly becomes equal to the speed of the rotor.
         A[W] = A[V]
         B[W] = B[V]
         A[W, V] += 1.0 / gains.free_time_s
         A[W, W] -= 1.0 / gains.free_time_s
-        # Rising tension stretches the tendon, so the excursion falls behind the travel.
+        # When the tension rises, the tendon becomes longer, so the excursion grows less than the
+        # travel.
         B[S, 1] = -1.0 / space.stiffness[i]
     else:
         A[W, W] = -1.0 / gains.held_time_s
@@ -159,7 +162,7 @@ def _continuous_model(
 
 
 def _motor_noise(regime: TendonRegime, gains: FilterGains) -> tuple[float, float, float]:
-    """Return size [N], correlation time [s] and white noise [N] of the disturbance force on the motor."""
+    """Return three values of the disturbance force on the motor: size [N], correlation time [s], white noise [N]."""
     if regime == TendonRegime.HELD:
         return (
             gains.held_disturbance_N,
@@ -174,16 +177,16 @@ def _motor_noise(regime: TendonRegime, gains: FilterGains) -> tuple[float, float
 
 
 def _process_noise(space: TendonSpace, i: int, regime: TendonRegime, gains: FilterGains) -> Matrix:
-    """Return the continuous process noise (7, 7) of a tendon.
+    """Return the process noise (7, 7) of a tendon's continuous model.
 
-    A Gauss-Markov state with standard deviation sigma and correlation time tau has the noise 2
-    sigma^2 / tau. The speeds have white noise.
+    A Gauss-Markov state with the standard deviation sigma and the correlation time tau has the
+    noise 2 sigma^2 / tau. The two speeds in the state have white noise.
     """
     Q = np.zeros((STATE_COUNT, STATE_COUNT))
     disturbance, time, jerk = _motor_noise(regime, gains)
     if not space.has_cell[i]:
-        # Without a load cell, the tension is estimated as motor force minus friction. The error of
-        # the friction is then the error of the tension.
+        # Without a load cell, the tension is estimated as motor force minus friction. An error of
+        # the friction is then an error of the tension.
         disturbance = math.hypot(disturbance, FRICTION_SIGMA_WITHOUT_CELL * space.coulomb[i])
         time = max(time, FRICTION_TIME_WITHOUT_CELL_S)
     Q[V, V] = jerk**2 / space.motor_mass[i] ** 2
@@ -200,12 +203,12 @@ def _process_noise(space: TendonSpace, i: int, regime: TendonRegime, gains: Filt
 
 
 def _add_noise(Q: Matrix, stiffness: float, regime: TendonRegime) -> None:
-    """Increase the continuous process noise Q (7, 7) of a taut tendon whose model does not fit.
+    """Increase the process noise Q (7, 7) of a taut tendon whose model does not fit the measurements.
 
     Args:
-        Q: (7, 7) continuous process noise, modified in place.
+        Q: (7, 7) process noise of the continuous model, modified in place.
         stiffness: stiffness of the tendon [N/m].
-        regime: free or held.
+        regime: regime of the tendon, free or held.
     """
     free = regime == TendonRegime.FREE
     Q[D, D] *= (ADDED_DISTURBANCE_FACTOR if free else ADDED_HELD_DISTURBANCE_FACTOR) ** 2
@@ -220,7 +223,7 @@ def _discretise_model(
     Source: van Loan (1978).
     """
     n, m = B.shape
-    # Zero-order hold: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
+    # The inputs are constant within a period: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
     held = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * period)
     loan = expm(np.block([[-A, Q], [np.zeros((n, n)), A.T]]) * period)
     F = held[:n, :n]
@@ -238,19 +241,20 @@ def _design_filter_block(
 ) -> FilterBlock:
     """Return the filter of a tendon for one kind of design.
 
-    A kind is a regime, and True if noise is added.
+    A kind of design consists of a regime, and of True if noise is added.
 
-    A tendon without a load cell has only its motor encoder. The tension of such a tendon follows
-    from the motor force, with the large uncertainty of friction.
+    For a tendon without a load cell, the filter uses only the motor encoder. The tension of such a
+    tendon is computed from the motor force, and is uncertain because of friction.
 
-    The load-cell error is estimated only for a slack tendon, because its tension is known. In other
-    regimes, the error is not observable, so its estimate stays constant. The growing variance of
-    the error is then added to the variance of the tension. The gains are then those of a filter
-    without this state. Source: Schmidt (1966), consider states.
+    The load-cell error is estimated only while a tendon is slack, because the tension is then known
+    to be 0. In other regimes, no measurement distinguishes the load-cell error from tension, so the
+    estimated error stays constant. The growing variance of the load-cell error is then added to the
+    variance of the tension. In these regimes, the gains are those of a filter whose state has no
+    load-cell error. Source: Schmidt (1966), consider states.
 
-    Encoder and load cell observe only the sum of excursion and offset. Joint encoders separate
-    excursion and offset within ``joint_time_s``, and correct no other state. The other gains
-    therefore do not depend on joint encoders.
+    The encoder and the load cell determine only the sum of excursion and stretch offset. Joint
+    encoders separate the excursion from the stretch offset within ``joint_time_s``, and correct no
+    other state. The gains for all other states therefore do not depend on joint encoders.
     """
     regime, adds_noise = kind
     A, B, tension = _continuous_model(space, i, regime, gains)
@@ -266,28 +270,28 @@ def _design_filter_block(
     known = regime == TendonRegime.SLACK
     H[1, E] = float(known)
     noise = np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
-    # The first two measurements are encoder and load cell. Without a load cell, only the encoder is
-    # used.
+    # The first two measurements are the encoder and the load cell. Without a load cell, only the
+    # encoder is used.
     read = 2 if space.has_cell[i] else 1
     P = _solve_riccati(F, H[:read], Q, np.diag(noise[:read] ** 2))
     innovation = H[:2] @ P @ H[:2].T + np.diag(noise**2)
     K = np.zeros((STATE_COUNT, MEASUREMENT_COUNT))
     K[:, :read] = np.linalg.solve(innovation[:read, :read], H[:read] @ P).T
-    # The load-cell error is a consider state: the filter corrects it only if it is observable.
+    # The filter corrects the load-cell error only if a measurement distinguishes it from tension.
     K[E] *= known
     H[1, E] = 1.0
     K[S, 2] = (
         1.0 - math.exp(-joint_period / gains.joint_time_s) if math.isfinite(joint_period) else 0.0
     )
-    # Travel and tension determine the sum of excursion and offset. If the excursion changes, the
-    # offset therefore changes by the opposite amount.
+    # Travel and tension determine the sum of excursion and stretch offset. If the excursion is
+    # corrected, the stretch offset is therefore corrected by the opposite amount.
     K[O, 2] = -K[S, 2]
     drift = (
         0.0
         if known or read == 1
         else gains.cell_drift_N**2 / gains.cell_drift_time_s * gains.cell_tared_s
     )
-    variance = float(tension @ P @ tension) + drift  # 0 for a slack tendon, whose tension row is 0
+    variance = float(tension @ P @ tension) + drift  # 0 for a slack tendon
     information = np.zeros((2, 2))
     information[:read, :read] = np.linalg.inv(innovation[:read, :read])
     sigma = math.sqrt(innovation[1, 1])
@@ -298,9 +302,9 @@ def _design_filter_block(
 
 
 def _solve_riccati(F: Matrix, H: Matrix, Q: Matrix, R: Matrix) -> Matrix:
-    """Return the steady-state covariance of the prediction.
+    """Return the constant covariance of the filter's prediction.
 
-    The equation is solved in units in which all states have a size of about 1.
+    The Riccati equation is solved in units in which all states have a size of about 1.
     """
     scale = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
     rows = 1.0 / np.sqrt(np.diag(R))

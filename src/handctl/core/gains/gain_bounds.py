@@ -1,4 +1,4 @@
-"""Bounds of the gains as data: range, default and meaning of each key, and whether it may change during a run."""
+"""Bounds of the gains: range, default and meaning of each key, and whether a key may change during a run."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,13 +30,14 @@ class GainBounds:
 
     Attributes:
         key: section and name, for example ``motion.force_N``.
-        low: smallest value of the key. The value itself is excluded if ``open_low`` is True.
-        high: largest value.
+        low: smallest allowed value of the key. If ``open_low`` is True, the value must be greater
+            than ``low``.
+        high: largest allowed value of the key.
         open_low: True if the value must be greater than ``low``.
-        default: default value.
-        whole: True for integers.
-        live: True if a running controller accepts changes.
-        why: meaning of the key. The value is empty if the name is clear.
+        default: default value of the key.
+        whole: True if the value must be an integer.
+        live: True if the value may be changed while the controller runs.
+        why: meaning of the key, in words. The text is empty if the name of the key is clear.
     """
 
     key: str
@@ -59,8 +60,8 @@ class TendonKey(NamedTuple):
 
     Attributes:
         tendon: name of the tendon.
-        field: field of ``TendonForces`` that contains the force.
-        shared: key of the force for all tendons.
+        field: name of the force in ``TendonForces``.
+        shared: key of the same force for all tendons.
     """
 
     tendon: str
@@ -83,7 +84,7 @@ def tendon_key(key: str) -> TendonKey | None:
 
 @cache
 def gain_bounds() -> Mapping[str, GainBounds]:
-    """Return the bounds of all keys that apply to the whole hand, in the order in which ``Gains`` declares them."""
+    """Return the bounds of all keys for the whole hand, in the order in which ``Gains`` declares them."""
     result = {}
     for section in GAIN_SECTIONS:
         model = cast(type[Document], Gains.model_fields[section].annotation)
@@ -99,7 +100,7 @@ def gain_bounds() -> Mapping[str, GainBounds]:
 
 
 def _range_of_field(metadata: list[Any]) -> tuple[float, float, bool]:
-    """Return the smallest and largest value of a field, and True if the smallest value is excluded."""
+    """Return smallest and largest allowed value of a field, and True if the smallest value is excluded."""
     low = float("-inf")
     high = float("inf")
     open_low = False
@@ -124,7 +125,7 @@ def bounds_of_key(key: str) -> GainBounds | None:
 
 
 def values_by_key(gains: Gains) -> dict[str, float]:
-    """Return the value of every key, including the keys for the forces of single tendons."""
+    """Return the value of every key of the gains, including the keys for single tendons."""
     values = {
         key: getattr(getattr(gains, key.partition(".")[0]), key.partition(".")[2])
         for key in gain_bounds()
@@ -193,7 +194,7 @@ def with_values(
 
 
 def _set_tendon_force(content: dict[str, Any], parts: TendonKey, force: float) -> None:
-    """Set the force of a single tendon in the content of gains [N]."""
+    """Set a force of a single tendon in the content of the gains [N]."""
     entries = [dict(entry) for entry in content[TENDON_SECTION]]
     entry = next((one for one in entries if one["name"] == parts.tendon), None)
     if entry is None:
@@ -210,7 +211,7 @@ def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
         tendons: names of the hand's tendons.
 
     Raises:
-        ConfigError: the gains name a tendon that the hand does not have.
+        ConfigError: the gains contain a tendon that the hand does not have.
     """
     for one in gains.tendon:
         if one.name not in tendons:
@@ -220,7 +221,7 @@ def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
 
 
 def bounds_after_check(key: str, value: float, source_name: str) -> GainBounds:
-    """Check a value, and return the bounds of its key.
+    """Check a value of the gains, and return the bounds of its key.
 
     Raises:
         ConfigError: the key is unknown, or the value is out of bounds.

@@ -1,9 +1,10 @@
-"""Gains as data: tunable values with units, bounds and defaults.
+"""Gains of the controller: values that can be tuned, with units, bounds and defaults.
 
-With the default gains, both loops of the Jamia hands keep a gain margin of 6 dB and a phase margin
-of 45 degrees. This holds for the plant that the hand file describes and for random plants around
-it, at 500 Hz (jamia) and at 200 Hz (jamia11 on a single bus). If the default gains do not keep
-these margins with a packaged hand, the folder ``packaged`` contains a gains file for this hand.
+With the default gains, both control loops of the Jamia hands have a gain margin of at least 6 dB
+and a phase margin of at least 45 degrees. Both margins are kept for the plant of the hand file and
+for random variants of this plant, at 500 Hz (jamia) and at 200 Hz (jamia11 on a single bus). If a
+packaged hand would not have these margins with the default gains, the folder ``packaged`` contains
+a gains file for this hand.
 """
 
 from pathlib import Path
@@ -155,7 +156,7 @@ class Gains(Document):
         return self
 
     def forces_of(self, tendon: str) -> tuple[float, float]:
-        """Return the force weights of a tendon, in the motion loop and in the tension loop [N]."""
+        """Return the force weights of a tendon in the motion loop and in the tension loop [N]."""
         one = next((one for one in self.tendon if one.name == tendon), TendonForces(name=tendon))
         motion = self.motion.force_N if one.motion_force_N is None else one.motion_force_N
         tension = self.tension.force_N if one.tension_force_N is None else one.tension_force_N
@@ -199,9 +200,9 @@ class GainsFile(Gains):
 
     @property
     def gains(self) -> Gains:
-        """Return the gains without their provenance.
+        """Return the gains without the information about their origin.
 
-        Values that the file does not set stay unset.
+        If the file does not set a value, the value stays unset.
         """
         given = {name: getattr(self, name) for name in self.model_fields_set - {"provenance"}}
         return Gains(**given)
@@ -217,7 +218,7 @@ def load_gains(path: Path | None) -> Gains:
 
 
 def packaged_gains(hand: str) -> Gains:
-    """Return the gains of a packaged hand: those of its file in ``packaged``, or the defaults.
+    """Return the gains of a packaged hand, from the gains file in ``packaged`` if there is one.
 
     Args:
         hand: name of the hand.

@@ -27,13 +27,13 @@ with deferred_imports():
 
 @dataclass(frozen=True, slots=True)
 class MotionDesign:
-    """Feedback gains of motion loop and tension loop, each (N,).
+    """Feedback gains of the motion loop and the tension loop for the N tendons, each of shape (N,).
 
     Attributes:
-        stiffness: for the motion loop, acceleration per excursion error [1/s^2].
-        damping: for the motion loop, acceleration per speed error [1/s].
-        tension: for the tension loop, motor force per newton of tension error [1].
-        tension_speed: for the tension loop, motor force per m/s of tendon speed [N s/m].
+        stiffness: acceleration per excursion error in the motion loop [1/s^2].
+        damping: acceleration per speed error in the motion loop [1/s].
+        tension: motor force per newton of tension error in the tension loop [1].
+        tension_speed: motor force per m/s of tendon speed in the tension loop [N s/m].
     """
 
     stiffness: Vector
@@ -47,7 +47,7 @@ FULL_WEIGHT_PERIOD_S = 2e-3
 
 
 def largest_force_weight(force: float, period: float) -> float:
-    """Return a force weight [N], reduced for control periods above ``FULL_WEIGHT_PERIOD_S`` [s].
+    """Return a force weight [N], reduced if the control period is above ``FULL_WEIGHT_PERIOD_S`` [s].
 
     The stiffness of a loop is proportional to the weight. The bandwidth is proportional to the
     square root of the weight.
@@ -75,17 +75,17 @@ def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesi
 
 
 def design_piece_count(space: TendonSpace) -> int:
-    """Return the number of pieces of the design.
+    """Return the number of pieces into which the design of all loops is divided.
 
-    A tick of a running controller has time for only one piece.
+    In each tick, a running controller has time for only one piece of the design.
     """
     return 2 * len(space.spool)
 
 
 def design_piece(space: TendonSpace, gains: Gains, period: float, piece_index: int) -> Vector:
-    """Return the gain (2,) of one control loop.
+    """Return the feedback gains (2,) of one control loop.
 
-    Pieces 0 to N - 1 are motion loops, pieces N to 2 N - 1 are tension loops.
+    Pieces 0 to N - 1 of the design are motion loops, and pieces N to 2 N - 1 are tension loops.
 
     Raises:
         ConfigError: no gains follow from the weights.
@@ -99,7 +99,7 @@ def design_piece(space: TendonSpace, gains: Gains, period: float, piece_index: i
 
 
 def design_from_pieces(space: TendonSpace, designed: list[Vector]) -> MotionDesign:
-    """Return the design of all tendons from the gains of all pieces."""
+    """Combine the feedback gains of all pieces into the design of all tendons."""
     n = len(space.spool)
     mass = space.motor_mass + space.load_mass
     motion = designed[:n]
@@ -116,7 +116,7 @@ def _sampled_lqr_gain(
     A: NDArray[np.float64], B: NDArray[np.float64], state: list[float], force: float, period: float
 ) -> Vector:
     """Return the LQR gain (2,) for x' = A x + B u, sampled at the period, with weights by Bryson's rule."""
-    # Zero-order hold: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
+    # The inputs are constant within a period: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
     sampled = expm(period * np.block([[A, B], [np.zeros((1, 3))]]))
     F = sampled[:2, :2]
     G = sampled[:2, 2:]

@@ -1,4 +1,4 @@
-"""Riccati solutions of the LQR and the steady-state Kalman filter, by ``control``."""
+"""Solutions of the Riccati equation for feedback gains and for the Kalman filter, by the package ``control``."""
 
 from typing import Any
 
@@ -17,10 +17,10 @@ def solve_lqr(F: Vector, G: Vector, Q: Vector, R: Vector) -> Vector:
     """Return the gain (m, n) of the state feedback u = -K x that minimises the sum of x' Q x + u' R u.
 
     Args:
-        F: (n, n) transition over a period.
-        G: (n, m) input over a period.
-        Q: (n, n) weights of the states.
-        R: (m, m) weights of the inputs.
+        F: (n, n) transition of the states over a period.
+        G: (n, m) effect of the inputs on the states over a period.
+        Q: (n, n) weights of the states in the sum.
+        R: (m, m) weights of the inputs in the sum.
 
     Raises:
         ValueError: no stabilising solution exists, or a number is not finite.
@@ -33,10 +33,10 @@ def solve_covariance(F: Vector, H: Vector, Q: Vector, R: Vector) -> Vector:
     """Return the covariance (n, n) of the prediction of a Kalman filter in steady state.
 
     Args:
-        F: (n, n) transition over a period.
-        H: (m, n) measurements.
+        F: (n, n) transition of the states over a period.
+        H: (m, n) expected measurements per unit of each state.
         Q: (n, n) covariance of the process noise of a period.
-        R: (m, m) covariance of the measurements.
+        R: (m, m) covariance of the errors of the measurements.
 
     Raises:
         ValueError: no solution exists, or a number is not finite.

@@ -1,6 +1,6 @@
-"""Conversion of solver failures into errors of one line.
+"""Conversion of solver failures into error messages of one line.
 
-Although each weight is within its bounds, the weights may be too far apart for a solution.
+Even if each weight is within its bounds, the weights may differ too much for a solution.
 """
 
 from collections.abc import Iterator
@@ -14,10 +14,10 @@ from handctl.errors import ConfigError
 
 @contextmanager
 def solver_failures_as_errors(section: str) -> Iterator[None]:
-    """Convert any failure of a solver within a ``with`` block into an error of one line.
+    """Convert any failure of a solver within a ``with`` block into an error with a message of one line.
 
     Args:
-        section: section of the gains that was designed.
+        section: section of the gains file from which the gains are designed.
 
     Raises:
         ConfigError: if the solver fails.
@@ -29,7 +29,7 @@ def solver_failures_as_errors(section: str) -> Iterator[None]:
         ValueError,
         ArithmeticError,
         TypeError,
-    ) as error:  # these are the errors of scipy, numpy and control
+    ) as error:  # the exceptions above are those of scipy, numpy and control
         right = "weights nearer to the packaged ones (handctl gains show)"
         raise ConfigError(
             "no controller follows from these values", f"gains: {section}", right
@@ -37,7 +37,7 @@ def solver_failures_as_errors(section: str) -> Iterator[None]:
 
 
 def finite_or_error(*solutions: NDArray[np.float64]) -> None:
-    """Refuse a solution with infinite or undefined numbers.
+    """Raise an error if a solution contains infinite or undefined numbers.
 
     Raises:
         ValueError: a number is not finite.

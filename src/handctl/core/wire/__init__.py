@@ -1,1 +1,1 @@
-"""Cyclic frames: their tables, and the conversion between frames and values of the state block."""
+"""Cyclic frames: tables of their signals, and conversion between frames and values of the state block."""

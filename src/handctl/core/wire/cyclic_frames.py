@@ -1,9 +1,9 @@
 """Conversion of received cyclic frames into values of the state block, and of commands into frames.
 
-``receive_frames`` decodes the feedback of steady drives and all frames of the sensor node, by
-tables of signals. A drive is steady while it is enabled and its state machine (``drives.contract``)
+``receive_frames`` decodes all frames of the sensor node and the feedback of steady drives, by means
+of signal tables. A drive is steady while it is enabled and its state machine (``drives.contract``)
 has nothing to do. ``receive_frames`` stops at each frame that a state machine must handle. The
-caller handles this frame, and calls ``receive_frames`` again for the frames after this one.
+caller handles this frame, and calls ``receive_frames`` again for the remaining frames.
 ``encode_commands`` encodes the commands of steady drives, and stops at each drive that is not
 steady. ``wire_tables`` builds the tables for a hand.
 """
@@ -88,7 +88,7 @@ OTHER_FRAME, RIGHT_REPLY, WRONG_REPLY = range(3)
 
 @kernel_helper
 def find_key(keys: IntArray, key: Any) -> int:
-    """Return the index of a key among sorted keys by binary search, MISSING_ENTRY if the key is missing."""
+    """Return the index of a key in sorted keys, by binary search, or MISSING_ENTRY if the key is missing."""
     low = 0
     high = len(keys)
     while low < high:
@@ -145,12 +145,12 @@ def receive_frames(
         recheck_ranges: see ``WireTables``.
         rechecks: see ``WireTables``.
         first: index of the first frame.
-        fresh_ns: earliest arrival of an answer to the latest SYNC [ns]. It is negative if answers
-            contain the counter of the SYNC.
+        fresh_ns: earliest time at which an answer to the latest SYNC can arrive [ns]. The time is
+            negative if answers contain the counter of the SYNC.
 
     Returns:
-        Index of the first frame that a state machine must handle or that only this host may send, n
-        if there is no such frame.
+        Index of the first frame that a state machine must handle or that only this host may send,
+        or n if there is no such frame.
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
@@ -174,7 +174,7 @@ def receive_frames(
             _count_unknown_frame(x, keys, entries, bus, can_id)
             continue
         if flagged:
-            continue  # an error frame has no values, even if its identifier is that of a node
+            continue  # an error frame has no values, even if its identifier belongs to a node
         kind = entries[entry, FRAME_KIND_COLUMN]
         t_ns = np.int64(rows[r, TIME_WORD])
         payload = rows[r, PAYLOAD_WORD]
@@ -221,7 +221,7 @@ def _compare_recheck(
 ) -> int:
     """Compare a frame with the reply to the open request of a drive's repeated read-back.
 
-    After a reply with the required value, the next setting is due.
+    After a reply with the required value, the next setting is requested.
 
     Args:
         x: state tables.
@@ -233,7 +233,7 @@ def _compare_recheck(
         rechecks: see ``WireTables``.
 
     Returns:
-        ``RIGHT_REPLY``, ``WRONG_REPLY`` for another value or length, or ``OTHER_FRAME``.
+        ``RIGHT_REPLY``, ``WRONG_REPLY`` if the value or the length differs, or ``OTHER_FRAME``.
     """
     first = ranges[n, 0]
     count = ranges[n, 1] - first
@@ -252,17 +252,17 @@ def _compare_recheck(
 
 @kernel_helper
 def _is_recheck_due(x: StateTables, n: Any, now_ns: Any, ranges: IntArray) -> bool:
-    """Return True if a setting of an enabled drive is to be requested again in this tick."""
+    """Return True if a setting of an enabled drive is to be requested again in the present tick."""
     due: bool = ranges[n, 0] < ranges[n, 1] and now_ns >= x.tendon_int[s.RECHECK_DUE_NS, n]
     return due
 
 
 @kernel_helper
 def _is_recheck_regular(x: StateTables, n: Any, now_ns: Any) -> bool:
-    """Return True if compiled code can send the request that is due.
+    """Return True if compiled code, without the state machine, can send the next request for a setting.
 
-    After a pause of a whole period, the state machine of the drive calculates the next time. The
-    state machine also reports a setting that the drive does not answer.
+    After a pause of a whole period, the state machine of the drive calculates the time of the next
+    request. The state machine also reports a setting for which the drive sends no reply.
     """
     regular: bool = (
         now_ns < x.tendon_int[s.RECHECK_DUE_NS, n] + RECHECK_PERIOD_NS
@@ -273,7 +273,7 @@ def _is_recheck_regular(x: StateTables, n: Any, now_ns: Any) -> bool:
 
 @kernel_helper
 def _copy_record(source: Any, row: Any) -> None:
-    """Copy the record of a frame, without any words after it, into a row."""
+    """Copy the record of a frame into a row, without the words that follow the record."""
     for word in range(WORDS_PER_RECORD):
         row[word] = source[word]
 
@@ -282,7 +282,7 @@ def _copy_record(source: Any, row: Any) -> None:
 def _request_recheck(
     x: StateTables, n: Any, row: Any, ranges: IntArray, rechecks: WordRows
 ) -> None:
-    """Write the request that reads a setting of a drive again into the record of a frame."""
+    """Write into the record of a frame the request that reads a setting of a drive again."""
     _copy_record(rechecks[ranges[n, 0] + x.tendon_int[s.RECHECK_STEP, n]], row)
     x.tendon_int[s.RECHECK_DUE_NS, n] += RECHECK_PERIOD_NS
     x.tendon_int[s.RECHECK_TRIES, n] += 1
@@ -292,11 +292,11 @@ def _request_recheck(
 def _count_unknown_frame(
     x: StateTables, keys: IntArray, entries: IntArray, bus: Any, can_id: Any
 ) -> None:
-    """Count a frame with an unknown identifier.
+    """Count a frame whose identifier is unknown.
 
-    A remote or 29-bit frame with the identifier of a node counts as a malformed frame of this node.
-    A 29-bit identifier of 0x800 or more belongs to another protocol, even if its lower 11 bits are
-    those of a node.
+    A remote frame or 29-bit frame with the identifier of a node counts as a malformed frame of this
+    node. A 29-bit identifier of 0x800 or more belongs to another protocol, even if its lower 11
+    bits are those of a node.
     """
     x.run_int[s.UNKNOWN_FRAMES] += 1
     if can_id & (EXTENDED_FLAG | REMOTE_FLAG) and can_id & NUMBER_MASK < STANDARD_IDS:
@@ -328,7 +328,9 @@ def _decode_sensor_frame(
     wholes: IntArray,
     reals: FloatArray,
 ) -> None:
-    """Decode a frame of load cells or joint encoders. If its counter is not that of the SYNC, the frame is stale.
+    """Decode a frame of load cells or joint encoders.
+
+    If the counter in the frame is not the counter of the latest SYNC, the frame is stale.
 
     Args:
         x: state tables.
@@ -336,7 +338,7 @@ def _decode_sensor_frame(
         payload: first eight bytes of the frame's payload.
         is_length_right: True if the payload has the expected length.
         entries: see ``WireTables``.
-        entry: row of ``entries``.
+        entry: row of the frame in ``entries``.
         wholes: see ``WireTables``.
         reals: see ``WireTables``.
     """
@@ -367,9 +369,9 @@ def _decode_sensor_frame(
 
 @kernel_helper
 def _is_nearer(x: StateTables, c: ConstantTables, n: Any, position: float) -> bool:
-    """Return True if a position is nearer to the predicted position than the position received before in this tick.
+    """Return True if a position is nearer to the predicted position than an earlier position of this tick.
 
-    The tension filter predicts the position at the time of the request. Before the filter has
+    The tension filter predicts the position for the time of the request. Before the filter has
     started, the later position is used.
     """
     travel = x.tendon[s.TRAVEL, n]
@@ -390,7 +392,9 @@ def _decode_drive_frame(
     wholes: IntArray,
     reals: FloatArray,
 ) -> bool:
-    """Decode a frame of a drive. Return False, and change nothing, if the state machine must handle the frame.
+    """Decode a frame of a drive.
+
+    Return False, and change nothing, if the state machine of the drive must handle the frame.
 
     Args:
         x: state tables.
@@ -398,7 +402,7 @@ def _decode_drive_frame(
         t_ns: reception time [ns].
         row: (WORDS_PER_RECORD,) record of the frame.
         entries: see ``WireTables``.
-        entry: row of ``entries``.
+        entry: row of the frame in ``entries``.
         wholes: see ``WireTables``.
         reals: see ``WireTables``.
     """
@@ -456,9 +460,9 @@ def _decode_drive_frame(
 
 @kernel_helper
 def _store_value(x: StateTables, row: int, n: int, value: float) -> None:
-    """Write a value into the tendon table, unless it is NaN.
+    """Write a value into the table of tendons, unless the value is NaN.
 
-    NaN means that the frame has no such signal.
+    NaN means that the frame has no signal for this value.
     """
     if not math.isnan(value):
         x.tendon[row, n] = value
@@ -484,7 +488,7 @@ def _write_position_command(
     first: int,
     end: int,
 ) -> None:
-    """Write position, velocity, kp, kd, torque and limit into the record of a command."""
+    """Write position, velocity, kp, kd, torque and torque limit into the record of a command."""
     _copy_record(template, row)
     for i in range(first, end):
         bits = encode_signal(x.servo[s.SERVO_POSITION + i - first, n], wholes, reals, i)
@@ -496,7 +500,10 @@ def _write_position_command(
 def _write_torque_command(
     row: Any, template: Any, torque: float, signal: Any, wholes: IntArray, reals: FloatArray
 ) -> None:
-    """Write a command into the record of a frame. A command without a torque has the signal -1."""
+    """Write a torque command into the record of a frame.
+
+    For a command without a torque, ``signal`` is -1.
+    """
     _copy_record(template, row)
     if signal >= 0:
         bits = encode_signal(torque, wholes, reals, signal)
@@ -535,7 +542,7 @@ def encode_commands(
         commands: (frames, 3) see ``WireTables``.
         wholes: ``WireTables.sent_wholes``.
         reals: ``WireTables.sent_reals``.
-        templates: (frames, WORDS_PER_RECORD) records without torque.
+        templates: (frames, WORDS_PER_RECORD) records of the commands with zero torque.
         torque: (N,) commanded torque of each drive [N m].
         servos: (N, 2) see ``WireTables``.
         servo_templates: (N, WORDS) see ``WireTables``.
@@ -543,13 +550,13 @@ def encode_commands(
         servo_reals: see ``WireTables``.
         recheck_ranges: see ``WireTables``.
         rechecks: see ``WireTables``.
-        first: index of the first drive.
-        count: number of records that ``frame_words`` contains already.
+        first: index of the first drive whose command is encoded.
+        count: number of records that ``frame_words`` already contains.
 
     Returns:
-        Index of the first drive that is not steady, N if all are steady, and the number of records.
-        The function also stops at a drive whose commanded torque is beyond its limit. The state
-        machine of this drive reports the excess.
+        Index of the first drive that is not steady (N if all drives are steady), and the number of
+        records. The function also stops at a drive whose commanded torque exceeds the torque limit.
+        The state machine of this drive then reports that the torque limit is exceeded.
     """
     x = state_tables(block, at)
     now_ns = x.run_int[s.T_NS]

@@ -57,11 +57,12 @@ that are compared, index of the reply's entry, and length of the reply's payload
 
 
 class WireTables:
-    """Tables of all cyclic frames of a hand.
+    """Tables with the identifiers, signals and records of all cyclic frames of a hand.
 
     Attributes:
-        keys: (e,) bus << 32 | identifier, sorted.
-        entries: (e, 7) with the columns ``OWNER_COLUMN`` to ``NEAREST_ONLY_COLUMN``.
+        keys: (e,) keys bus << 32 | identifier of all frames, sorted.
+        entries: (e, 7) values of each frame, in the columns ``OWNER_COLUMN`` to
+            ``NEAREST_ONLY_COLUMN``.
         wholes: (s, INTEGER_COLUMN_COUNT) integers of the received signals.
         reals: (s, 2) real numbers of the received signals.
         commands: (f, 3) drive, row of the torque in ``sent_wholes`` or -1, and feedback timeout
@@ -69,17 +70,17 @@ class WireTables:
         sent_wholes: (t, INTEGER_COLUMN_COUNT) integers of the sent torques.
         sent_reals: (t, 3) real numbers of the sent torques, with the limit [N m] in the third
             column.
-        templates: (f, WORDS_PER_RECORD) commands without torque.
+        templates: (f, WORDS_PER_RECORD) records of the commands with zero torque.
         servos: (N, 2) first row of each drive in ``servo_wholes``, and the row after its last. Both
             are equal for a drive that receives only torques.
-        servo_templates: (N, WORDS_PER_RECORD) position commands with all signals 0.
+        servo_templates: (N, WORDS_PER_RECORD) records of the position commands with all signals 0.
         servo_wholes: (p, INTEGER_COLUMN_COUNT) integers of the signals of position commands.
-        servo_reals: (p, 4) real numbers of these signals: scale, offset, smallest and largest
-            value, for the true torque of the motor.
+        servo_reals: (p, 4) scale, offset, smallest and largest value of the signals of position
+            commands, for the real torque of the motor.
         recheck_ranges: (N, 2) first row of each drive in ``rechecks``, and the row after its last.
         rechecks: (r, WORDS_PER_RECHECK) settings that are read again while a drive is enabled: the
-            record of the request, then the words from ``REPLY_WORD`` on.
-        max_frames: largest number of frames that one tick sends to steady drives, with a SYNC.
+            record of the request, then the words of the reply from ``REPLY_WORD`` on.
+        max_frames: largest number of frames, including SYNC, that one tick sends to steady drives.
     """
 
     def __init__(
@@ -89,15 +90,15 @@ class WireTables:
         holds_position: Sequence[bool] = (),
         torque_gain: FloatArray | None = None,
     ) -> None:
-        """Build the tables of all frames.
+        """Build the tables of all cyclic frames of a hand.
 
         Args:
             drives: drives of the hand.
             sensors: sensor node of the hand.
-            holds_position: for each drive, True if it closes the position loop. Empty if no drive
-                does.
-            torque_gain: (N,) torque at the spool per commanded torque. If it is None, all gains are
-                1.
+            holds_position: for each drive, True if the drive closes the position loop, empty if no
+                drive does this.
+            torque_gain: (N,) torque at the spool divided by the commanded torque, or None if all
+                values are 1.
         """
         self._signals: list[SignalTable] = []
         found: dict[int, list[int]] = {}
@@ -159,7 +160,7 @@ class WireTables:
         self._entries_without: dict[tuple[int, ...], IntArray] = {}
 
     def entries_without(self, groups: tuple[int, ...]) -> IntArray:
-        """Return a copy of the entries in which the frames of some groups go to the state machines of the sensors."""
+        """Return a copy of the entries, in which the state machines of the sensors handle some groups of frames."""
         entries = self._entries_without.get(groups)
         if entries is None:
             entries = self.entries.copy()

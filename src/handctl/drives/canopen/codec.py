@@ -1,7 +1,7 @@
-"""Frames of a CANopen node that do not depend on its profile: identifiers, NMT, and SDO transfers of up to four bytes.
+"""CANopen frames that do not depend on the device profile: NMT, SDO transfers of up to four bytes, and others.
 
-All fields are little-endian. Most identifiers are the base of the service plus the node number n.
-An empty field (-) means that the frame has no payload.
+All fields are little-endian. Most identifiers are the sum of a base, which the service determines,
+and the node number n. A hyphen in the last column means that the frame has no payload.
 
     frame      identifier  to    bytes and fields
     NMT        0x000       node  0 command | 1 node number
@@ -46,7 +46,7 @@ ABORT_TEXTS = {
 
 
 def abort_text(code: int) -> str:
-    """Return the text for an SDO abort code."""
+    """Return the meaning of an SDO abort code in words."""
     return ABORT_TEXTS.get(code, f"abort {code:#010x}")
 
 
@@ -57,13 +57,13 @@ def upload_request(index: int, subindex: int) -> bytes:
 
 
 def upload_reply(index: int, subindex: int, value_bytes: bytes) -> bytes:
-    """Return the SDO payload with which a node sends an object of one to four bytes."""
+    """Return the payload of the SDO reply with which a node sends the one to four bytes of an object."""
     # 0x43 is an expedited value. Bits 2..3 contain the number of unused bytes.
     return struct.pack("<BHB4s", 0x43 | (4 - len(value_bytes)) << 2, index, subindex, value_bytes)
 
 
 def download_request(index: int, subindex: int, value_bytes: bytes) -> bytes:
-    """Return the SDO payload that writes one to four bytes to an object."""
+    """Return the payload of the SDO request that writes one to four bytes to an object."""
     # 0x23 starts an expedited download. Bits 2..3 contain the number of unused bytes.
     return struct.pack("<BHB4s", 0x23 | (4 - len(value_bytes)) << 2, index, subindex, value_bytes)
 
@@ -80,7 +80,7 @@ class SdoReply(NamedTuple):
 def decode_sdo_reply(data: bytes) -> SdoReply | None:
     """Decode the 8 bytes of an SDO reply.
 
-    Return None if they are not the reply to a read or a write.
+    Return None if the bytes are not a reply to a read or a write.
     """
     specifier, index, sub = struct.unpack_from("<BHB", data)
     # 0x80 is an abort, 0x60 confirms a write. 0x43 is a value, with the number of unused bytes in

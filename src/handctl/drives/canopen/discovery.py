@@ -1,8 +1,8 @@
 """Discovery of CANopen drives by their heartbeats, and by their answers to an SDO read of the device type.
 
-Reading an object of a drive commands nothing to the drive. A scan reads nothing else except serial
-numbers and numbers of channels. The ``canopen`` library reads all other data of a drive, while no
-controller runs (``runtime.diagnostics.canopen_identity``). Source: CiA 301 4.2.
+A request that reads an object does not make the drive do anything. A scan reads only the device
+type, serial numbers and numbers of channels. The ``canopen`` library reads all other data of a
+drive, while no controller runs (``runtime.diagnostics.canopen_identity``). Source: CiA 301 4.2.
 """
 
 from handctl.drives.canopen import codec
@@ -19,7 +19,8 @@ from handctl.hand.file.sections import CIA404_PROTOCOL
 
 NODE_NUMBERS = range(1, HOST_NODE)
 """Node numbers for a scan to try."""
-# Object with the device type, and the profile number of CiA 402 drives in its low word.
+# Object that contains the device type, and the profile number of CiA 402 drives in the lower 16
+# bits of this object.
 DEVICE_TYPE = 0x1000
 CIA402_PROFILE = 402
 CIA404_PROFILE = 404
@@ -38,8 +39,8 @@ _RPDO_BASE_IDS = (0x200, 0x300, 0x400, 0x500)
 def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan.
 
-    Round 2 reads the device type of every node number. Round 3 reads the serial number of the
-    discovered nodes, and the number of channels of measuring amplifiers.
+    Round 2 reads the device type of every node number. Round 3 reads the serial number of each
+    discovered node, and the number of channels of each measuring amplifier.
     """
     if scan_round == 2:
         return tuple(
@@ -60,7 +61,7 @@ def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]
 
 
 def discovered_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the discovered nodes: those that have reported a device type, and those that have only sent heartbeats."""
+    """Return all nodes that have reported a device type, or have sent heartbeats."""
     types: dict[int, int] = {}
     channels: dict[int, int] = {}
     states: dict[int, int] = {}

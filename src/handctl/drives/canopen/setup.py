@@ -1,4 +1,4 @@
-"""Set-up of a CANopen node by SDO: its objects are written and read back until each has its required value."""
+"""Set-up of a CANopen node by SDO: objects are written and read until each has its required value."""
 
 import enum
 from typing import NamedTuple
@@ -20,7 +20,7 @@ SERIAL_NUMBER = 0x1018, 4
 
 
 class ObjectCheck(enum.IntEnum):
-    """Rule by which an object is written, and its value compared with the required value."""
+    """Rule by which an object is written, and its value is compared with the required value."""
 
     SAME = 0
     """Read the object. The value must equal the required value."""
@@ -52,7 +52,7 @@ OPTIONAL_OBJECT_CHECKS = (
 
 
 class SetupStep(NamedTuple):
-    """Object of a node with its required value, and the rule by which it is checked."""
+    """One object of a node with its required value, and the rule by which the object is checked."""
 
     check: ObjectCheck
     number: int
@@ -79,7 +79,7 @@ class SetupStep(NamedTuple):
 def pdo_steps(
     communication: int, mapping: int, cob: int, transmission: int, objects: tuple[int, ...]
 ) -> tuple[SetupStep, ...]:
-    """Return the steps that set up one PDO: they disable the PDO, map its objects, and enable it."""
+    """Return the steps that set up one PDO: they disable the PDO, map its objects, and enable it again."""
     write = ObjectCheck.WRITE
     return (
         # By CiA 301, the mapping of a PDO can be changed only while the PDO is off and its entry
@@ -108,7 +108,9 @@ def _has_required_value(step: SetupStep, value: int) -> bool:
 def on_reply(
     cursor: ReadbackCursor, required: tuple[SetupStep, ...], reply: codec.SdoReply
 ) -> tuple[ReadbackCursor, int, str]:
-    """Return the position in the read-back after an SDO reply. Replies to other requests have no effect.
+    """Return the new position in the read-back after an SDO reply.
+
+    Replies to other requests have no effect.
 
     Returns:
         the new cursor, the value of an object with the rule READ_IF_PRESENT (0 for any other), and
@@ -143,10 +145,11 @@ def on_reply(
 def next_request(
     cursor: ReadbackCursor, required: tuple[SetupStep, ...], t_ns: int
 ) -> tuple[ReadbackCursor, bytes, str]:
-    """Return the next request of the read-back: cursor, SDO payload, and problem in words.
+    """Return the next SDO request of the read-back, with the new cursor and a problem in words.
 
-    The payload is empty while an answer of the drive is awaited. The problem is empty if all is
-    right. The first object is requested until the drive answers.
+    The payload of the request is empty while an answer of the drive is awaited. The text of the
+    problem is empty if no problem has occurred. The first object is requested again and again until
+    the drive answers.
     """
     step = required[cursor.step]
     cursor, send, problem = readback.request_setting(

@@ -11,8 +11,8 @@ the other frames.
     TPDO1      0x180 + n   host   0..1 status word | 2..5 position int32 [count] | 6..7 torque int16
                                   [1/1000 of rated]
 
-Torque and position refer to the motor's shaft. RPDO1 carries a torque in mode 10. Source: CiA 402-2
-(control word, status word, objects).
+Torque and position are measured at the shaft of the motor. In mode 10, RPDO1 contains a torque.
+Source: CiA 402-2 (control word, status word, objects).
 """
 
 import math
@@ -79,7 +79,7 @@ ENABLED_STATUS = 0x07 << 2 | 0x01
 
 
 def power_state(status: int) -> str:
-    """Return the power state in a status word, or an empty string if its code is undefined."""
+    """Return the power state that a status word contains, or an empty string if the code is undefined."""
     return next((state for mask, value, state in _POWER_STATES if status & mask == value), "")
 
 
@@ -88,7 +88,7 @@ def feedback_message(
 ) -> CyclicMessage:
     """Return the signal table of TPDO1: status word, position [count], torque [1/1000 of rated].
 
-    Position and torque refer to the motor's shaft.
+    Torque and position are measured at the shaft of the motor.
 
     Args:
         node_id: node number of the drive.
@@ -96,7 +96,7 @@ def feedback_message(
         ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
         rated: rated torque of the drive at the shaft [N m].
-        zero: angle of the shaft at spool angle zero [rad].
+        zero: angle of the shaft when the spool angle is zero [rad].
     """
     count = math.tau / counts / ratio
     torque = rated / 1000 * ratio
@@ -113,7 +113,7 @@ def feedback_message(
 
 
 def command_message(node_id: int, ratio: float, rated: float, limit: float) -> CyclicMessage:
-    """Return the signal table of RPDO1 to an enabled drive: control word, target torque [1/1000 of rated].
+    """Return the signal table of RPDO1 with the control word and the target torque [1/1000 of rated].
 
     Args:
         node_id: node number of the drive.
@@ -141,14 +141,14 @@ def command_message(node_id: int, ratio: float, rated: float, limit: float) -> C
 def position_message(
     node_id: int, counts: int, ratio: float, zero: float, limit: float
 ) -> CyclicMessage:
-    """Return the signal table of RPDO1 to an enabled drive: control word, target position [count].
+    """Return the signal table of RPDO1 with the control word and the target position [count].
 
     Args:
         node_id: node number of the drive.
         counts: position counts per turn of the shaft.
         ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
-        zero: angle of the shaft at spool angle zero [rad].
+        zero: angle of the shaft when the spool angle is zero [rad].
         limit: largest position command [rad at the spool].
 
     Raises:
@@ -170,7 +170,7 @@ def position_message(
 
 
 def velocity_message(node_id: int, unit: float, limit: float) -> CyclicMessage:
-    """Return the signal table of RPDO1 to an enabled drive: control word, target velocity.
+    """Return the signal table of RPDO1 with the control word and the target velocity.
 
     Args:
         node_id: node number of the drive.
@@ -199,5 +199,5 @@ def _motion_message(node_id: int, signal: Signal, limit: float, largest: float) 
 
 
 def error_text(code: int) -> str:
-    """Return the text for the error code of an emergency."""
+    """Return the meaning of the error code in an emergency frame, in words."""
     return ERROR_TEXTS.get(code, f"error {code:#06x}")

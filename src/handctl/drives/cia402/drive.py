@@ -2,9 +2,9 @@
 
 In each tick the host sends one RPDO (control word, target torque), and the drive sends one TPDO
 (status word, position, torque). The drive sends the TPDO at SYNC, a frame with the identifier
-0x080. On a bus with a sensor node, the SYNC for the sensor node has this identifier and also
+0x080. On a bus with a sensor node, the SYNC for the sensor node has the same identifier, and also
 requests the TPDO. On a bus without a sensor node, handctl sends SYNC if one of the drives has the
-option ``sync``. The drive's watchdog supervises the heartbeat of this host. Only a status word
+option ``sync``. The watchdog of the drive supervises the heartbeat of this host. Only a status word
 proves that the drive is enabled or disabled.
 """
 
@@ -100,7 +100,7 @@ class Cia402Drive:
         command_limit: largest torque command [N m at the spool].
         ratio: turns of the motor's shaft per turn of the spool, negative if positive torque of the
             motor unwinds the tendon.
-        zero: angle of the shaft at spool angle zero [rad].
+        zero: angle of the shaft when the spool angle is zero [rad].
         rated: rated torque of the drive at the shaft [N m].
         counts: position counts per turn of the shaft.
         steps: objects of the drive, with the values required before arming.
@@ -109,8 +109,8 @@ class Cia402Drive:
             drives on a bus receive the same heartbeat, so one sender is enough.
         heartbeat_period_ns: period of this host's heartbeat [ns].
         life_sign_timeout_ns: time without a sign of life after which the drive counts as lost [ns].
-        command: signal table of RPDO1, built from the fields above.
-        feedback: signal table of TPDO1, built from the fields above.
+        command: signal table of RPDO1, built from the other fields.
+        feedback: signal table of TPDO1, built from the other fields.
     """
 
     name: str
@@ -207,7 +207,8 @@ class Cia402Drive:
             ),
             sync=sync,
             sends_heartbeat=True,
-            # The host sends three heartbeats per watchdog timeout, so that two may be lost.
+            # The host sends three heartbeats per timeout of the watchdog, so that two of them may
+            # be lost.
             heartbeat_period_ns=watchdog * 1_000_000 // 3,
             life_sign_timeout_ns=round(heartbeat * MAX_MISSED_HEARTBEATS * 1e6),
         )
@@ -219,7 +220,7 @@ class Cia402Drive:
 
     @property
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the frames with rates of their own: heartbeats of drive and host, and SDO read-back while enabled."""
+        """Return the frames with a rate that differs from the control rate: heartbeats and SDO requests."""
         beats = [(1, False, MAX_MISSED_HEARTBEATS * 1e9 / self.life_sign_timeout_ns)]
         if self.sends_heartbeat:
             beats.append((1, False, 1e9 / self.heartbeat_period_ns))
@@ -250,7 +251,7 @@ class Cia402Drive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return an empty tuple, because every setting is read back."""
+        """Return an empty tuple, because the host reads back every setting of the drive."""
         return ()
 
     @property
@@ -260,12 +261,12 @@ class Cia402Drive:
 
     @property
     def one_reply_per_command(self) -> bool:
-        """Return True, because the drive sends one TPDO per SYNC."""
+        """Return True, because the drive sends one TPDO for each SYNC."""
         return True
 
     @property
     def position_step(self) -> float:
-        """Return the angle of one encoder count [rad at the spool]."""
+        """Return the angle of the spool per encoder count [rad]."""
         return math.tau / (self.counts * abs(self.ratio))
 
     @property
@@ -275,14 +276,14 @@ class Cia402Drive:
 
     @property
     def cyclic_messages(self) -> CyclicMessages:
-        """Return the signal tables of RPDO and TPDO, and also of SYNC if the option ``sync`` is set."""
+        """Return the signal tables of RPDO and TPDO, and of SYNC if the option ``sync`` is set."""
         sync = (CyclicMessage("sync", canopen.SYNC, 0, answers=False),) if self.sync else ()
         return CyclicMessages(
             (self.feedback.message,), (self.command.message, *sync), self.life_sign_timeout_ns
         )
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status that feedback shows after this host has enabled the drive, otherwise NO_STEADY_STATUS."""
+        """Return the status of the drive after this host has enabled it, or NO_STEADY_STATUS."""
         progress = progress_of(state)
         steady = state.phase == ENABLED and progress.enable_sent and progress.disabling_ns < 0
         return codec.ENABLED_STATUS if steady else NO_STEADY_STATUS
@@ -302,7 +303,7 @@ class Cia402Drive:
 
     @property
     def rechecks(self) -> tuple[SettingRecheck, ...]:
-        """Return request and reply of each object that is read again, see ``contract.Drive``."""
+        """Return request and reply for each object that the host reads again, see ``contract.Drive``."""
         return tuple(
             SettingRecheck(
                 step.name,
@@ -324,7 +325,7 @@ class Cia402Drive:
         return DriveState(private=Cia402Progress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state after a received frame, see ``contract.Drive``."""
+        """Return the state of the drive after a received frame, see ``contract.Drive``."""
         if frame.bus != self.bus or frame.can_id not in self.node_ids:
             return state
         service = frame.can_id - self.node_id
@@ -336,8 +337,8 @@ class Cia402Drive:
             return on_heartbeat(state, frame)
         if service == canopen.SDO_REPLY:
             return self._on_sdo_reply(state, frame.data)
-        # The only service left is the emergency. Code 0 of an emergency reports that all errors
-        # have ended.
+        # After the tests above, the frame can only be an emergency. Code 0 of an emergency reports
+        # that all errors have ended.
         code = int.from_bytes(frame.data[:2], "little")
         return state._replace(private=progress_of(state)._replace(code=code)) if code else state
 
@@ -359,7 +360,7 @@ class Cia402Drive:
         return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def _on_recheck_reply(self, state: DriveState, reply: canopen.SdoReply) -> DriveState:
-        """Compare an object, read again from the enabled drive, with the required value."""
+        """Compare the value of an object, read again from the enabled drive, with the required value."""
         step = self.rechecked_settings[state.recheck.step]
         if reply[:2] != (step.number, step.sub) or not (reply.raw or reply.abort):
             return state
@@ -379,7 +380,7 @@ class Cia402Drive:
         )
 
     def _on_feedback(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state after a TPDO, with the values and the power state.
+        """Return the state of the drive after a TPDO, with the received values and the power state.
 
         The mapping of the TPDO is unknown until the read-back is complete. Values that arrive
         before are not used.
@@ -402,11 +403,11 @@ class Cia402Drive:
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames to send, see ``contract.Drive``."""
+        """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
         if target == LISTEN:
             return state, ()
-        # A status word is a sign of life, too. Compiled code may have received the latest status
-        # word.
+        # A status word also shows that the drive is alive. Compiled code may have received the
+        # latest status word.
         if (
             0
             <= max(progress_of(state).life_sign_ns, state.feedback_t_ns)
@@ -425,7 +426,7 @@ class Cia402Drive:
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames for the requested drive state.
 
-        Heartbeat and SYNC are not included.
+        The frames do not include heartbeat and SYNC.
         """
         progress = progress_of(state)
         if target == DISABLE or (
@@ -456,8 +457,8 @@ class Cia402Drive:
         A drive that may be enabled counts as enabled until a status word reports the state
         disabled.
 
-        The drive sends status words only in the NMT state operational. NMT start is therefore
-        repeated as long as no feedback arrives.
+        The drive sends status words only in the NMT state operational. The host therefore repeats
+        the NMT start as long as no feedback arrives.
         """
         phase = ENABLED if progress.may_be_enabled else state.phase
         since = progress.disabling_ns if progress.disabling_ns >= 0 else t_ns
@@ -491,14 +492,14 @@ class Cia402Drive:
     def _start_node(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the frames to set the node to the NMT state operational.
+        """Return the next state, and the frames that set the node to the NMT state operational.
 
-        The frames are repeated until a status word arrives. If the operator has cleared a fault,
-        the frames reset it.
+        The host repeats these frames until a status word arrives. If the operator has cleared a
+        fault, these frames reset the fault.
         """
         if progress.clearing and progress.power == codec.FAULT:
-            # The control word alternates between two values, because only the rising edge of bit 7
-            # resets a fault.
+            # The control word alternates between two values, because a fault is reset only when bit
+            # 7 changes from 0 to 1.
             control_word = codec.FAULT_RESET if progress.clearing % 2 else codec.DISABLE_VOLTAGE
             return state._replace(private=progress), (self._rpdo_frame(control_word, 0.0),)
         if t_ns - progress.started_ns < REPEAT_PERIOD_NS:
@@ -511,7 +512,7 @@ class Cia402Drive:
         )
 
     def _rpdo_frame(self, control: int, command: float) -> Frame:
-        """Return RPDO1 with the given control word and command, in the unit of ``command_limit``."""
+        """Return the frame RPDO1 with the given control word and command, in the unit of ``command_limit``."""
         try:
             data = struct.pack("<H", control) + self.command.pack(command)[2:]
         except ValueError as error:
@@ -519,7 +520,7 @@ class Cia402Drive:
         return Frame(canopen.RPDO + self.node_id, data, 0, self.bus)
 
     def _rest_command(self, state: DriveState) -> float:
-        """Return the command to a drive that is being enabled: zero torque."""
+        """Return a command of zero torque, for a drive that is being enabled."""
         return 0.0
 
     def _sdo_frame(self, data: bytes) -> Frame:
@@ -527,7 +528,7 @@ class Cia402Drive:
         return Frame(canopen.SDO_REQUEST + self.node_id, data, 0, self.bus)
 
     def _nmt_frame(self, order: int) -> Frame:
-        """Return the frame of an NMT command to the node."""
+        """Return the frame of an NMT command to the drive."""
         return Frame(canopen.NMT, bytes((order, self.node_id)), 0, self.bus)
 
     def identity(self, state: DriveState) -> str:
@@ -535,23 +536,25 @@ class Cia402Drive:
         return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
-        """Return the cause of an error code, see ``contract.Drive``."""
+        """Return the cause of an error code of the drive, see ``contract.Drive``."""
         return CAUSE_BY_ERROR.get(
             error_code,
             DriveFaultCause.OTHER if error_code in codec.ERROR_TEXTS else DriveFaultCause.UNKNOWN,
         )
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return an RPDO with a target torque [N m at the spool] and a control word that leaves the power stage off."""
+        """Return an RPDO with a target torque [N m at the spool], whose control word keeps the power stage off."""
         return (self._rpdo_frame(codec.DISABLE_VOLTAGE, torque),)
 
     def cut_frames(self) -> tuple[Frame, ...]:
         """Return the frames that remove the torque: DISABLE_VOLTAGE, then NMT pre-operational.
 
-        In the NMT state pre-operational, object 0x6007 makes the drive go into fault.
+        When the node enters the NMT state pre-operational, object 0x6007 makes the drive go into
+        fault.
 
-        The order of the two frames matters. A node reads PDOs only in the NMT state operational.
-        CiA 402-2 does not require that a drive loses its torque when it enters pre-operational.
+        DISABLE_VOLTAGE must be sent before NMT pre-operational. The reason is that a node reads
+        PDOs only in the NMT state operational. CiA 402-2 does not require that a drive loses its
+        torque when it enters pre-operational.
         """
         return (
             self._rpdo_frame(codec.DISABLE_VOLTAGE, 0.0),
@@ -559,9 +562,9 @@ class Cia402Drive:
         )
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return the SDO request after which the drive no longer supervises the host's heartbeat.
+        """Return the SDO request that ends the drive's supervision of the host's heartbeat.
 
-        Without this request the drive would latch a fault, because the host sends no heartbeat
+        Without this request, the drive would latch a fault, because the host sends no heartbeat
         after a run.
         """
         if state.phase != READY:
@@ -570,9 +573,9 @@ class Cia402Drive:
         return (self._sdo_frame(data),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the frames that reset the fault.
+        """Return the next state and the frames that reset the fault of the drive.
 
-        All objects are then read back again.
+        After the reset, the host reads back all objects again.
         """
         power = progress_of(state).power
         fresh = Cia402Progress(power="" if power == codec.FAULT else power, clearing=CLEAR_TRIES)

@@ -1,12 +1,13 @@
-"""CiA 402 drive in cyclic synchronous position or velocity mode.
+"""CiA 402 drive in cyclic synchronous position mode or velocity mode.
 
 RPDO1 carries the target position (0x607A) or the target velocity (0x60FF). The maximum speed
 (0x6080) is read back before arming and while the drive is enabled, like the objects of torque mode.
 In position mode the drive supervises the following error (0x6065, 0x6066). A drive with a blocked
 shaft therefore goes into fault.
 
-The unit of object 0x60FF differs between makers. The option ``velocity_unit`` is rev_min (the
-default, as on EPOS4) or count_s. The unit of object 0x6080 is 1/min. Source: CiA 402-2.
+The unit of object 0x60FF differs between manufacturers. The option ``velocity_unit`` has the value
+rev_min (the default, as on EPOS4) or count_s. The unit of object 0x6080 is 1/min. Source: CiA
+402-2.
 """
 
 import math
@@ -43,7 +44,7 @@ RAD_S_PER_RPM = math.tau / 60.0
 class Cia402ModeDrive(Cia402Drive):
     """Motor on a CiA 402 drive whose command is a position [rad] or a velocity [rad/s] at the spool.
 
-    ``command_limit`` has the same unit.
+    The attribute ``command_limit`` has the unit of the command.
 
     Attributes:
         mode: quantity that the drive controls.
@@ -71,18 +72,18 @@ class Cia402ModeDrive(Cia402Drive):
         return ((6, False), (8, False), *(((0, False),) if self.sync else ()))
 
     def _rest_command(self, state: DriveState) -> float:
-        """Return the command that causes no motion: the present position, or zero velocity."""
+        """Return the command that causes no motion: the present position or a velocity of zero."""
         return self.mode.rest(state.position)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return no frames, because the RPDO contains no torque in this mode."""
+        """Return no frames, because the RPDO contains no torque in position mode and velocity mode."""
         return ()
 
 
 def make_mode_drive(
     motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
 ) -> Cia402ModeDrive:
-    """Return the drive for a motor description, in the given mode.
+    """Return the drive object for a motor description, in the given mode.
 
     Raises:
         ConfigError: an option is unknown or wrong, the mode is not supported, or a limit does not
@@ -113,12 +114,12 @@ def make_mode_drive(
 
 
 def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.SetupStep, ...]:
-    """Return the objects that a mode requires in addition to those of torque mode, with the required values.
+    """Return the objects that a mode requires in addition to the objects of torque mode.
 
     Args:
         mode: quantity that the drive controls.
         speed: maximum speed [1/min].
-        window: largest following error that the drive accepts for any time [count].
+        window: largest following error that the drive tolerates for any length of time [count].
     """
     write = setup.ObjectCheck.WRITE
     maximum = setup.SetupStep(write, 0x6080, 0, speed, 4)
@@ -128,8 +129,8 @@ def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.Setup
         maximum,
         setup.SetupStep(write, 0x6065, 0, window, 4),
         setup.SetupStep(write, 0x6066, 0, FOLLOWING_ERROR_MS, 2),
-        # The interpolation time is value x 10^index seconds. 0xFD is the index -3, so the value is
-        # in milliseconds.
+        # The interpolation time is value x 10^index seconds, and 0xFD is the index -3, so the value
+        # is in milliseconds.
         setup.SetupStep(write, 0x60C2, 1, INTERPOLATION_PERIOD_MS, 1),
         setup.SetupStep(write, 0x60C2, 2, 0xFD, 1),
     )

@@ -1,4 +1,4 @@
-"""Progress of the state machine of a CiA 402 drive, and the effects of status words and heartbeats."""
+"""Progress of the state machine of a CiA 402 drive, and effects of status words and heartbeats."""
 
 from typing import NamedTuple, cast
 
@@ -37,15 +37,15 @@ class Cia402Progress(NamedTuple):
 
     Attributes:
         cursor: position in the list of objects to read back.
-        power: power state in the latest status word, empty before the first status word.
-        code: error code of the latest emergency.
+        power: power state in the latest status word, or an empty text before the first status word.
+        code: error code in the latest emergency frame.
         life_sign_ns: time of the latest heartbeat or status word of the drive [ns], -1 before the
             first.
         started_ns: time of the latest NMT start [ns].
         heartbeat_sent_ns: time of this host's latest heartbeat [ns].
         enable_sent: True from the enable command until the drive reports the state disabled.
-        disabling_ns: time of the first disable command [ns], -1 if none was sent.
-        clearing: number of status words with a fault still to be ignored, while the fault is being
+        disabling_ns: time of the first disable command [ns], or -1 if none was sent.
+        clearing: number of status words whose fault must still be ignored while the fault is being
             cleared.
         serial: serial number of the drive, 0 if unknown.
     """
@@ -70,12 +70,15 @@ class Cia402Progress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> Cia402Progress:
-    """Return the CiA 402 progress in a drive state."""
+    """Return the CiA 402 values in the state of a drive."""
     return cast(Cia402Progress, state.private)
 
 
 def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState:
-    """Return the state after a status word. ``progress`` already has its power state."""
+    """Return the state of a drive after a status word.
+
+    The argument ``progress`` already contains the power state of this status word.
+    """
     power = progress.power
     updated = state._replace(private=progress)
     if power == codec.FAULT:
@@ -121,8 +124,8 @@ def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState
 def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
     """Return the state after a heartbeat of the drive.
 
-    If the drive has left the NMT state operational, it was stopped, or it has restarted and lost
-    its settings.
+    If the drive has left the NMT state operational, it was stopped, or it has restarted and has
+    lost its settings.
     """
     progress = progress_of(state)._replace(life_sign_ns=frame.t_ns)
     if (
@@ -138,7 +141,7 @@ def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
 
 
 def state_after_timeout(state: DriveState) -> DriveState:
-    """Return the state of a drive that has been silent for too long.
+    """Return the state of a drive from which no frame has arrived for too long.
 
     An enabled drive is then in fault. A disabled drive may have restarted, so its objects are read
     back again.

@@ -1,10 +1,11 @@
-"""Objects of a CiA 402 drive that must have a certain value before arming.
+"""Objects of a CiA 402 drive that must have certain values before arming.
 
-SDO writes them and reads them back.
+The host writes the objects by SDO, and reads them back.
 
-RPDO1 has transmission type 255: a torque acts when it arrives, in the tick that has computed it, as
-in the other protocols. TPDO1 has transmission type 1: the drive samples and sends it at SYNC. If
-the heartbeat of the host is missing, the drive is in fault (objects 0x1016, 0x6007).
+RPDO1 has transmission type 255: the drive applies a torque when it arrives, in the tick that has
+computed it, as in the other protocols. TPDO1 has transmission type 1: at each SYNC, the drive
+measures the values of TPDO1 and sends them. If the heartbeat of the host is missing, the drive goes
+into fault (objects 0x1016, 0x6007).
 """
 
 from handctl.drives.canopen.codec import RPDO, TPDO
@@ -50,15 +51,16 @@ def required_steps(
         node_id: node number of the drive.
         rated: rated torque of the drive, in the unit of object 0x6076.
         max_torque: maximum torque [1/1000 of rated].
-        watchdog_ms: time without this host's heartbeat after which the drive is in fault [ms].
+        watchdog_ms: time without a heartbeat of this host after which the drive goes into fault
+            [ms].
         heartbeat_ms: period of the drive's heartbeat [ms].
-        mode: mode of operation, key of ``TARGET_OBJECTS``.
+        mode: mode of operation of the drive, a key of ``TARGET_OBJECTS``.
     """
     target, size = TARGET_OBJECTS[mode]
     same, bits, write, write_optional, read, *_ = ObjectCheck
     bases = ((0x1400, RPDO), (0x1800, TPDO))
-    # PDOs 2 to 4 are switched off. The records of these PDOs have consecutive indices, and their
-    # default identifiers are 0x100 apart.
+    # PDOs 2 to 4 are switched off. The parameter records of these PDOs have consecutive indices,
+    # and their default identifiers differ by 0x100.
     others = [
         SetupStep(write_optional, base + i, 1, PDO_DISABLED_BIT | cob + 0x100 * i + node_id, 4)
         for base, cob in bases
@@ -69,14 +71,14 @@ def required_steps(
         SetupStep(bits, 0x1000, 0, 0x0192, 4),
         SetupStep(read, *SERIAL_NUMBER, 0, 4),
         SetupStep(write, 0x6040, 0, DISABLE_VOLTAGE, 2),
-        # The object has a bit for each mode that the drive supports. Bit 9 is mode 10, cyclic
-        # synchronous torque.
+        # The object contains one bit for each mode that the drive may support. Bit 9 stands for
+        # mode 10, cyclic synchronous torque.
         SetupStep(bits, 0x6502, 0, 1 << mode - 1, 4),
         SetupStep(same, 0x6076, 0, rated, 4),
         SetupStep(write, 0x6072, 0, max_torque, 2),
         SetupStep(write, 0x6071, 0, 0, 2),
-        # With abort connection option 1, the drive is in fault when the heartbeat of the host is
-        # missing.
+        # With the value 1 of the abort connection option, the drive goes into fault when the
+        # heartbeat of the host is missing.
         SetupStep(write, 0x6007, 0, 1, 2),
         SetupStep(write, 0x1016, 1, HOST_NODE << 16 | watchdog_ms, 4),
         SetupStep(write, 0x1017, 0, heartbeat_ms, 2),

@@ -1,9 +1,9 @@
 """State machine that sets up a CiA 404 measuring amplifier, until the amplifier answers every SYNC.
 
-The host sets the amplifier to the NMT state pre-operational, reads and writes its objects, and
-starts it. TPDOs of the amplifier are used only after this start. If an amplifier restarts, it is
-set up again before the next arming. An amplifier is never set up while motors may make torque. No
-frame of this module moves a motor.
+The host sets the amplifier to the NMT state pre-operational, reads and writes its objects, and then
+starts the amplifier. Received TPDOs of the amplifier are used only after this start. If an
+amplifier restarts, the host sets it up again before the next arming. The host never sets up an
+amplifier while motors may make torque. No frame of this module moves a motor.
 """
 
 from dataclasses import dataclass
@@ -19,14 +19,14 @@ SILENT, CONFIGURING, READY = DrivePhase.SILENT, DrivePhase.CONFIGURING, DrivePha
 
 
 class AmplifierState(NamedTuple):
-    """State of an amplifier in its set-up.
+    """State of an amplifier while the host sets it up.
 
     Attributes:
         node_id: node number of the amplifier.
-        phase: SILENT, CONFIGURING, READY or FAULT.
+        phase: phase of the set-up: SILENT, CONFIGURING, READY or FAULT.
         cursor: position in the list of objects to read back.
         started_ns: time of the latest NMT start [ns].
-        error_text: problem in words, empty without a problem.
+        error_text: problem in words, or an empty text without a problem.
     """
 
     node_id: int
@@ -69,7 +69,7 @@ class LoadCellAmplifier:
         )
 
     def receive(self, state: AmplifierState, frame: Frame) -> AmplifierState:
-        """Return the state after a received frame.
+        """Return the state of the amplifier after a received frame.
 
         Frames of other nodes, or with a wrong length, have no effect.
         """
@@ -115,9 +115,9 @@ class LoadCellAmplifier:
     def advance(
         self, state: AmplifierState, t_ns: int, target: DriveTarget
     ) -> tuple[AmplifierState, tuple[Frame, ...]]:
-        """Return the next state and the frames to send.
+        """Return the next state of the amplifier and the frames to send.
 
-        The amplifier is set up only with ``DriveTarget.POLL``.
+        The host sets up the amplifier only if the target is ``DriveTarget.POLL``.
         """
         if target != DriveTarget.POLL or state.phase in (READY, DrivePhase.FAULT):
             return state, ()
@@ -133,9 +133,9 @@ class LoadCellAmplifier:
     def _configure(
         self, state: AmplifierState, t_ns: int
     ) -> tuple[AmplifierState, tuple[Frame, ...]]:
-        """Return the next state and the next SDO request.
+        """Return the next state of the amplifier and the next SDO request.
 
-        NMT pre-operational precedes the first request.
+        Before the first request, the host sends the NMT command pre-operational.
         """
         cursor, data, problem = setup.next_request(state.cursor, self.steps, t_ns)
         updated = state._replace(cursor=cursor)

@@ -1,6 +1,7 @@
-"""Load cells on CiA 404 measuring amplifiers: the frames that a tick exchanges with them.
+"""Load cells on CiA 404 measuring amplifiers, and the frames that amplifiers and host exchange in a tick.
 
-The identifiers of TPDOs are a base plus the node number n. SYNC has no payload (-).
+The identifier of a TPDO is the sum of a base and the node number n. The hyphen in the last column
+means that SYNC has no payload.
 
     frame    identifier                 to          bytes and fields
     SYNC     0x080                      amplifiers  -
@@ -9,8 +10,8 @@ The identifiers of TPDOs are a base plus the node number n. SYNC has no payload 
 
 A channel is the process value in newton, little-endian, as INTEGER32 (object 0x9130, with decimal
 digits) or REAL32 (object 0x6130). A frame has no counter, so only its arrival time shows which SYNC
-it answers. A frame is stale if it arrives before an answer to the latest SYNC can arrive. A later
-frame counts as fresh. Source: docs/facts/cia404.md.
+the frame answers. A frame is stale if it arrives before an answer to the latest SYNC can arrive. A
+later frame counts as fresh. Source: docs/facts/cia404.md.
 """
 
 from dataclasses import dataclass
@@ -45,7 +46,7 @@ value is a margin for errors of the time stamp.
 
 
 class AmplifierDescription(Protocol):
-    """Keys for this module, in the section ``sensor_node`` of the hand file."""
+    """Keys of the section ``sensor_node`` in the hand file, for load cells on CiA 404 amplifiers."""
 
     @property
     def sync_id(self) -> int:
@@ -64,7 +65,7 @@ class AmplifierDescription(Protocol):
 
     @property
     def amplifier_channels(self) -> tuple[int, ...]:
-        """Return the number of channels of each amplifier that have a load cell."""
+        """Return for each amplifier the number of channels to which a load cell is connected."""
         ...
 
     @property
@@ -74,7 +75,7 @@ class AmplifierDescription(Protocol):
 
     @property
     def process_value(self) -> str:
-        """Return the coding of the process value in frames: ``int32`` or ``real32``."""
+        """Return the format of the process value in frames, ``int32`` or ``real32``."""
         ...
 
     @property
@@ -187,7 +188,8 @@ class Cia404LoadCells:
     def cell_range(self) -> tuple[float, float]:
         """Return the rated load of the load cells with both signs, as the limits of the range [N].
 
-        An amplifier reports an overload as NaN or -2^31 counts, which are outside this range.
+        An amplifier reports an overload as NaN or as -2^31 counts, which are both outside this
+        range.
         """
         return -self.range_n, self.range_n
 
@@ -213,7 +215,10 @@ class Cia404LoadCells:
 
     @property
     def messages(self) -> tuple[CyclicMessage, ...]:
-        """Return the signal tables of the frames. ``Signal.channel`` is the index of the tendon."""
+        """Return the signal tables of the frames.
+
+        In each signal, ``Signal.channel`` is the index of the tendon.
+        """
         messages = []
         for amplifier, groups in zip(self.amplifiers, self.group_ranges, strict=True):
             for tpdo, group in enumerate(groups):
@@ -255,7 +260,10 @@ class Cia404LoadCells:
         return True
 
     def lost_frame_count(self, syncs: int, accepted: int, stale: int) -> int:
-        """Return the number of lost frames. Answers to the last SYNC are not counted."""
+        """Return the number of lost frames.
+
+        Missing answers to the last SYNC are not counted, because they may still arrive.
+        """
         return max(0, (syncs - 1) * len(self.ids) - accepted - stale)
 
     def group_of_tendon(self, tendon_index: int) -> int:

@@ -1,10 +1,11 @@
 """Objects of a CiA 404 amplifier that must have a certain value before arming.
 
-SDO transfers check and write them.
+The host checks and writes the objects by SDO transfers.
 
-Every TPDO with load cells has transmission type 1: the amplifier samples and sends it at each SYNC.
-Unit and decimal digits are read first. Each of the two is written only if it differs from the
-required value. Source: docs/facts/cia404.md.
+Every TPDO with load cells has transmission type 1: at each SYNC, the amplifier measures the load
+cells and sends the TPDO. The host reads the unit and the number of decimal digits first. The unit
+and the number of digits are written only if they differ from the required values. Source:
+docs/facts/cia404.md.
 """
 
 from handctl.drives.canopen import codec
@@ -62,8 +63,8 @@ def required_steps(
         mapped = range(first + 1, min(first + CHANNELS_PER_TPDO, channels) + 1)
         entries = tuple(number << 16 | channel << 8 | 8 * CHANNEL_BYTES for channel in mapped)
         if entries:
-            # An inhibit time of the PDO could delay answers. This time is set to 0 while the PDO is
-            # off.
+            # An inhibit time of the PDO could delay answers. The inhibit time is set to 0 while the
+            # PDO is off.
             inhibit = SetupStep(ObjectCheck.WRITE_IF_PRESENT, 0x1800 + i, 3, 0, 2)
             off, *rest = pdo_steps(0x1800 + i, 0x1A00 + i, base + node_id, 1, entries)
             steps += [off, inhibit, *rest]

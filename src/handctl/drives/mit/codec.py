@@ -10,7 +10,7 @@ Special command with identifier ESC_ID, 8 bytes: seven bytes FF, then FC to enab
 or FB to clear an error.
 
 Commands of the modes in which the motor controls its own position or velocity, little-endian. The
-motor follows each of them only in its mode:
+motor obeys each of these commands only in the mode of the command:
 
     identifier       mode                 bytes and fields
     0x100 + ESC_ID   position-velocity    0..3 position float32 [rad] | 4..7 speed limit float32 [rad/s]
@@ -115,7 +115,7 @@ ERROR_TEXTS = {
 
 _REPLY_STRUCT = struct.Struct("<HBB")
 """First bytes of a register reply: node number, operation, register."""
-# Largest codes of the 16-bit field and of the 12-bit fields.
+# Largest numbers in the 16-bit field and in the 12-bit fields of a frame.
 MAX_POSITION_COUNT = 2**16 - 1
 MAX_COUNT = 2**12 - 1
 KP_MAX = 500.0
@@ -151,12 +151,12 @@ def command_message(
 ) -> CyclicMessage:
     """Return the signal table of the torque command, in which kp = kd = 0.
 
-    This format has no code for zero torque. 0 N m is sent as the nearest code, half a step (TMAX /
-    4095) away.
+    The format has no code for zero torque, so 0 N m is sent as the nearest code, half a step (TMAX
+    / 4095) away.
 
     Args:
         can_id: identifier of the motor, ESC_ID.
-        ranges: full scale of the motor. TMAX is the torque limit.
+        ranges: full scale of position, velocity and torque of the motor. TMAX is the torque limit.
         direction: 1 if positive torque of the motor winds the tendon, else -1.
         flags: flags of the frame, see ``frame``.
     """
@@ -187,10 +187,10 @@ def impedance_message(
 
     Args:
         can_id: identifier of the motor, ESC_ID.
-        ranges: full scale of the motor. TMAX is the torque limit.
-        direction: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
-            have the same sign.
-        zero: motor angle at spool angle zero [rad].
+        ranges: full scale of position, velocity and torque of the motor. TMAX is the torque limit.
+        direction: 1 if positive torque of the motor winds the tendon, else -1. The position and the
+            velocity have the same sign as the torque.
+        zero: angle of the motor when the spool angle is zero [rad].
         flags: flags of the frame.
         gains: full scale of the gains kp [N m/rad] and kd [N m s/rad].
     """
@@ -221,10 +221,11 @@ def position_message(
 
     Args:
         can_id: identifier of the motor, ESC_ID.
-        ranges: full scale of the motor. PMAX is the largest position command.
+        ranges: full scale of position, velocity and torque of the motor. PMAX is the largest
+            position command.
         speed: speed limit [rad/s].
         direction: 1 if a positive position of the motor winds the tendon, else -1.
-        zero: motor angle at spool angle zero [rad].
+        zero: angle of the motor when the spool angle is zero [rad].
         flags: flags of the frame.
     """
     signals = (
@@ -262,11 +263,12 @@ def force_position_message(
 
     Args:
         can_id: identifier of the motor, ESC_ID.
-        ranges: full scale of the motor. PMAX is the largest position command.
+        ranges: full scale of position, velocity and torque of the motor. PMAX is the largest
+            position command.
         limits: speed limit [rad/s], and current limit as a fraction of the largest current of the
             motor.
         direction: 1 if a positive position of the motor winds the tendon, else -1.
-        zero: motor angle at spool angle zero [rad].
+        zero: angle of the motor when the spool angle is zero [rad].
         flags: flags of the frame.
 
     Raises:
@@ -310,10 +312,10 @@ def feedback_message(
 
     Args:
         can_id: identifier of the feedback, MST_ID.
-        ranges: full scale of the motor.
-        direction: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
-            have the same sign.
-        zero: motor angle at spool angle zero [rad].
+        ranges: full scale of position, velocity and torque of the motor.
+        direction: 1 if positive torque of the motor winds the tendon, else -1. The position and the
+            velocity have the same sign as the torque.
+        zero: angle of the motor when the spool angle is zero [rad].
     """
     position = _signal_over_range(
         "position", SignalQuantity.POSITION, 15, 16, ranges.position, "rad", direction
@@ -379,7 +381,7 @@ def register_request(node_id: int, operation: int, register: int = 0, value: flo
         node_id: node number of the motor, ESC_ID.
         operation: READ, WRITE or REFRESH.
         register: number of the register.
-        value: value to write. Other operations than WRITE ignore it.
+        value: value to write. Operations other than WRITE ignore the value.
     """
     raw = register_bytes(register, value) if operation == WRITE else bytes(4)
     return struct.pack("<HBB", node_id, operation, register) + raw
@@ -414,8 +416,8 @@ class RegisterReply(NamedTuple):
 
 def decode_register_reply(data: bytes, node_id: int) -> RegisterReply | None:
     """Decode 8 bytes from a motor as a register reply, or return None if they are feedback."""
-    # In nearly every feedback frame, the state nibble makes byte 0 differ from the node number.
-    # This fast test therefore comes first.
+    # In nearly every feedback frame, the state nibble makes byte 0 differ from the node number. The
+    # test of byte 0 therefore comes first, because it is fast.
     if data[0] != node_id & 0xFF:  # byte 0 of feedback has the state nibble above the node number
         return None
     sender, operation, register = _REPLY_STRUCT.unpack_from(data)

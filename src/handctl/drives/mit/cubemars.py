@@ -118,8 +118,8 @@ class CubemarsProgress(NamedTuple):
 
     Attributes:
         command_sent: latest special command to the motor, ENABLE or DISABLE.
-        since_ns: time at which this command was first sent [ns].
-        answers: number of consecutive answers that agree with this command.
+        since_ns: time at which the latest special command was first sent [ns].
+        answers: number of consecutive answers that agree with the latest special command.
         enable_sent: True from the enable command until the motor counts as disabled.
     """
 
@@ -130,7 +130,7 @@ class CubemarsProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> CubemarsProgress:
-    """Return the CubeMars progress in a drive state."""
+    """Return the CubeMars values in the state of a drive."""
     progress: CubemarsProgress = state.private
     return progress
 
@@ -156,10 +156,10 @@ class CubemarsDrive:
         ranges: full scale of the motor model.
         command_limit: largest torque command [N m at the spool].
         direction: 1 if positive torque of the motor winds the tendon, else -1.
-        zero: motor angle at spool angle zero [rad].
+        zero: angle of the motor when the spool angle is zero [rad].
         temperature_offset: temperature at count 0 in byte 6 of the feedback [degC].
-        command: signal table of the torque command, built from the fields above.
-        feedback: signal table of the feedback, built from the fields above.
+        command: signal table of the torque command, built from the other fields.
+        feedback: signal table of the feedback, built from the other fields.
     """
 
     name: str
@@ -200,7 +200,7 @@ class CubemarsDrive:
 
     @staticmethod
     def from_motor(motor: MotorDescription, bus: int) -> "CubemarsDrive":
-        """Return the drive for a motor description.
+        """Return the drive object for a motor description in the hand file.
 
         The full scales of position and velocity come from the motor model, not from the
         description.
@@ -267,7 +267,7 @@ class CubemarsDrive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return the protections that handctl cannot verify, one line each."""
+        """Return one line for each protection of the drive that handctl cannot verify."""
         return UNVERIFIED_PROTECTIONS
 
     @property
@@ -324,7 +324,7 @@ class CubemarsDrive:
         return DriveState(private=CubemarsProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state after a received frame, see ``contract.Drive``."""
+        """Return the state of the drive after a received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         if can_id != self.node_id or bus != self.bus:
             return state
@@ -376,7 +376,7 @@ class CubemarsDrive:
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames to send, see ``contract.Drive``."""
+        """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
         progress: CubemarsProgress = state.private
         if state.phase == ENABLED and target == ENABLE and progress.command_sent == ENABLE:
             return state, (self._frame_to_motor(self._torque_payload(command)),)
@@ -402,7 +402,7 @@ class CubemarsDrive:
     def _after_command(self, state: DriveState, command_sent: DriveTarget, t_ns: int) -> DriveState:
         """Return the state after an enable or disable command was sent.
 
-        A new command has no answers yet.
+        No answer to a new command has arrived yet.
         """
         progress: CubemarsProgress = state.private
         if progress.command_sent == command_sent and progress.since_ns >= 0:
@@ -459,7 +459,7 @@ class CubemarsDrive:
         return f"node {self.node_id}"
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
-        """Return the cause of an error code, see ``contract.Drive``."""
+        """Return the cause of an error code of the drive, see ``contract.Drive``."""
         return CAUSE_BY_ERROR.get(error_code, DriveFaultCause.UNKNOWN)
 
     def _frame_to_motor(self, data: bytes) -> Frame:

@@ -157,7 +157,7 @@ def _describe_motor(
 def _state_and_error(node_number: int, reply_id: int, received: ReceivedFrames) -> tuple[str, str]:
     """Return the state and the error in the latest feedback of a motor, as texts.
 
-    Both are empty without feedback.
+    The state and the error are empty texts if there is no feedback.
     """
     for frame in reversed(received):
         matches = (

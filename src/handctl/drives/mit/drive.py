@@ -78,11 +78,11 @@ class MitDrive:
         reply_id: MST_ID, the identifier of answers.
         ranges: full scale PMAX, VMAX, TMAX. TMAX is also the torque limit in the drive.
         direction: 1 if positive torque of the motor winds the tendon, else -1.
-        zero: motor angle at spool angle zero [rad].
+        zero: angle of the motor when the spool angle is zero [rad].
         timeout: timeout of the motor's watchdog [50 us].
         flags: flags of frames to the motor, 0 for classical CAN.
-        command: signal table of the command, built from the fields above.
-        feedback: signal table of the feedback, built from the fields above.
+        command: signal table of the command, built from the other fields.
+        feedback: signal table of the feedback, built from the other fields.
     """
 
     name: str
@@ -108,7 +108,7 @@ class MitDrive:
     def from_motor(
         motor: MotorDescription, bus: int, options_override: Mapping[str, Any] | None = None
     ) -> "MitDrive":
-        """Return the drive for a motor description.
+        """Return the drive object for a motor description in the hand file.
 
         Args:
             motor: description of the motor.
@@ -173,7 +173,7 @@ class MitDrive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return an empty tuple, because every setting is read back."""
+        """Return an empty tuple, because the host reads back every setting of the drive."""
         return ()
 
     @property
@@ -211,13 +211,13 @@ class MitDrive:
     def rechecked_settings(self) -> tuple[tuple[int, float], ...]:
         """Return the registers of the protections in the motor, as pairs (register, required value).
 
-        These registers are read again while the motor is enabled.
+        The host reads these registers again while the motor is enabled.
         """
         return ((codec.TIMEOUT, self.timeout), (codec.TMAX, self.ranges.torque))
 
     @property
     def rechecks(self) -> tuple[SettingRecheck, ...]:
-        """Return request and reply of each register that is read again, see ``contract.Drive``."""
+        """Return request and reply for each register that the host reads again, see ``contract.Drive``."""
         return tuple(
             SettingRecheck(
                 registers.register_name(register),
@@ -257,7 +257,7 @@ class MitDrive:
         return DriveState(private=MitProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state after a received frame, see ``contract.Drive``."""
+        """Return the state of the drive after a received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         if can_id != self.reply_id or bus != self.bus:
             return state
@@ -302,7 +302,7 @@ class MitDrive:
         return state._replace(private=progress._replace(cursor=cursor))
 
     def _on_recheck_reply(self, state: DriveState, reply: codec.RegisterReply) -> DriveState:
-        """Compare a register, read again from the enabled motor, with the required value."""
+        """Compare the value of a register, read again from the enabled motor, with the required value."""
         register, value = self.rechecked_settings[state.recheck.step]
         same = reply.raw == codec.register_bytes(register, value)
         answer = f"reads {reply.value:g}"
@@ -334,7 +334,7 @@ class MitDrive:
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames to send, see ``contract.Drive``."""
+        """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
         progress: MitProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
             sent = self._command_frame(command)
@@ -425,9 +425,9 @@ class MitDrive:
         return (self._frame_to_motor(codec.special_command(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the frame that clear the latched error.
+        """Return the next state and the frame that clear the latched error of the drive.
 
-        The registers are then verified again.
+        After the clear command, the host verifies the registers again.
         """
         fresh = state._replace(
             phase=SILENT, error=0, error_text="", private=MitProgress(clearing=CLEAR_TRIES)
@@ -443,7 +443,7 @@ class MitDrive:
         return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
-        """Return the cause of an error code, see ``contract.Drive``."""
+        """Return the cause of an error code of the drive, see ``contract.Drive``."""
         return CAUSE_BY_ERROR.get(error_code, DriveFaultCause.UNKNOWN)
 
     def _frame_to_motor(self, data: bytes) -> Frame:

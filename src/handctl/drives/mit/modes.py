@@ -79,7 +79,7 @@ class MitModeDrive(MitDrive):
     def rechecked_settings(self) -> tuple[tuple[int, float], ...]:
         """Return the registers of the protections in the motor, as pairs (register, required value).
 
-        These registers are read again while the motor is enabled.
+        The host reads these registers again while the motor is enabled.
         """
         return (
             (codec.TIMEOUT, self.timeout),
@@ -100,7 +100,7 @@ class MitModeDrive(MitDrive):
 def make_mode_drive(
     motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
 ) -> MitModeDrive:
-    """Return the drive for a motor description, in the given mode.
+    """Return the drive object for a motor description, in the given mode.
 
     Raises:
         ConfigError: an option is unknown or wrong, or a limit does not fit in the command.

@@ -43,14 +43,14 @@ class MitProgress(NamedTuple):
 
     Attributes:
         cursor: position in the list of registers to read back.
-        configured: True if all registers have their required values. Feedback can be decoded only
-            then.
+        configured: True if all registers have their required values. The feedback can be decoded
+            only after all registers have their required values.
         enabled_by_other: True if the motor reports the state enabled without a command of this
             host.
         enable_sent: True from the enable command until the motor reports the state disabled.
         disabling: True while the motor is being disabled.
         disabling_ns: time of the first disable command [ns].
-        clearing: number of feedback frames with an error still to be ignored, while the error is
+        clearing: number of feedback frames whose error must still be ignored while the error is
             being cleared.
         ready_ns: time at which the last register was verified [ns].
         serial: serial number of the motor, 0 if unknown.
@@ -73,7 +73,7 @@ class MitProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> MitProgress:
-    """Return the MIT progress in a drive state."""
+    """Return the MIT values in the state of a drive."""
     progress: MitProgress = state.private
     return progress
 
@@ -81,7 +81,7 @@ def progress_of(state: DriveState) -> MitProgress:
 def apply_status(state: DriveState, nibble: int) -> DriveState:
     """Return the state after feedback with a state nibble.
 
-    ``state`` already has the values of the same feedback.
+    The argument ``state`` already contains the values of the same feedback.
     """
     progress = progress_of(state)
     if nibble == codec.ENABLED:

@@ -19,7 +19,9 @@ RequiredRegisters = tuple[tuple[int, float], ...]
 def on_reply(
     cursor: ReadbackCursor, required: RequiredRegisters, reply: codec.RegisterReply
 ) -> tuple[ReadbackCursor, str]:
-    """Return the position in the read-back after a register reply. Replies to other requests have no effect.
+    """Return the position in the read-back after a register reply.
+
+    A reply to another request has no effect.
 
     Args:
         cursor: position in the read-back, not beyond the last register.
@@ -27,7 +29,7 @@ def on_reply(
         reply: register reply of this motor.
 
     Returns:
-        the new cursor, and the problem in words, empty without a problem.
+        The new position in the read-back, and the problem in words (empty if there is no problem).
     """
     register, value = required[cursor.step]
     if not cursor.waiting or reply[:2] != (codec.WRITE if cursor.writing else codec.READ, register):
@@ -54,7 +56,8 @@ def next_request(
 
     Returns:
         the new cursor, the payload for a frame with BROADCAST_ID, and the problem in words. The
-        payload is empty while an answer is awaited. The problem is empty if all is right.
+        payload is empty while the host waits for an answer of the drive. The text of the problem is
+        empty if no problem has occurred.
     """
     register, value = required[cursor.step]
     cursor, send, problem = readback.request_setting(cursor, register_name(register), t_ns)

@@ -292,9 +292,9 @@ def position_message(
         gains: gains of the drive's position loop.
         timeout_s: timeout of the watchdog [s].
         top_speed: largest velocity command [rad/s].
-        direction: 1 if positive torque of the motor winds the tendon, else -1. Position and
-            velocity have the same sign.
-        zero: motor angle at spool angle zero [rad].
+        direction: 1 if positive torque of the motor winds the tendon, else -1. The position and the
+            velocity have the same sign as the torque.
+        zero: angle of the motor when the spool angle is zero [rad].
     """
     base = (
         write_bytes_subframe(MODE, POSITION)
@@ -307,7 +307,7 @@ def position_message(
     turns = direction * math.tau
     position = _float_signal("position", SignalQuantity.POSITION, 5, turns, "rad")
     velocity = _float_signal("velocity", SignalQuantity.VELOCITY, 9, turns, "rad/s")
-    # A gain of 0 has a fraction of 0, whatever its scale.
+    # If a gain is 0, its fraction is 0, whatever the scale of the fraction.
     kp = _float_signal("kp", SignalQuantity.STIFFNESS, 19, gains.kp / math.tau or 1.0, "N m/rad")
     kd = _float_signal("kd", SignalQuantity.DAMPING, 23, gains.kd / math.tau or 1.0, "N m s/rad")
     limit = _float_signal("limit", SignalQuantity.LIMIT, 27, 1.0, "N m")
@@ -328,9 +328,9 @@ def feedback_message(node_id: int, direction: int = 1, zero: float = 0.0) -> Cyc
 
     Args:
         node_id: node number of the drive.
-        direction: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
-            have the same sign.
-        zero: motor angle at spool angle zero [rad].
+        direction: 1 if positive torque of the motor winds the tendon, else -1. The position and the
+            velocity have the same sign as the torque.
+        zero: angle of the motor when the spool angle is zero [rad].
     """
     turns = direction * math.tau
     position = _float_signal("position", SignalQuantity.POSITION, 9, turns, "rad")
@@ -416,7 +416,10 @@ def decode_reply(data: bytes) -> DriveReply | None:
 
 
 class _SubframeReader:
-    """Reader that decodes a payload step by step. Raises IndexError at the end of the payload."""
+    """Reader that decodes the payload of a reply step by step.
+
+    At the end of the payload, the reader raises IndexError.
+    """
 
     def __init__(self, data: bytes) -> None:
         """Start at the first byte of the payload."""

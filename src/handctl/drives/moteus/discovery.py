@@ -82,7 +82,7 @@ def discovered_drives(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 def _describe_drive(node_number: int, answers: dict[int, list[bytes]]) -> DiscoveredNode:
     """Return a discovered drive with all data.
 
-    ``answers`` has the payloads from the drive, by register.
+    The argument ``answers`` contains the payloads from the drive, by register.
     """
     values: dict[int, int] = {}
     for register, payloads in answers.items():

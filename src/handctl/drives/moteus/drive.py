@@ -70,16 +70,16 @@ class MoteusDrive:
         node_id: node number, from 1 to 0x7e.
         command_limit: largest torque command, and torque limit in the drive [N m at the spool].
         direction: 1 if positive torque of the motor winds the tendon, else -1.
-        zero: motor angle at spool angle zero [rad].
+        zero: angle of the motor when the spool angle is zero [rad].
         timeout_s: timeout of the watchdog [s].
         top_speed: largest velocity command [rad/s].
         gains: gains of the drive's position loop, None for torque commands only.
-        command: signal table of the command, built from the fields above.
-        feedback: signal table of the feedback, built from the fields above.
-        configuration: configuration items that are read again while the drive is enabled. They
-            follow from the fields above.
-        required: settings with the values required before arming. They follow from the fields
-            above.
+        command: signal table of the command, built from the other fields.
+        feedback: signal table of the feedback, built from the other fields.
+        configuration: configuration items that are read again while the drive is enabled. The items
+            follow from the other fields.
+        required: settings with the values required before arming. The values follow from the other
+            fields.
     """
 
     name: str
@@ -118,7 +118,7 @@ class MoteusDrive:
 
     @staticmethod
     def from_motor(motor: MotorDescription, bus: int) -> "MoteusDrive":
-        """Return the drive for a motor description.
+        """Return the drive object for a motor description in the hand file.
 
         Raises:
             ConfigError: an option is unknown or wrong, the node number exceeds 0x7e, or a position
@@ -173,7 +173,7 @@ class MoteusDrive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return an empty tuple, because every setting is read back."""
+        """Return an empty tuple, because the host reads back every setting of the drive."""
         return ()
 
     @property
@@ -232,7 +232,7 @@ class MoteusDrive:
         return DriveState(private=MoteusProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state after a received frame, see ``contract.Drive``."""
+        """Return the state of the drive after a received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         if bus != self.bus or can_id != self.feedback.message.can_id:
             return state
@@ -295,8 +295,8 @@ class MoteusDrive:
         channel, line = progress.channel.take(text)
         progress = progress._replace(channel=channel)
         if emptied:
-            # The frame answers a read that empties the channel. The next request may follow at
-            # once.
+            # The frame answers a read that empties the channel. The host may send the next request
+            # at once.
             cursor = progress.cursor
             progress = progress._replace(
                 cursor=cursor._replace(sent_ns=-1, tries=max(0, cursor.tries - 1))
@@ -359,7 +359,7 @@ class MoteusDrive:
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames to send, see ``contract.Drive``."""
+        """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
         progress: MoteusProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
             sent = self._frame_to_drive(self._torque_payload(command))
@@ -507,7 +507,7 @@ class MoteusDrive:
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the state and the stop command that clear the latched error.
 
-        Settings are then read back again.
+        After the clear command, the host reads back the settings again.
         """
         fresh = state._replace(
             phase=SILENT, error=0, error_text="", private=MoteusProgress(clearing=CLEAR_TRIES)
@@ -523,7 +523,7 @@ class MoteusDrive:
         return f"{serial:024x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
-        """Return the cause of an error code, see ``contract.Drive``."""
+        """Return the cause of an error code of the drive, see ``contract.Drive``."""
         return CAUSE_BY_ERROR.get(error_code, DriveFaultCause.UNKNOWN)
 
     def _frame_to_drive(self, data: bytes) -> Frame:

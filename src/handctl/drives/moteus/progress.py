@@ -44,7 +44,7 @@ class MoteusProgress(NamedTuple):
         enable_sent: True from the enable command until the drive reports the state stopped.
         disabling: True while the drive is being stopped.
         disabling_ns: time of the first stop command [ns].
-        clearing: number of feedback frames with an error still to be ignored, while the error is
+        clearing: number of feedback frames whose error must still be ignored while the error is
             being cleared.
         ready_ns: time at which the last setting was verified [ns].
         serial: serial number of the drive, 0 if unknown.
@@ -69,7 +69,7 @@ class MoteusProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> MoteusProgress:
-    """Return the moteus progress in a drive state."""
+    """Return the moteus values in the state of a drive."""
     progress: MoteusProgress = state.private
     return progress
 
@@ -77,7 +77,7 @@ def progress_of(state: DriveState) -> MoteusProgress:
 def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
     """Return the state after feedback with a mode and a fault code.
 
-    ``state`` already has the values of the same feedback.
+    The argument ``state`` already contains the values of the same feedback.
     """
     progress = progress_of(state)
     was_preparing = progress.mode in codec.PREPARING_MODES

@@ -40,19 +40,19 @@ class MoteusSetting(NamedTuple):
     register: int = 0
 
     def is_right(self, value: float) -> bool:
-        """Return True if a value equals the required one in float32 precision."""
+        """Return True if a value equals the required value in float32 precision."""
         same = rounded_to_float32(value) == rounded_to_float32(self.value)
         return same or (math.isnan(value) and math.isnan(self.value))
 
 
 REQUIRED_CONFIGURATION = (
-    # Beyond the positions of these items the drive would reduce the torque. The default of both
-    # items is 0.01 turns.
+    # If the motor is beyond the positions in these two items, the drive reduces the torque. The
+    # default of both items is 0.01 turns.
     MoteusSetting("servopos.position_min", math.nan),
     # Torque limits have no effect in this mode.
     MoteusSetting("servo.fixed_voltage_mode", 0.0),
-    # With 0, the drive stops when its watchdog fires. By default it would damp the motor, or hold
-    # its position.
+    # With 0, the drive stops when its watchdog fires. By default, the drive damps the motor or
+    # holds its position when the watchdog fires.
     MoteusSetting("servo.timeout_mode", 0.0),
     MoteusSetting("servopos.position_max", math.nan),
 )
@@ -67,9 +67,10 @@ default that is not the required value. At most two reads therefore detect a res
 def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, ...]:
     """Return the configuration items of a drive that closes a position loop, read again while it is enabled.
 
-    With a limit of velocity or acceleration, the drive would plan a trajectory of its own to the
-    commanded position. With a finite slip, it would pull the position towards the motor. Every
-    second item has a default that is not the required value, see ``REQUIRED_CONFIGURATION``.
+    With a limit of velocity or acceleration, the drive would plan its own trajectory to the
+    commanded position. With a finite slip, the drive would move the commanded position towards the
+    motor. Every second item has a default that is not the required value, see
+    ``REQUIRED_CONFIGURATION``.
     """
     lowest, fixed_voltage, timeout_mode, highest = REQUIRED_CONFIGURATION
     return (

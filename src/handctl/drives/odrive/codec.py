@@ -156,7 +156,7 @@ def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) ->
         node_id: node number of the drive.
         ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
-        zero: angle of the shaft at spool angle zero [rad].
+        zero: angle of the shaft when the spool angle is zero [rad].
         requested: True if every tick requests the message. The drive also sends it by itself, by
             default every 10 ms.
     """
@@ -206,7 +206,7 @@ def position_message(node_id: int, ratio: float, zero: float, limit: float) -> C
         node_id: node number of the drive.
         ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
-        zero: angle of the shaft at spool angle zero [rad].
+        zero: angle of the shaft when the spool angle is zero [rad].
         limit: largest position command [rad at the spool].
     """
     signals = (

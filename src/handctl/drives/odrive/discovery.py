@@ -98,7 +98,7 @@ def discovered_drives(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNode:
     """Return a discovered drive with all data.
 
-    ``messages`` has the payloads from the drive, by command number.
+    The argument ``messages`` contains the payloads from the drive, by command number.
     """
     latest = {command: payloads[-1] for command, payloads in messages.items()}
     beat = codec.decode_heartbeat(latest[codec.HEARTBEAT]) if codec.HEARTBEAT in latest else None

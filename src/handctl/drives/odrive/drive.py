@@ -66,7 +66,7 @@ class OdriveDrive:
         command_limit: largest torque command [N m at the spool].
         ratio: turns of the motor's shaft per turn of the spool, negative if positive torque of the
             motor unwinds the tendon.
-        zero: angle of the shaft at spool angle zero [rad].
+        zero: angle of the shaft when the spool angle is zero [rad].
         limits: payload of the message Set_Limits, with velocity [turn/s] and current [A].
         settings: settings verified by SDO.
         cyclic_s: period of the drive's unrequested position messages [s], 0 to request the position
@@ -74,9 +74,9 @@ class OdriveDrive:
         torque_feedback: True to request the torque in every tick.
         heartbeat_timeout_ns: time without a heartbeat after which the drive counts as lost [ns].
         firmware_05: True for firmware 0.5, see the module ``firmware_05``.
-        command: signal table of the command, built from the fields above.
-        encoder: signal table of the position, built from the fields above.
-        torques: signal table of the torque feedback, built from the fields above.
+        command: signal table of the command, built from the other fields.
+        encoder: signal table of the position, built from the other fields.
+        torques: signal table of the torque feedback, built from the other fields.
     """
 
     name: str
@@ -112,7 +112,7 @@ class OdriveDrive:
 
     @staticmethod
     def from_motor(motor: MotorDescription, bus: int) -> "OdriveDrive":
-        """Return the drive for a motor description.
+        """Return the drive object for a motor description in the hand file.
 
         Raises:
             ConfigError: an option is unknown or wrong, or the node number is not from 1 to 0x3e.
@@ -197,7 +197,7 @@ class OdriveDrive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return the protections of the drive that handctl cannot verify, one line each."""
+        """Return one line for each protection of the drive that handctl cannot verify."""
         return endpoints.unverified_protections(self.settings, self.firmware_05)
 
     @property
@@ -259,7 +259,7 @@ class OdriveDrive:
 
     @property
     def rechecks(self) -> tuple[SettingRecheck, ...]:
-        """Return request and reply of each endpoint that is read again, see ``contract.Drive``."""
+        """Return request and reply for each endpoint that the host reads again, see ``contract.Drive``."""
         return tuple(
             SettingRecheck(
                 one.name,
@@ -276,7 +276,7 @@ class OdriveDrive:
         return DriveState(private=OdriveProgress(version=self.firmware_05))
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state after a received frame, see ``contract.Drive``."""
+        """Return the state of the drive after a received frame, see ``contract.Drive``."""
         command = frame.can_id & 0x1F
         if (
             frame.bus != self.bus
@@ -355,7 +355,7 @@ class OdriveDrive:
         return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def _on_recheck_reply(self, state: DriveState, data: bytes) -> DriveState:
-        """Compare a setting, read again from the enabled drive, with the required value."""
+        """Compare the value of a setting, read again from the enabled drive, with the required value."""
         setting = self.settings[state.recheck.step]
         endpoint, raw = codec.decode_sdo_reply(data)
         if endpoint != setting.endpoint or len(raw) < len(setting.raw):
@@ -376,7 +376,7 @@ class OdriveDrive:
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames to send, see ``contract.Drive``."""
+        """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
         progress = progress_of(state)
         if target == LISTEN:
             return state, ()
@@ -474,7 +474,8 @@ class OdriveDrive:
     def _setup_frames(self) -> tuple[Frame, ...]:
         """Return the frames that set control mode and limits.
 
-        The drive does not confirm them, so both are sent before each enable command.
+        The drive does not confirm control mode and limits, so the host sends both before each
+        enable command.
         """
         mode = self._data_frame(
             codec.SET_MODE, codec.encode_integers(self._control_mode, codec.PASSTHROUGH_INPUT_MODE)
@@ -539,7 +540,7 @@ class OdriveDrive:
             raise ValueError(f"{self.name}: {error}") from None
 
     def _rest_command(self, state: DriveState) -> float:
-        """Return the command to a drive that is being enabled: zero torque."""
+        """Return a command of zero torque, for a drive that is being enabled."""
         return 0.0
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
@@ -554,7 +555,7 @@ class OdriveDrive:
         return f"{serial:012X}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
-        """Return the cause of an error code, see ``contract.Drive``."""
+        """Return the cause of an error code of the drive, see ``contract.Drive``."""
         return cause_of_error(error_code)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
@@ -569,9 +570,9 @@ class OdriveDrive:
         return (self._data_frame(codec.ESTOP, b""),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the frames that clear the latched error.
+        """Return the next state and the frames that clear the latched error of the drive.
 
-        The configuration then starts again.
+        After the clear command, the configuration starts again.
         """
         just_verified = OdriveProgress(
             version=self.firmware_05, axis=progress_of(state).axis, clearing=CLEAR_TRIES

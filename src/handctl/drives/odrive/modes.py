@@ -1,8 +1,8 @@
 """ODrive that controls its position or velocity itself, with the input mode passthrough.
 
 The host sends a ramp, so the drive needs no trajectory generator. The message Set_Limits contains
-the largest speed. The drive does not confirm mode and limits, so both are sent before each enable
-command. The endpoints of watchdog and torque limit are read back as in torque control.
+the largest speed. The drive does not confirm mode and limits, so the host sends both before each
+enable command. The endpoints of watchdog and torque limit are read back as in torque control.
 """
 
 import math
@@ -25,7 +25,7 @@ _CONTROL_MODES = {DriveMode.POSITION: codec.POSITION_MODE, DriveMode.VELOCITY: c
 class OdriveModeDrive(OdriveDrive):
     """Motor on an ODrive whose command is a position [rad] or a velocity [rad/s] at the spool.
 
-    ``command_limit`` has the same unit.
+    The attribute ``command_limit`` has the unit of the command.
 
     Attributes:
         mode: quantity that the drive controls.
@@ -61,7 +61,7 @@ class OdriveModeDrive(OdriveDrive):
 def make_mode_drive(
     motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
 ) -> OdriveModeDrive:
-    """Return the drive for a motor description, in the given mode.
+    """Return the drive object for a motor description, in the given mode.
 
     Raises:
         ConfigError: an option is unknown or wrong, or an ODrive does not have the mode.

@@ -61,14 +61,14 @@ class OdriveProgress(NamedTuple):
         axis: axis state in the latest heartbeat.
         heartbeat_ns: time of the latest heartbeat [ns], -1 before the first.
         enable_sent_ns: time of the latest enable command [ns], -1 if none was sent.
-        disabling_ns: time of the first disable command [ns], -1 if none was sent.
+        disabling_ns: time of the first disable command [ns], or -1 if none was sent.
         sent_ns: time of the latest request for version or serial number [ns].
         tries: number of requests for the version so far.
         temperature_request_ns: time of the latest temperature request [ns].
-        clearing: number of heartbeats with an error still to be ignored, while the error is being
+        clearing: number of heartbeats whose error must still be ignored while the error is being
             cleared.
-        just_verified: True if all settings were verified in the last tick. The drive has had no
-            time to restart since then.
+        just_verified: True if all settings were verified in the last tick. Since the last tick, the
+            drive has had no time to restart.
         enable_commands: number of enable commands not obeyed by the drive.
     """
 
@@ -95,7 +95,7 @@ class OdriveProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> OdriveProgress:
-    """Return the ODrive progress in a drive state."""
+    """Return the ODrive values in the state of a drive."""
     return cast(OdriveProgress, state.private)
 
 
@@ -158,7 +158,7 @@ def _state_when_enabled(state: DriveState, progress: OdriveProgress) -> DriveSta
 def _state_when_in_other_axis_state(state: DriveState, progress: OdriveProgress) -> DriveState:
     """Return the state after a heartbeat that reports another axis state, such as a calibration.
 
-    In such a state the drive may make torque that the host does not control.
+    In another axis state, the drive may make torque that the host does not control.
     """
     if state.phase == ENABLED and progress.disabling_ns < 0:
         return enter_fault(

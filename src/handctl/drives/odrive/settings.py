@@ -1,10 +1,10 @@
 """ODrive settings for which CANSimple has no message.
 
-SDO transfers read them, write wrong values, and read again.
+The host reads these settings by SDO, writes wrong values, and reads them again.
 
 The number of each endpoint differs between firmware versions and boards (``flat_endpoints.json``).
-The hand file therefore contains these numbers. Without them, the operator must set the drive's
-watchdog over USB, and handctl cannot verify it over CAN.
+The hand file therefore contains these numbers. Without these numbers, the operator must set the
+watchdog of the drive over USB, and handctl cannot verify it over CAN.
 """
 
 import struct
@@ -82,7 +82,7 @@ def pop_settings(
 def unverified_protections(
     settings: tuple[OdriveSetting, ...], firmware_05: bool
 ) -> tuple[str, ...]:
-    """Return the protections of the drive that handctl cannot verify, one line each."""
+    """Return one line for each protection of the drive that handctl cannot verify."""
     names = {setting.name for setting in settings}
     guards = []
     if "watchdog_timeout" not in names:
@@ -126,10 +126,10 @@ def unchecked_properties(
 def on_reply(
     cursor: ReadbackCursor, settings: tuple[OdriveSetting, ...], data: bytes
 ) -> tuple[ReadbackCursor, str]:
-    """Return the position in the read-back after a TxSdo. Replies to other requests have no effect.
+    """Return the position in the read-back after a TxSdo. A reply to another request has no effect.
 
     Returns:
-        the new cursor, and the problem in words, empty without a problem.
+        The new position in the read-back, and the problem in words (empty if there is no problem).
     """
     setting = settings[cursor.step]
     endpoint, raw = codec.decode_sdo_reply(data)
@@ -151,8 +151,8 @@ def next_request(
 ) -> tuple[ReadbackCursor, bytes, str]:
     """Return the next request of the read-back: cursor, payload, and problem in words.
 
-    The payload is empty while an answer of the drive is awaited. The problem is empty if all is
-    right.
+    The payload is empty while the host waits for an answer of the drive. The text of the problem is
+    empty if no problem has occurred.
     """
     setting = settings[cursor.step]
     if cursor.writing:  # the drive does not answer a write

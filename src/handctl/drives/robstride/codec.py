@@ -1,6 +1,7 @@
 """Conversion of the frames of RobStride's private protocol between bytes and values at the output shaft.
 
-Identifiers always have 29 bits. A frame to the motor has the motor's number in its lowest byte:
+Identifiers always have 29 bits. In a frame to the motor, the lowest byte of the identifier is the
+number of the motor:
 
     bits    28..24   23..16                     15..8            7..0
     type 1  1        torque, 16 bits: 23..8                      motor          control command
@@ -218,9 +219,9 @@ def impedance_message(
         node_id: number of the motor.
         ranges: full scale of the motor model.
         limit: largest torque command [N m].
-        direction: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
-            have the same sign.
-        zero: motor angle at spool angle zero [rad].
+        direction: 1 if positive torque of the motor winds the tendon, else -1. The position and the
+            velocity have the same sign as the torque.
+        zero: angle of the motor when the spool angle is zero [rad].
     """
     torque = command_message(node_id, ranges, limit, direction)
     position = _signal_over_range(
@@ -263,9 +264,9 @@ def feedback_message(
         node_id: number of the motor.
         host: number of the host.
         ranges: full scale of the motor model.
-        direction: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
-            have the same sign.
-        zero: motor angle at spool angle zero [rad].
+        direction: 1 if positive torque of the motor winds the tendon, else -1. The position and the
+            velocity have the same sign as the torque.
+        zero: angle of the motor when the spool angle is zero [rad].
     """
     position = _signal_over_range(
         "position", SignalQuantity.POSITION, 7, POSITION_RANGE_RAD, "rad", direction

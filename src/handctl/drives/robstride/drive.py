@@ -81,10 +81,10 @@ class RobstrideDrive:
         ranges: full scale of the motor model.
         command_limit: largest torque command, and torque limit in the motor [N m at the spool].
         direction: 1 if positive torque of the motor winds the tendon, else -1.
-        zero: motor angle at spool angle zero [rad].
+        zero: angle of the motor when the spool angle is zero [rad].
         watchdog_ms: timeout of the motor's watchdog [ms].
-        command: signal table of the torque command, built from the fields above.
-        feedback: signal table of the feedback, built from the fields above.
+        command: signal table of the torque command, built from the other fields.
+        feedback: signal table of the feedback, built from the other fields.
         required: parameters with the values required before arming, built from the fields above.
         node_ids: identifiers of the frames from the motor, built from the fields above.
     """
@@ -122,7 +122,7 @@ class RobstrideDrive:
 
     @staticmethod
     def from_motor(motor: MotorDescription, bus: int) -> "RobstrideDrive":
-        """Return the drive for a motor description.
+        """Return the drive object for a motor description in the hand file.
 
         The full scales of position and velocity come from the motor model, not from the
         description.
@@ -215,7 +215,7 @@ class RobstrideDrive:
 
     @property
     def rechecks(self) -> tuple[SettingRecheck, ...]:
-        """Return request and reply of each parameter that is read again, see ``contract.Drive``."""
+        """Return request and reply for each parameter that the host reads again, see ``contract.Drive``."""
         return tuple(
             SettingRecheck(
                 one.name,
@@ -247,7 +247,7 @@ class RobstrideDrive:
         return DriveState(private=RobstrideProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state after a received frame, see ``contract.Drive``."""
+        """Return the state of the drive after a received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         number = can_id & ~EXTENDED_FLAG
         if bus != self.bus or can_id not in self.node_ids:
@@ -328,7 +328,7 @@ class RobstrideDrive:
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames to send, see ``contract.Drive``."""
+        """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
         progress: RobstrideProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
             sent = self._torque_frame(command)
@@ -355,7 +355,7 @@ class RobstrideDrive:
     def _idle_request(self, state: DriveState, progress: RobstrideProgress) -> Frame:
         """Return the frame to a motor without torque.
 
-        The frame requests feedback or the identity, or clears faults.
+        The frame requests feedback, requests the identity, or clears faults.
         """
         if state.phase == READY:
             return self._request_frame(codec.STOP)
@@ -422,7 +422,7 @@ class RobstrideDrive:
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the state and the stop command that clear the latched faults.
 
-        Parameters are then read back again.
+        After the stop command, the host reads back the parameters again.
         """
         fresh = state._replace(
             phase=SILENT, error=0, error_text="", private=RobstrideProgress(clearing=CLEAR_TRIES)
@@ -438,7 +438,7 @@ class RobstrideDrive:
         return f"{serial:016x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
-        """Return the cause of an error code, see ``contract.Drive``."""
+        """Return the cause of an error code of the drive, see ``contract.Drive``."""
         return cause_of_error(error_code)
 
     def _request_frame(self, kind: int, data: bytes = codec.EMPTY_DATA) -> Frame:

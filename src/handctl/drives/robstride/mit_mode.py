@@ -136,7 +136,7 @@ class RobstrideMitDrive(CubemarsDrive):
 
     @staticmethod
     def from_motor(motor: MotorDescription, bus: int) -> "RobstrideMitDrive":
-        """Return the drive for a motor description.
+        """Return the drive object for a motor description in the hand file.
 
         Raises:
             ConfigError: the model or an option is unknown, a number is wrong, or the torque limit
@@ -178,7 +178,7 @@ class RobstrideMitDrive(CubemarsDrive):
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return the protections that handctl cannot verify, one line each."""
+        """Return one line for each protection of the drive that handctl cannot verify."""
         return UNVERIFIED_PROTECTIONS
 
     @property
@@ -192,7 +192,7 @@ class RobstrideMitDrive(CubemarsDrive):
         return status if status < 0 else self.node_id
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state after a received frame, see ``contract.Drive``."""
+        """Return the state of the drive after a received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         if can_id != self.host_id or bus != self.bus:
             return state
@@ -219,7 +219,7 @@ class RobstrideMitDrive(CubemarsDrive):
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames to send, see ``contract.Drive``.
+        """Return the next state of the drive and the frames to send, see ``contract.Drive``.
 
         To a disabled motor, the host sends a read of the faults instead of every eighth stop
         command.
@@ -246,5 +246,5 @@ class RobstrideMitDrive(CubemarsDrive):
         return fresh, (self._frame_to_motor(mit.special_command(mit.CLEAR)), *stop)
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
-        """Return the cause of an error code, see ``contract.Drive``."""
+        """Return the cause of an error code of the drive, see ``contract.Drive``."""
         return cause_of_error(error_code)

@@ -72,7 +72,7 @@ class RobstrideProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> RobstrideProgress:
-    """Return the RobStride progress in a drive state."""
+    """Return the RobStride values in the state of a drive."""
     progress: RobstrideProgress = state.private
     return progress
 
@@ -80,7 +80,7 @@ def progress_of(state: DriveState) -> RobstrideProgress:
 def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
     """Return the state after feedback with a mode and faults.
 
-    ``state`` already has the values of the same feedback.
+    The argument ``state`` already contains the values of the same feedback.
     """
     if fault:
         return apply_fault(state, mode, fault)
@@ -96,7 +96,7 @@ def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
 def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
     """Return the state after a fault.
 
-    A motor in reset mode makes no torque. In any other mode, it may still make torque.
+    A motor in reset mode makes no torque. In any other mode, the motor may still make torque.
     """
     progress = progress_of(state)
     if progress.clearing:

@@ -42,7 +42,7 @@ class RequiredParameter(NamedTuple):
     def is_right(self, raw: bytes) -> bool:
         """Return True if four received bytes are the required value.
 
-        Bytes after a shorter value are ignored.
+        If the value is shorter than four bytes, the remaining bytes are ignored.
         """
         size = struct.calcsize(self.coding)
         return raw[:size] == self.raw[:size]

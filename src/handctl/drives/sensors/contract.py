@@ -16,13 +16,13 @@ class SensorInterface(Protocol):
 
     Attributes:
         bus: index of the bus of the sensors.
-        sync_id: identifier of the SYNC frame, at which the sensors sample.
+        sync_id: identifier of the SYNC frame, at which the sensors measure.
         ids: identifier of each cyclic frame from the sensors. Frames with tensions come first.
         channels: indices of the tendons or joints in each of these frames, as numbered in the hand.
         lengths: payload length of each of these frames [bytes].
         tension_frames: number of frames with tensions.
-        amplifiers: measuring amplifiers for the host to set up, in the order of ``group_ranges``.
-            There may be none.
+        amplifiers: measuring amplifiers that the host sets up, in the order of ``group_ranges``.
+            The tuple is empty if no amplifier needs a set-up.
     """
 
     @property

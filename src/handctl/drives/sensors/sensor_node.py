@@ -1,7 +1,7 @@
 """Sensor node with load cells and joint encoders. handctl defines the frames of the node (``sensor_node.dbc``).
 
-The host sends SYNC with one byte, the counter. The node answers with frames of 2 to 8 bytes. Their
-fields are little-endian, and packed from the lowest bit:
+The host sends SYNC with one byte, the counter. The node answers with frames of 2 to 8 bytes. The
+fields of these frames are little-endian, and packed from the lowest bit:
 
     bits    0..3       4..15       16..27      28..39      40..51      52..63
     field   counter    channel 0   channel 1   channel 2   channel 3   channel 4
@@ -13,9 +13,9 @@ fields are little-endian, and packed from the lowest bit:
 
 The channel of a joint is an angle, or the position of a prismatic joint.
 
-The node samples at SYNC. Every frame of its answer contains the low four bits of the counter, so
-that the host does not take an old frame for a fresh one. The counters do not count up, see
-``sync_counters``. The node sends angle frames after each SYNC whose counter is a multiple of
+The node measures all channels at SYNC. Every frame of its answer contains the low four bits of the
+counter, so that the host does not take an old frame for a fresh one. The counters do not count up,
+see ``sync_counters``. The node sends angle frames after each SYNC whose counter is a multiple of
 ``joint_decimation``.
 """
 
@@ -84,7 +84,7 @@ JOINT_FRAMES = 0x10
 
 
 class SensorDescription(Protocol):
-    """Keys for this module, in the section ``sensor_node`` of the hand file."""
+    """Keys of the section ``sensor_node`` in the hand file, for a sensor node."""
 
     @property
     def sync_id(self) -> int:
@@ -336,9 +336,9 @@ def sync_counters(decimation: int) -> bytes:
     """Return the counter bytes of the SYNC frames for a period of about ``COUNTER_PERIOD`` ticks.
 
     A counter of four bits that counts up has the same value 16 or 32 ticks later. A frame of that
-    age would then seem fresh. These counters are pseudo-random instead. Two ticks less than
-    ``DISTINCT_COUNTERS`` apart differ in the low four bits of the counter. Ticks further apart have
-    equal bits only by chance. The counter modulo ``decimation`` equals the tick modulo
+    age would then seem fresh. The counters of handctl are pseudo-random instead. Two ticks less
+    than ``DISTINCT_COUNTERS`` apart differ in the low four bits of the counter. Ticks further apart
+    have equal bits only by chance. The counter modulo ``decimation`` equals the tick modulo
     ``decimation``, because the node sends angle frames by this remainder. With a decimation of 8 or
     more, fewer than three values of the four bits have the same remainder. Near ticks may then have
     equal bits.

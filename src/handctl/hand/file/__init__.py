@@ -1,1 +1,1 @@
-"""Format of the hand file: its sections and quantities, the checks of its content, and their messages."""
+"""Format of the hand file: sections, quantities, checks of the content, and messages about mistakes."""

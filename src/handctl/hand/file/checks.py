@@ -110,11 +110,11 @@ MistakeIterator = Iterator[FileMistake]
 def check_hand(hand: Hand) -> MistakeIterator:
     """Yield the mistakes that concern several sections of a hand.
 
-    Checks that need valid references or shapes run only if the checks of references and shapes
-    found no mistake.
+    Checks that need valid references or shapes run only if no mistake was found in references and
+    shapes.
 
     Args:
-        hand: hand with valid sections.
+        hand: hand whose single sections are already valid.
     """
     wrong = [*check_names(hand), *check_sections(hand.digit, hand.tendon)]
     wrong += check_mesh_keys(hand.mount, "palm_mesh", PALM_POSE_KEYS, "mount")
@@ -147,7 +147,7 @@ def check_names(hand: Hand) -> MistakeIterator:
 def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> MistakeIterator:
     """Yield the mistakes within single digits and single tendons.
 
-    These checks need no other sections of the file.
+    For these checks, no other sections of the file are necessary.
     """
     for digit in digits:
         yield from _check_digit(digit)
@@ -157,9 +157,9 @@ def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> Mistak
 
 
 def _check_unique(names: Iterable[str], where: str) -> MistakeIterator:
-    """Yield a mistake for each repeated name.
+    """Yield a mistake for each name that occurs more than once.
 
-    The repeated name replaces {} in the key path ``where``.
+    In the key path ``where``, this name takes the place of {}.
     """
     seen: set[str] = set()
     for name in names:
@@ -251,7 +251,7 @@ def _check_coupled_types(
 def check_mesh_keys(
     section: Digit | Mount, mesh: str, keys: Iterable[str], where: str
 ) -> MistakeIterator:
-    """Check that a section without meshes has no scale and no pose of meshes, and that no scale is 0."""
+    """Check that a section without meshes has no scale and no pose for meshes, and that no scale is 0."""
     for key in keys:
         if getattr(section, mesh) is None and getattr(section, key) is not None:
             yield FileMistake(
@@ -268,7 +268,7 @@ def _check_body(digit: Digit, i: int, where: str) -> MistakeIterator:
     """Check that centre of mass and inertia of link i are possible for the size of the link."""
     com = digit.link_com_m[i]
     length = digit.link_length_m[i]
-    # No part of a link is farther from its centre of mass than the link's length or width.
+    # No part of a link can be farther from the centre of mass than the larger of length and width.
     size = max(length, 2 * digit.link_radius_m)
     if isinstance(com, float):
         if com > length:
@@ -329,7 +329,7 @@ def _check_references(hand: Hand) -> MistakeIterator:
 
 
 def _check_joint_type(hand: Hand, key: str, joint: str, where: str) -> MistakeIterator:
-    """Check that a tendon has moment arms at revolute joints, and excursion ratios at prismatic ones."""
+    """Check that a tendon has moment arms at revolute joints, and excursion ratios at prismatic joints."""
     slides = hand.is_prismatic[hand.joints.index(joint)]
     if slides and key == "moment_arm_m":
         yield FileMistake(
@@ -357,7 +357,7 @@ def _check_motors(hand: Hand) -> MistakeIterator:
         driven[tendon.motor] = tendon.name
     yield from wrong
     for motor in hand.motor:
-        # If a tendon names a wrong motor, another motor has no tendon as a consequence. In this
+        # If a tendon names a wrong motor, the right motor has no tendon as a consequence. In this
         # case, only the wrong name is reported.
         if motor.name not in driven and not wrong:
             yield FileMistake(
@@ -372,9 +372,9 @@ def _check_name(where: str, name: str, valid: tuple[str, ...]) -> MistakeIterato
 
 
 def _check_mounts(hand: Hand) -> MistakeIterator:
-    """Check that each carried digit comes after the digit that carries it.
+    """Check that each carried digit comes after the digit that carries it in the file.
 
-    Between them may only be digits that the same digit carries, directly or through others.
+    Between both, there may only be digits that the same digit carries, directly or through others.
     """
     line: list[str] = []
     for digit in hand.digit:
@@ -395,9 +395,10 @@ def _check_mounts(hand: Hand) -> MistakeIterator:
 
 
 def _check_tendon_order(hand: Hand) -> MistakeIterator:
-    """Check that each tendon moves one digit, and that the tendons are in the order of the digits.
+    """Check that each tendon moves a single digit, and that the tendons are in the order of the digits.
 
-    Besides the joints of its digit, a tendon may only pass joints of digits that carry its digit.
+    A tendon may cross the joints of its digit, and otherwise only joints of digits that carry its
+    digit.
     """
     latest = 0
     for tendon in hand.tendon:
@@ -427,9 +428,9 @@ def _check_tendon_order(hand: Hand) -> MistakeIterator:
 
 
 def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
-    """Check size and sign of a moment arm over the range of its joint.
+    """Check the size and the sign of a moment arm over the range of its joint.
 
-    A table of moment arms must cover the range and must be smooth.
+    A table of moment arms must cover the whole range and must be smooth.
     """
     arm = tendon.arms[joint]
     where = f"tendon[{tendon.name}].{tendon.arm_key(joint)}.{joint}"
@@ -482,7 +483,7 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
 
 
 def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
-    """Check that the tendons of a digit move each coordinate (R B has full column rank) and cross each joint."""
+    """Check that the tendons of a digit can move every coordinate (R B has full column rank), and cross every joint."""
     tendons = hand.digit_tendons[digit.name]
     joints = hand.digit_joints[digit.name]
     arms = hand.moment_arms[tendons, joints]
@@ -520,7 +521,7 @@ def arm_key_of(hand: Hand, joint: str) -> str:
 
 
 def _moment_arm_rank(arms: NDArray[np.float64]) -> int:
-    """Return the rank of a matrix of reduced moment arms."""
+    """Return the rank of the matrix R B of a digit."""
     values = np.linalg.svd(arms, compute_uv=False)
     return (
         int((values > MIN_SINGULAR_VALUE_RATIO * values.max(initial=0.0)).sum())
@@ -530,7 +531,7 @@ def _moment_arm_rank(arms: NDArray[np.float64]) -> int:
 
 
 def _check_limits(tendon: Tendon) -> MistakeIterator:
-    """Check that the tension limits of a tendon increase from the floor to the breaking force."""
+    """Check that the tension limits of a tendon increase in the order from the floor to the breaking force."""
     values = {key: getattr(tendon, key) for key in LIMIT_KEYS}
     strength = tendon.rated_breaking_force_N
     too_high = False
@@ -539,8 +540,8 @@ def _check_limits(tendon: Tendon) -> MistakeIterator:
     ):
         value = values[key]
         next_value = values[above]
-        # The limit before this one was reported as too high. Therefore this limit is not reported
-        # as too low.
+        # The limit before this one has been reported as too high. Therefore this limit is not also
+        # reported as too low.
         too_low = below is not None and value <= values[below] and not too_high
         bounds = [] if below is None else [f"more than {below} = {values[below]:g} N"]
         if above == STRENGTH_KEY or strength < next_value:
@@ -557,12 +558,12 @@ def _check_limits(tendon: Tendon) -> MistakeIterator:
 
 
 def _check_pretension(tendon: Tendon) -> MistakeIterator:
-    """Check the pretension of a spool pair, and that the pair has no tension floor.
+    """Check the pretension of a spool pair, and check that the pair has no tension floor.
 
-    The pretension must not bring a single tendon of the pair above the limits of the net tension.
+    The pretension must not make the tension of one tendon of the pair larger than the limits for
+    the net tension.
 
-    With the net tension u and the pretension p, the pulling tendon has the tension max(p + u / 2,
-    u).
+    For a net tension u and a pretension p, the pulling tendon has the tension max(p + u / 2, u).
     """
     pretension = tendon.pretension_N
     if pretension is None:
@@ -579,7 +580,7 @@ def _check_pretension(tendon: Tendon) -> MistakeIterator:
 
 
 def _check_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
-    """Check that a digit with spool pairs has one pair per coordinate, and no single tendons, springs or load cells."""
+    """Check that a digit with spool pairs has one pair per coordinate, and no single tendons, springs or cells."""
     tendons = hand.tendon[hand.digit_tendons[digit.name]]
     pairs = [tendon for tendon in tendons if tendon.pretension_N is not None]
     if not pairs:
@@ -677,7 +678,7 @@ def _check_identifiers(hand: Hand) -> MistakeIterator:
 
 
 def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
-    """Yield (bus, identifier, key path) of all CAN frames of a hand.
+    """Yield (bus, identifier, key path) for all CAN frames of a hand.
 
     If the protocol of a motor is unknown here, protocol and node number take the place of the
     identifier.
@@ -698,27 +699,28 @@ def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
 
 
 def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
-    """Yield (identifier, key path) of the CAN frames of a motor."""
+    """Yield (identifier, key path) for all CAN frames of a motor."""
     where = f"motor[{motor.name}].node_id"
     if motor.protocol == "mit":
         yield motor.node_id, where
         yield _mit_reply_id(motor, where)
     elif motor.protocol == "odrive":
-        # An ODrive occupies the identifiers of all 32 commands with its node number.
+        # An ODrive uses the identifiers of all 32 commands with its node number.
         for message in range(32):
             yield motor.node_id << 5 | message, where
     elif motor.protocol == "cia402":
         for service in CANOPEN_SERVICES:
             yield service + motor.node_id, where
     elif motor.protocol == "moteus":
-        # The requests come first. They have the source 0 and the reply bit. The replies follow,
-        # with an 11-bit identifier if the number fits.
+        # These are the identifiers of the requests. They contain the source 0 and the bit that asks
+        # for a reply. The identifiers of the replies follow. They have 11 bits if the number is
+        # small enough.
         yield EXTENDED_ID_FLAG | 0x8000 | motor.node_id, where
         number = motor.node_id << 8
         yield number if number < STANDARD_IDS else number | EXTENDED_ID_FLAG, where
     elif motor.protocol == "robstride":
-        # The requests of type 0 come first. The feedback of a running motor to the default host
-        # follows.
+        # These are the identifiers of the requests of type 0. The feedback of a running motor to
+        # the default host comes after them.
         yield EXTENDED_ID_FLAG | 0xFD00 | motor.node_id, where
         yield EXTENDED_ID_FLAG | 0x0280_00FD | motor.node_id << 8, where
     else:

@@ -19,14 +19,14 @@ SI_NAMES = ("rad", "m")
 
 
 class DisplayUnits(NamedTuple):
-    """Conversion of positions of joints or coordinates, (n,), between SI units and displayed units.
+    """Conversion of the positions (n,) of joints or coordinates between SI units and displayed units.
 
     Attributes:
         is_prismatic: (n,) True for the positions that are in m.
         factor: (n,) displayed value per SI value [deg/rad or mm/m].
         inverse: (n,) SI value per displayed value.
         scale: (n,) factor of thresholds in rad for each position: 1, or ``EQUIVALENT_M_PER_RAD``.
-        per_degree: (n,) displayed change that counts like 1 deg in limits of speed: 1, or 0.17 mm.
+        per_degree: (n,) displayed change that counts as 1 deg in a speed limit: 1, or 0.17 mm.
     """
 
     is_prismatic: NDArray[np.bool_]
@@ -37,7 +37,7 @@ class DisplayUnits(NamedTuple):
 
     @classmethod
     def of(cls, is_prismatic: ArrayLike) -> "DisplayUnits":
-        """Return the units of positions, given which of them are those of prismatic joints, (n,)."""
+        """Return the units of positions, given which of them belong to prismatic joints (n,)."""
         slides = np.asarray(is_prismatic, dtype=np.bool_)
         # The factors are those of math.degrees and math.radians.
         return cls(
@@ -49,15 +49,15 @@ class DisplayUnits(NamedTuple):
         )
 
     def displayed(self, values: ArrayLike) -> Array:
-        """Return positions (.., n) [rad or m] in displayed units [deg or mm]."""
+        """Convert positions (.., n) [rad or m] to displayed units [deg or mm]."""
         return np.asarray(np.asarray(values, dtype=np.float64) * self.factor)
 
     def si(self, values: ArrayLike) -> Array:
-        """Return displayed positions (.., n) [deg or mm] in SI units [rad or m]."""
+        """Convert displayed positions (.., n) [deg or mm] to SI units [rad or m]."""
         return np.asarray(np.asarray(values, dtype=np.float64) * self.inverse)
 
     def as_angles(self, values: ArrayLike) -> Array:
-        """Return positions (.., n) [rad or m] in rad, where a displayed mm counts as a deg."""
+        """Convert positions (.., n) [rad or m] to rad, where a displayed mm counts as much as a deg."""
         return np.asarray(np.asarray(values, dtype=np.float64) / (self.inverse / (np.pi / 180.0)))
 
     @property

@@ -1,4 +1,7 @@
-"""Messages about mistakes in a file, each with the key path, the invalid value, and a valid value."""
+"""Messages about mistakes in a file.
+
+Each message contains the key path, the invalid value, and a valid value.
+"""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,9 +19,9 @@ class FileMistake(NamedTuple):
     """One mistake in a file.
 
     Attributes:
-        what: the mistake, with the invalid value.
-        where: key path.
-        right: a valid value.
+        what: the mistake, together with the invalid value.
+        where: key path of the invalid value.
+        right: example of a valid value.
     """
 
     what: str
@@ -26,7 +29,7 @@ class FileMistake(NamedTuple):
     right: str
 
     def error(self, source: str) -> ConfigError:
-        """Return the mistake as an exception, whose message is one line with the name of the file."""
+        """Return the mistake as an exception whose message is a single line with the name of the file."""
         return ConfigError(self.what, f"{source}: {self.where}", self.right)
 
 
@@ -53,8 +56,8 @@ def validation_mistakes(
 ) -> list[FileMistake]:
     """Return one mistake for each validation error of pydantic.
 
-    Mistakes about unknown keys come first. A misspelt key is reported twice, as unknown and as
-    missing, and the unknown key is the cause.
+    Mistakes about unknown keys come first. A misspelt key is reported both as unknown and as
+    missing, and the unknown key is the cause of both.
 
     Args:
         error: error raised by pydantic.
@@ -63,7 +66,7 @@ def validation_mistakes(
     """
     details = error.errors(include_url=False)
     within = {detail["loc"][:depth] for detail in details for depth in range(1, len(detail["loc"]))}
-    # If pydantic refuses entries of a list, it also reports that the list is too short.
+    # If pydantic refuses entries of a list, it also reports that the list has too few entries.
     details = [
         detail for detail in details if detail["type"] != "too_short" or detail["loc"] not in within
     ]
@@ -94,10 +97,9 @@ WITHIN_DIGITS = ("tendon", "motor")
 
 
 def _meaning_of_missing_key(location: Sequence[str | int], model: type[BaseModel]) -> str:
-    """Return the text that a file should have for a missing key.
+    """Return a text that says which value the file should contain for a missing key.
 
-    The text contains the form of a section or value, and the first sentence of the description of
-    the key.
+    It contains the form of the section or value, and the first sentence of the key's description.
     """
     field = _field_of_key(location, model)
     if field is None:
@@ -113,20 +115,23 @@ def _meaning_of_missing_key(location: Sequence[str | int], model: type[BaseModel
 
 
 class _ModelField(NamedTuple):
-    """Field of a pydantic model: the model, and the name of the attribute."""
+    """Field of a pydantic model, given by the model and the name of the attribute."""
 
     model: type[BaseModel]
     name: str
 
 
 def _field_meaning(field: _ModelField | None) -> str:
-    """Return a colon and the first sentence of a key's description, or an empty text if it has none."""
+    """Return a colon and the first sentence of a key's description.
+
+    If there is no description, return an empty text.
+    """
     text = first_sentence(key_description(*field)) if field else ""
     return f": {text}" if text else ""
 
 
 def first_sentence(description: str) -> str:
-    """Return the first sentence of a description, as one line without the full stop."""
+    """Return the first sentence of a description as one line, without the full stop at the end."""
     return " ".join(
         re.split(r"\.\s", description, maxsplit=1)[0].rstrip(".").replace("``", "").split()
     )
@@ -157,7 +162,10 @@ def _field_of_key(location: Sequence[str | int], model: type[BaseModel]) -> _Mod
 def _unknown_key_mistake(
     location: Sequence[str | int], model: type[BaseModel], content: Mapping[str, Any]
 ) -> FileMistake:
-    """Return the mistake for an unknown key, with the most similar valid key as the valid value."""
+    """Return the mistake for an unknown key.
+
+    The most similar valid key is given as the valid value.
+    """
     if location[0] == "motor" and location[-1] == "mode":
         return FileMistake(
             "a hand commands torques",
@@ -171,14 +179,14 @@ def _unknown_key_mistake(
 def with_paths_of_file(
     mistakes: Iterable[FileMistake], origins: Mapping[str, str]
 ) -> list[FileMistake]:
-    """Return the mistakes with the key paths that the hand file has, in place of those of the resolved content.
+    """Return the mistakes with the key paths of the hand file in place of those of the resolved content.
 
-    Many sections use the same value of a default or template. Of several mistakes about such a
-    value, only the first is returned.
+    Many sections may use the same value of a default or a template. If several mistakes concern
+    such a value, only the first of them is returned.
 
     Args:
-        mistakes: mistakes with key paths of the resolved content.
-        origins: key path in the file by key path in the resolved content.
+        mistakes: mistakes whose key paths belong to the resolved content.
+        origins: key path in the file, for each key path in the resolved content.
     """
     found: dict[FileMistake | str, FileMistake] = {}
     for mistake in mistakes:
@@ -190,12 +198,11 @@ def with_paths_of_file(
 
 
 def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
-    """Join mistakes that differ only in the name of the section.
+    """Join mistakes that differ only in the name of their section.
 
-    Each joined mistake has the place of its first mistake.
+    A joined mistake takes the place of the first of these mistakes.
 
-    The key path of a joined mistake names at most three sections: ``tendon[a, b and 4
-    more].knee_N``.
+    Its key path names at most three sections: ``tendon[a, b and 4 more].knee_N``.
     """
     names: dict[FileMistake, list[str]] = {}
     for mistake in mistakes:
@@ -211,7 +218,7 @@ def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
 def shortened_list(names: Sequence[str]) -> str:
     """Join names with commas.
 
-    Of more than three names, write the first two and the number of the others.
+    If there are more than three names, write the first two, and the number of the others.
     """
     return (
         ", ".join(names) if len(names) <= 3 else f"{', '.join(names[:2])} and {len(names) - 2} more"
@@ -219,7 +226,7 @@ def shortened_list(names: Sequence[str]) -> str:
 
 
 def lines_by_text(named_texts: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-    """Return one line for each text, with the names to which it applies, in the order of the first names.
+    """Return one line for each text, with all names to which it applies, in the order of the first names.
 
     Args:
         named_texts: pairs of a name and its text.
@@ -287,5 +294,8 @@ def _models_in(annotation: Any) -> list[type[BaseModel]]:
 
 
 def most_similar_key(key: str, valid: list[str]) -> str:
-    """Return the valid key that is most similar to a key, or all valid keys if none is similar."""
+    """Return the valid key that is most similar to a key.
+
+    If none is similar, return all valid keys.
+    """
     return similar_name(key, valid) or "one of " + ", ".join(valid)

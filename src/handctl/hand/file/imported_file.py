@@ -1,4 +1,7 @@
-"""Text of a new hand file from the digits of a robot description, with ``"TODO"`` for each missing value."""
+"""Text of a new hand file for the digits of a robot description.
+
+Each missing value is written as ``"TODO"``.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -76,19 +79,20 @@ PLACEHOLDER_TENDONS_COMMENT = (
 class TendonAnswers:
     """The user's answers about values that a robot description does not contain.
 
-    Without an answer, the file says ``"TODO"``.
+    If an answer is missing, the new file contains ``"TODO"``.
 
     Attributes:
         name: name of the hand.
-        tendons: ``one`` for one tendon per digit, ``each`` for one per joint. Without an answer,
-            the file has one tendon per joint.
+        tendons: ``one`` for one tendon per digit, ``each`` for one tendon per joint. If the answer
+            is missing, the file has one tendon per joint.
         pulley_mm: moment arm of the tendons at the joints [mm].
         spool_mm: radius of the spools [mm].
         tension_N: largest commanded tension [N].
         strength_N: rated breaking force of the tendons [N].
         protocol: protocol of the drives.
-        motor_type: type of the motors, None for the default of the protocol.
-        first_node: node number of the first drive on each bus. Further drives get the next numbers.
+        motor_type: type of the motors, or None for the default type of the protocol.
+        first_node: node number of the first drive on each bus. The other drives get the following
+            numbers.
         cells: ``all`` if all tendons have a load cell, ``none`` if no tendon has one.
         encoders: ``all`` if all joints have an encoder, ``none`` if no joint has one.
         springs: ``all`` if springs open the digits, ``none`` if antagonistic tendons open them.
@@ -110,17 +114,17 @@ class TendonAnswers:
 
 @dataclass(frozen=True, eq=False)
 class DescribedHand:
-    """Hand as a robot description (URDF or MJCF) describes it.
+    """Hand that is described by a robot description (URDF or MJCF).
 
     Attributes:
-        source: name of the file of the description.
+        source: name of the file with the robot description.
         name: name of the hand.
-        gravity: (3,) gravitational acceleration in the palm frame [m/s2], None if the description
-            has none.
+        gravity: (3,) gravitational acceleration in the palm frame [m/s2], or None if the
+            description contains none.
         palm: (3, 3) rotation from the palm frame to the root frame of the description.
-        digits: digits of the hand, each after the digit that carries it.
+        digits: digits of the hand, where each digit comes after the digit that carries it.
         tendons: a table for each tendon, with ``name``, ``arms``, ``motor`` and ``tension_max``.
-        palm_mesh: mesh of the palm in the palm frame, None for a palm without a mesh.
+        palm_mesh: mesh of the palm in the palm frame, or None for a palm without a mesh.
     """
 
     source: str
@@ -145,7 +149,7 @@ class _SectionLine:
 
 
 def usable_tendons(described: DescribedHand) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the tendons of a description that a hand file can express, and notes about the other tendons.
+    """Return the tendons of a description that a hand file can contain, and notes about all other tendons.
 
     The table of each tendon has ``digit``, ``name``, ``motor``, ``tension_max``, and ``arms`` by
     the short names of the joints.
@@ -188,8 +192,8 @@ def usable_tendons(described: DescribedHand) -> tuple[list[dict[str, Any]], list
                 "tension_max": tendon["tension_max"],
             }
             usable.append(own)
-    # If the tendons together do not move every joint, they model a mechanism, and other actuators
-    # drive the hand.
+    # If the tendons together do not move every joint, they only model a mechanism, and other
+    # actuators move the hand.
     moved = {(tendon["digit"], joint) for tendon in usable for joint in tendon["arms"]}
     if usable and moved != set(places.values()):
         notes.append("the tendons of the file are not read: they do not move every joint")
@@ -204,8 +208,8 @@ def described_text(
 
     Args:
         described: hand of a robot description.
-        answers: the user's answers about values that the description does not contain.
-        options: line with the options of the drives, empty for drives without options.
+        answers: the user's answers about values that the robot description does not contain.
+        options: line with the options of the drives, or an empty text for drives without options.
         can_fd: True if the protocol needs a bus with CAN FD.
     """
     tendons, _ = usable_tendons(described)
@@ -265,7 +269,7 @@ def _sliding_joints(digit: ModelDigit) -> set[str]:
 
 
 def _bus_by_digit(described: DescribedHand, tendons: Sequence[Mapping[str, Any]]) -> dict[str, int]:
-    """Return the bus of each digit. All motors of a digit are on the same bus."""
+    """Return the index of the bus for each digit. All motors of a digit are on the same bus."""
     buses = {}
     bus = used = 0
     for digit in described.digits:
@@ -313,7 +317,7 @@ def _head_text(described: DescribedHand, answers: TendonAnswers, buses: int, can
 def _sensor_node(answers: TendonAnswers) -> str:
     """Return the text of the section ``sensor_node``.
 
-    For a hand without sensors, the text is empty.
+    If the hand has no sensors, the text is empty.
     """
     if answers.cells == answers.encoders == "none":
         return ""
@@ -342,9 +346,9 @@ def _sensor_node(answers: TendonAnswers) -> str:
 
 
 def _common_lines(described: DescribedHand, answers: TendonAnswers) -> list[_SectionLine]:
-    """Return lines for the digits' values that the robot description lacks.
+    """Return lines for those values of digits that the robot description does not contain.
 
-    The new file sets them once for all digits.
+    The new file contains these values only once, for all digits.
     """
     everything = [link for digit in described.digits for link in digit.links]
     known = {"link_radius_m": any(link.radius for link in everything)}
@@ -443,7 +447,7 @@ def _mesh_lines(meshes: Sequence[ModelMesh | None]) -> Iterable[_SectionLine]:
 def _scale_text(scale: Array) -> str:
     """Return the scale of a mesh as text.
 
-    The text is one number if the scale is equal along all axes.
+    If the scale is the same along all axes, the text is a single number.
     """
     return (
         _number_text(float(scale[0]))
@@ -453,9 +457,9 @@ def _scale_text(scale: Array) -> str:
 
 
 def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_SectionLine]:
-    """Yield lines for damping, armature and springs of a digit.
+    """Yield lines for the damping, the armature and the springs of a digit.
 
-    In a robot description, 0 means that the value is not given.
+    In a robot description, 0 means that the value is not known.
     """
     for slides in (False, True):
         links = [link for link in digit.links if link.is_prismatic == slides]
@@ -472,7 +476,7 @@ def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_Section
 
 
 def _key_of_type(key: str, slides: bool) -> str:
-    """Return a key of revolute joints, or its counterpart of prismatic joints."""
+    """Return a key for revolute joints, or the corresponding key for prismatic joints."""
     return PRISMATIC_KEYS[REVOLUTE_KEYS.index(key)] if slides else key
 
 
@@ -516,7 +520,7 @@ def _drive_lines(
 
 
 def _tendon_lines(answers: TendonAnswers) -> Iterable[_SectionLine]:
-    """Yield lines for the values that all tendons have in common."""
+    """Yield lines for the values that are the same for all tendons."""
     tension = answers.tension_N
     given: dict[str, float | None] = {
         "stiffness_N_per_m": None,
@@ -537,7 +541,7 @@ def _tendon_lines(answers: TendonAnswers) -> Iterable[_SectionLine]:
 
 
 def _motor_lines(answers: TendonAnswers) -> Iterable[_SectionLine]:
-    """Yield lines for the values that all motors have in common."""
+    """Yield lines for the values that are the same for all motors."""
     torque = None
     if answers.tension_N is not None and answers.spool_mm is not None:
         torque = DRIVE_LIMIT_RATIO * answers.tension_N * 1e-3 * answers.spool_mm
@@ -569,7 +573,7 @@ def _motor_lines(answers: TendonAnswers) -> Iterable[_SectionLine]:
 
 
 def _todo_line(section: type[Section], key: str) -> _SectionLine:
-    """Return the line of a key whose value is missing, with ``"TODO"`` as its value."""
+    """Return the line for a key whose value is missing, with ``"TODO"`` in place of the value."""
     verb = "set" if key in CHOSEN_KEYS else "measure"
     return _SectionLine(
         key,
@@ -589,13 +593,16 @@ def _section_text(name: str, lines: Iterable[_SectionLine]) -> str:
 
 
 def _short_name(name: str, digit: str) -> str:
-    """Return the short name of a tendon or motor, without the name of its digit."""
+    """Return the short name of a tendon or motor, which does not contain the name of the digit."""
     short = name.removeprefix(f"{digit}_")
     return "".join(c if c.isascii() and c.isalnum() else "_" for c in short)
 
 
 def _inertia_moments(inertia: Array) -> Array:
-    """Return the three moments of an inertia (3, 3) [kg m2], followed by three products if they are not zero."""
+    """Return the three moments of an inertia (3, 3) [kg m2].
+
+    If the products of inertia are not zero, they follow.
+    """
     mixed = np.array([inertia[0, 1], inertia[0, 2], inertia[1, 2]])
     principal = np.diag(inertia)
     return (
@@ -606,7 +613,7 @@ def _inertia_moments(inertia: Array) -> Array:
 
 
 def _rpy_deg_text(rotation: Array) -> str:
-    """Return the text of roll, pitch and yaw [deg] of a rotation (3, 3)."""
+    """Return roll, pitch and yaw of a rotation (3, 3) as text [deg]."""
     return _number_list_text(np.degrees(rpy_of_rotation(rotation)))
 
 

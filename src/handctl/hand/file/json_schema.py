@@ -30,7 +30,7 @@ VALUE_DEFINITIONS = {kind: f"{name}Values" for kind, name in SECTION_DEFINITIONS
 def hand_schema() -> dict[str, Any]:
     """Return the JSON Schema of a hand file of schema 2.
 
-    Hand files of schema 1 also conform to this JSON Schema.
+    Hand files of schema 1 also satisfy this JSON Schema.
 
     In the schema, every key of a digit, tendon or motor is optional, because a default or template
     can have the key. ``handctl config check`` reports missing keys.
@@ -116,9 +116,9 @@ def _reference_to(name: str) -> dict[str, Any]:
 
 
 def _in_draft_vocabulary(node: Any) -> Any:
-    """Return a JSON Schema with the keywords of draft 7.
+    """Convert a JSON Schema to the keywords of draft 7.
 
-    Titles that only repeat a key are removed.
+    Titles that only repeat a key are removed from the schema.
     """
     if isinstance(node, list):
         return [_in_draft_vocabulary(entry) for entry in node]
@@ -128,7 +128,7 @@ def _in_draft_vocabulary(node: Any) -> Any:
         node = {**node, "items": node["prefixItems"]}
         del node["prefixItems"]
     if isinstance(node.get("$ref"), str):
-        # In draft 7, other keywords beside a reference have no effect.
+        # In draft 7, a reference makes all keywords beside it ineffective.
         node = {"$ref": node["$ref"].replace("#/$defs/", "#/definitions/")}
     return {
         key: value.replace("``", "`")

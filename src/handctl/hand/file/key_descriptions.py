@@ -1,10 +1,10 @@
-"""Descriptions of the keys of hand files and gains files.
+"""Descriptions of the keys in hand files and gains files.
 
 The descriptions are the docstrings after the fields of the pydantic models.
 
-pydantic can store these docstrings in the fields of a model (``use_attribute_docstrings``). With
-this setting, every process parses the source of every model. This module parses the source only
-when a description is needed.
+pydantic can store these docstrings in the fields of a model (``use_attribute_docstrings``). But
+then every process would parse the source code of every model. Therefore this module parses the
+source code, and only when a description is needed.
 """
 
 import ast
@@ -24,7 +24,7 @@ def key_description(model: type[BaseModel], field: str) -> str:
     """Return the description of a field, or an empty text if the field has no description.
 
     Args:
-        model: model that has the field.
+        model: model to which the field belongs.
         field: name of the attribute, which may differ from the key in the file.
     """
     return field_docstrings(model).get(field, "")
@@ -32,7 +32,7 @@ def key_description(model: type[BaseModel], field: str) -> str:
 
 @cache
 def field_docstrings(model: type[BaseModel]) -> Mapping[str, str]:
-    """Return the docstrings of the fields of a model and of its base classes, by the name of the attribute."""
+    """Return the docstrings of the fields of a model and its base classes, by the name of the attribute."""
     found: dict[str, str] = {}
     for base in reversed(model.__mro__):
         if issubclass(base, BaseModel) and base is not BaseModel:
@@ -43,7 +43,7 @@ def field_docstrings(model: type[BaseModel]) -> Mapping[str, str]:
 def _docstrings_in(model: type[BaseModel]) -> dict[str, str]:
     """Return the docstrings of the attributes of a class.
 
-    If the source of the class is missing, there are no docstrings.
+    If the source code of the class cannot be found, there are no docstrings.
     """
     try:
         source = inspect.getsource(model)
@@ -55,7 +55,7 @@ def _docstrings_in(model: type[BaseModel]) -> dict[str, str]:
 
 
 def _documented_attributes(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
-    """Yield name and docstring of each attribute that is followed by a docstring."""
+    """Yield the name and the docstring of each attribute that a docstring follows."""
     for statement, following in pairwise(body):
         match statement, following:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(

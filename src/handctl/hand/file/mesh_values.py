@@ -1,4 +1,4 @@
-"""Types of the values that the mesh keys of a hand file can have."""
+"""Types of the values that the keys for meshes in a hand file can have."""
 
 from pathlib import PurePath
 from typing import Annotated, Any

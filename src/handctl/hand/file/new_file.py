@@ -76,24 +76,25 @@ class HandAnswers:
 
     Attributes:
         name: name of the hand.
-        fingers: number of fingers, which are equal digits on one side of the palm.
-        opposed: number of equal digits on the other side, which close against the fingers.
-        links_mm: length of each link of a digit, from the palm outwards [mm].
+        fingers: number of fingers, which are equal digits on the same side of the palm.
+        opposed: number of equal digits on the other side of the palm, which close against the
+            fingers.
+        links_mm: length of each link of a digit, from the palm to the tip [mm].
         width_mm: width of the links [mm].
         palm_mm: distance between the two sides [mm]. If it is None, the distance follows from the
             length of the digits.
         tendons: ``one`` for one tendon per digit, ``each`` for one tendon per joint.
-        pulley_mm: moment arm of the tendons at the joints [mm]. If it is None, the arm follows from
-            the length of the digits.
+        pulley_mm: moment arm of the tendons at the joints [mm]. If it is None, the moment arm
+            follows from the length of the digits.
         spool_mm: radius of the spools [mm].
         tension_N: largest commanded tension [N].
         strength_N: rated breaking force of the tendons [N].
         protocol: protocol of the drives.
-        motor_type: type of the motors, None for the default of the protocol.
-        cells: ``all`` if each tendon has a load cell, else ``none``.
-        encoders: ``all`` if each joint has an encoder, else ``none``.
-        springs: ``all`` if springs open the digits. ``none`` if a further tendon of each digit
-            opens it, see ``check_springs``.
+        motor_type: type of the motors, or None for the default type of the protocol.
+        cells: ``all`` if each tendon has a load cell, otherwise ``none``.
+        encoders: ``all`` if each joint has an encoder, otherwise ``none``.
+        springs: ``all`` if springs open the digits. ``none`` if a further tendon opens each digit,
+            see ``check_springs``.
     """
 
     name: str = "mine"
@@ -128,7 +129,7 @@ class HandAnswers:
 
     @property
     def spacious_palm(self) -> float:
-        """Return the distance between the two sides that leaves space for a thick object [mm]."""
+        """Return the distance between both sides of the palm at which a thick object fits between the digits [mm]."""
         return (
             max(SMALLEST_OBJECT_MM, OBJECT_DIAMETER_RATIO * self.digit_mm)
             + self.width_mm
@@ -137,7 +138,7 @@ class HandAnswers:
 
     @property
     def pulley(self) -> float:
-        """Return the moment arm at the joints [mm].
+        """Return the moment arm of the tendons at the joints [mm].
 
         By default, the moment arm is in proportion to the length of the digits.
         """
@@ -145,10 +146,13 @@ class HandAnswers:
 
 
 def check_answers(answers: HandAnswers) -> None:
-    """Check the answers. The checks of the hand file find further mistakes.
+    """Check the user's answers before the hand file is written.
+
+    All other mistakes are found by the checks of the hand file.
 
     Raises:
-        ConfigError: the name, a number of digits, the palm distance or the links are wrong.
+        ConfigError: the name, a number of digits, the distance between the sides of the palm, or
+            the lengths of the links are wrong.
     """
     check_name(answers.name)
     for option, count in (("--fingers", answers.fingers), ("--opposed", answers.opposed)):
@@ -169,7 +173,9 @@ def check_answers(answers: HandAnswers) -> None:
 
 
 def check_springs(tendons: str | None, springs: str | None) -> None:
-    """Check that something can open a digit. A single tendon closes it, so springs must open it.
+    """Check that either springs or a tendon can open each digit.
+
+    A single tendon only closes the digit, so springs must open it.
 
     Args:
         tendons: answer ``one`` or ``each`` about the tendons of a digit, or None.
@@ -210,8 +216,8 @@ def opposition_warnings(answers: HandAnswers) -> tuple[str, ...]:
 
 
 def palm_warnings(answers: HandAnswers) -> tuple[str, ...]:
-    """Return warnings about a palm that is too narrow for digits that face each other, one line per warning."""
-    # Digits with a single straight link touch thinner objects before their tips meet.
+    """Return one line for each warning that the palm is too narrow for digits that face each other."""
+    # If the digits have a single straight link, they touch thinner objects before their tips meet.
     enough = (
         answers.spacious_palm
         if len(answers.links_mm) > 1
@@ -242,7 +248,7 @@ def new_hand_text(answers: HandAnswers, options: Mapping[str, Any], can_fd: bool
     for number, ((name, side), z) in enumerate(digits):
         y = (0.5 - side) * answers.palm * 1e-3
         bus = buses[number // per_bus]
-        # The node numbers on each bus begin at 1.
+        # On each bus, the node numbers begin at 1.
         first = number % per_bus * len(motors) + 1
         on_bus = "" if bus == buses[0] else ', {}.bus = "' + bus + '"'
         ids = ", ".join(
@@ -268,7 +274,7 @@ def _digit_names(answers: HandAnswers) -> list[tuple[str, int]]:
 
 
 def _mount_places(answers: HandAnswers) -> list[float]:
-    """Return the position of each digit along the hinges [m], the fingers before the opposed digits.
+    """Return the position of each digit along the axes of the hinges [m]. The fingers come first.
 
     If the sides have different numbers of digits, each digit faces a gap of the other side. Tips
     that face each other would meet before the digits press on an object.
@@ -279,7 +285,7 @@ def _mount_places(answers: HandAnswers) -> list[float]:
         answers.width_mm + SIDE_GAP_MM, min(passing, ROW_WIDTH_MM / max(1, max(counts) - 1))
     )
     # If the numbers of digits differ, but both are even or both are odd, one row is moved by half
-    # of its spacing. Otherwise digits of both rows would face each other.
+    # of the distance between its digits. Otherwise, digits of both rows would face each other.
     moved = spacing / 2 if counts[0] != counts[1] and sum(counts) % 2 == 0 else 0.0
     places = []
     for count in counts:
@@ -295,7 +301,10 @@ def _bus_names(answers: HandAnswers) -> list[str]:
 
 
 def _digits_per_bus(answers: HandAnswers) -> int:
-    """Return the number of digits on a bus. All motors of a digit are on the same bus."""
+    """Return the number of digits whose motors are on the same bus.
+
+    All motors of a digit are on the same bus.
+    """
     digits = answers.fingers + answers.opposed
     is_fast = answers.springs == answers.cells == "none"
     motors_per_bus = MOTORS_PER_FAST_BUS if is_fast else MOTORS_PER_BUS
@@ -334,7 +343,7 @@ gravity_m_s2 = [0.0, 0.0, -9.81]   # palm frame: x out of the palm, y from thumb
 
 
 def _sensor_table(answers: HandAnswers) -> str:
-    """Return the text of the section ``sensor_node``, empty for a hand without sensors."""
+    """Return the text of the section ``sensor_node``, or an empty text for a hand without sensors."""
     if answers.cells == answers.encoders == "none":
         return ""
     sync, base = SENSOR_IDS.get(answers.protocol, SENSOR_IDS["mit"])
@@ -363,7 +372,7 @@ joint_noise_rad = 0.001            # standard deviation of an encoder sample"""
 
 
 def _digit_values(answers: HandAnswers) -> str:
-    """Return the text of the values that all digits have in common."""
+    """Return the text of the values that are the same for all digits."""
     lengths = [1e-3 * length for length in answers.links_mm]
     width = 1e-3 * answers.width_mm
     masses = [DENSITY_KG_M3 * length * width**2 for length in lengths]
@@ -401,11 +410,11 @@ def _digit_values(answers: HandAnswers) -> str:
 
 
 def _spring_lines(answers: HandAnswers) -> list[str]:
-    """Return the lines of the return springs of a digit, none for a digit without springs."""
+    """Return the lines about the return springs of a digit, or no lines for a digit without springs."""
     if answers.springs == "none":
         return []
-    # At the tension floor, all tendons that cross a joint close it. The spring of the joint must
-    # open it against them.
+    # If all tensions are at the tension floor, all tendons that cross a joint close it. The spring
+    # of the joint must then open the joint against these tendons.
     stiffness = [
         OPENING_TORQUE_RATIO * tendons * 1e-3 * answers.pulley * TENSION_FLOOR_N / PRELOAD_RAD
         for tendons in _closing_tendons(answers)
@@ -423,7 +432,7 @@ def _closing_tendons(answers: HandAnswers) -> list[int]:
 
 
 def _moment_arms(answers: HandAnswers, tendon: int) -> list[float]:
-    """Return the moment arm of a tendon of a digit at each joint that it crosses [m].
+    """Return the moment arm of a digit's tendon at each joint that the tendon crosses [m].
 
     A tendon that closes the digit crosses all joints up to its own. The tendon that opens a digit
     of n joints balances equal tensions of the n others with n times their tension: its arm at a
@@ -431,7 +440,7 @@ def _moment_arms(answers: HandAnswers, tendon: int) -> list[float]:
 
     Args:
         answers: the user's answers.
-        tendon: index of the tendon in its digit.
+        tendon: index of the tendon among the tendons of the digit.
     """
     arm = 1e-3 * answers.pulley
     count = len(answers.links_mm)
@@ -443,7 +452,7 @@ def _moment_arms(answers: HandAnswers, tendon: int) -> list[float]:
 
 
 def _tendon_values(answers: HandAnswers) -> str:
-    """Return the text of the values that all tendons have in common."""
+    """Return the text of the values that are the same for all tendons."""
     trip = _number_text(TRIP_RATIO * answers.tension_N)
     return f"""[default.tendon]
 stiffness_N_per_m = 1.0e5          # ASSUMED: handctl identify measures it
@@ -461,7 +470,7 @@ drive_limit_N = {_number_text(DRIVE_LIMIT_RATIO * answers.tension_N)}           
 
 
 def _motor_values(answers: HandAnswers, options: Mapping[str, Any]) -> str:
-    """Return the text of the values that all motors have in common."""
+    """Return the text of the values that are the same for all motors."""
     torque = DRIVE_LIMIT_RATIO * answers.tension_N * 1e-3 * answers.spool_mm
     return f"""[default.motor]                    # quantities at the spool, after the gear
 protocol = "{answers.protocol}"
@@ -483,7 +492,7 @@ watchdog_ms = 50{options_line(answers.protocol, options)}"""
 def options_line(protocol: str, options: Mapping[str, Any]) -> str:
     """Return the line with the options of the drives.
 
-    For a protocol without options, the line is empty.
+    If the protocol has no options, the line is empty.
     """
     if protocol == "odrive":
         return "\n# options: the endpoints of your firmware, from its flat_endpoints.json; config check names them"
@@ -499,7 +508,7 @@ def _number_text(value: float) -> str:
 
 
 def _list_text(values: list[float] | list[list[float]]) -> str:
-    """Return the text of a list, or of one number if all entries are equal."""
+    """Return the text of a list. If all entries are equal, return the text of one number."""
     texts = [
         _list_text(value) if isinstance(value, list) else _number_text(value) for value in values
     ]

@@ -1,7 +1,7 @@
-"""Types of the values in a hand file, each with the range that is plausible for a robot hand.
+"""Types of the values in a hand file. Each type has the range that is plausible for a robot hand.
 
-The ranges include all usual hands, but refuse values in wrong units. For example, a link length
-given in millimetres is wrong by a factor of 1000.
+These ranges include all usual hands, but not values in wrong units. For example, the length of a
+link in millimetres would be wrong by a factor of 1000.
 """
 
 import re
@@ -28,16 +28,16 @@ The checks refuse this text for every key.
 
 
 def validation_error(valid_value: str) -> PydanticCustomError:
-    """Return a validation error that states a valid value.
+    """Return a validation error whose text contains a valid value.
 
-    ``error_text`` prints this value after the invalid one.
+    The module ``error_text`` prints this value after the invalid one.
     """
     return PydanticCustomError("hand", "expected {right}", {"right": valid_value})
 
 
 @dataclass(frozen=True, eq=False)
 class CheckedType:
-    """Validation of one type of value. pydantic calls ``check``, and editors use ``schema``.
+    """Validation of one type of value, with the method ``check`` for pydantic and the attribute ``schema`` for editors.
 
     Attributes:
         check: function that returns a valid value, and raises an error for an invalid value.
@@ -81,7 +81,7 @@ class NumberRange:
         right = f"a number from {self.low:g} to {self.high:g} {self.unit}".rstrip()
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise validation_error(right)
-        # NaN is refused because the comparison is negated.
+        # The comparison is negated so that it also refuses NaN.
         if not self.low <= value <= self.high:
             raise validation_error(
                 f"{right} ({self.hint})" if self.hint and value > self.high else right
@@ -150,10 +150,10 @@ def _check_text(value: Any) -> str:
 
 
 def _check_options(value: Any) -> dict[str, bool | int | float | str]:
-    """Return the value if it is a table that contains only finite numbers, strings, and booleans."""
+    """Check that a value is a table of finite numbers, strings and booleans, and return it."""
     if not isinstance(value, dict):
         raise validation_error("a table")
-    # NaN and infinity are refused because the comparison is negated.
+    # The comparison is negated so that it also refuses NaN and infinity.
     for key, entry in value.items():
         if not isinstance(entry, bool | int | float | str) or (
             isinstance(entry, float) and not abs(entry) < 1e300
@@ -163,7 +163,7 @@ def _check_options(value: Any) -> dict[str, bool | int | float | str]:
 
 
 def zero_or_in_range(low: float, high: float, unit: str, hint: str) -> CheckedType:
-    """Return the validation of a number that is 0 or within [low, high], see ``NumberRange``."""
+    """Return the validation of a number that must be 0 or within [low, high], see ``NumberRange``."""
     number = NumberRange(low, high, unit, hint)
 
     def check_value(value: Any) -> float:
@@ -186,7 +186,7 @@ def number_or_list(
 
     Args:
         number_range: check of a single number.
-        entry_range: check of each number of a list.
+        entry_range: check for each number in a list.
         counts: valid lengths of a list.
     """
     right = f"a number, or a list of {' or '.join(str(count) for count in counts)} numbers"
@@ -250,7 +250,7 @@ def _checked_numbers(
     right = f"{min_length} to {max_length} numbers from {-largest:g} to {largest:g} in {key}"
     if not isinstance(values, list | tuple) or not min_length <= len(values) <= max_length:
         raise validation_error(right)
-    # NaN is refused because the comparison is negated.
+    # The comparison is negated so that it also refuses NaN.
     if any(
         isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= largest
         for one in values
@@ -260,7 +260,7 @@ def _checked_numbers(
 
 
 def _list_schema(min_length: int, max_length: int, largest: float) -> dict[str, Any]:
-    """Return the JSON Schema of a list that ``_checked_numbers`` accepts."""
+    """Return the JSON Schema of the lists that ``_checked_numbers`` accepts."""
     entry = {"type": "number", "minimum": -largest, "maximum": largest}
     return {"type": "array", "items": entry, "minItems": min_length, "maxItems": max_length}
 
@@ -373,7 +373,8 @@ JointSpeed = Annotated[float, in_range(1.0, 3000.0, "deg/s", "in degrees?")]
 JointAcceleration = Annotated[float, in_range(10.0, 1e6, "deg/s2", "in degrees?")]
 TensionRate = Annotated[float, in_range(1.0, 1e5, "N/s")]
 StaleTime = Annotated[float, in_range(1.0, 60_000.0, "ms", "in milliseconds?")]
-# Smallest and largest accepted bit rate of classical CAN and of the data phase of CAN FD [bit/s].
+# Smallest and largest bit rate that is accepted for classical CAN and for the data phase of CAN FD
+# [bit/s].
 MIN_BITRATE_BIT_S = 10_000
 MAX_BITRATE_BIT_S = 8_000_000
 Bitrate = Annotated[int, whole_in_range(MIN_BITRATE_BIT_S, MAX_BITRATE_BIT_S)]

@@ -1,4 +1,6 @@
-"""Conversion of a hand file of schema 1 to schema 2. Schema 2 writes repeated values once. Comments stay in the file.
+"""Conversion of a hand file of schema 1 to schema 2.
+
+A file of schema 2 contains repeated values only once. The comments of the file are kept.
 
 Each value is written as before, for example as ``0x1A0`` or ``6.384e-3``. A comment stays beside
 its value.
@@ -39,13 +41,13 @@ MIN_SECTIONS_TO_SHARE = 2
 
 @dataclass
 class TomlEntry:
-    """Line of a hand file: a key with its value and the comment behind it, or only a comment.
+    """Line of a hand file: a key with its value and a comment after it, or only a comment.
 
     Attributes:
         key: key of the line, empty for a blank line and for a line with only a comment.
         text: text of the value. In a line without a key, the whole line.
-        value: parsed value, None in a line without a key.
-        comment: comment behind the value, with its #, or an empty text.
+        value: parsed value, or None in a line without a key.
+        comment: comment after the value, with its #, or an empty text.
     """
 
     key: str
@@ -66,8 +68,8 @@ class TomlTable:
 
     Attributes:
         entries: lines of the table, in order.
-        before: comment lines in front of the table's header.
-        comment: comment behind the header.
+        before: comment lines before the header of the table.
+        comment: comment after the header of the table.
         held: tables of the tendons and motors within a digit, by kind and short name.
     """
 
@@ -90,11 +92,11 @@ class TomlTable:
 
 
 def convert_to_schema_2(text: str, source: str) -> str:
-    """Return the text of a hand file of schema 1, converted to schema 2.
+    """Convert the text of a hand file of schema 1 to schema 2.
 
     Args:
         text: text of a valid hand file of schema 1.
-        source: name of the file, for messages.
+        source: name of the file, for error messages.
 
     Raises:
         ConfigError: the text is not TOML.
@@ -127,7 +129,10 @@ def convert_to_schema_2(text: str, source: str) -> str:
 
 
 def _parse_blocks(document: tomlkit.TOMLDocument) -> tuple[TomlTable, list[tuple[str, TomlTable]]]:
-    """Return the root and the tables of a document in order, each with the comments before its header."""
+    """Return the root and the tables of a document in order.
+
+    Each table has the comments before its header.
+    """
     root = TomlTable([])
     tables: list[tuple[str, TomlTable]] = []
     last = root
@@ -208,9 +213,9 @@ def _take_shared_values(
 
 
 def _are_equal(value: Any, other_value: Any) -> bool:
-    """Return True if two values are equal and both or neither are booleans.
+    """Return True if two values are equal. A boolean never equals a number.
 
-    In TOML, true is not 1.
+    In TOML, true is not the same as 1.
     """
     return bool(value == other_value) and isinstance(value, bool) == isinstance(other_value, bool)
 
@@ -222,8 +227,8 @@ def _shorten_lists_per_link(block: TomlTable) -> None:
         if entry.key not in KEYS_ONE_FOR_ALL_LINKS or not isinstance(values, list) or not values:
             continue
         if isinstance(values[0], int | float) and all(value == values[0] for value in values):
-            # The text between the bracket and the first comma is the spelling of the number in the
-            # file. It is copied.
+            # The text between the bracket and the first comma is the number as the file spells it.
+            # This text is copied.
             entry.text = entry.text.strip("[] \n").split(",")[0].strip()
             entry.value = values[0]
 
@@ -248,7 +253,7 @@ def _shorten_sensor_node(
 
 
 def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
-    """Move the tendons or motors into the digits whose names they begin with, if this is possible for all of them."""
+    """Move each tendon or motor into the digit with whose name its name begins, if this is possible for all of them."""
     moved: list[tuple[TomlTable, str, TomlTable]] = []
     digits = {block.values()["name"]: block for block in sections["digit"]}
     for block in sections[kind]:
@@ -267,7 +272,7 @@ def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
         id(block)
         for *_, block in sorted(moved, key=lambda row: list(digits.values()).index(row[0]))
     ] != [id(block) for block in sections[kind]]:
-        return  # this would change the order of tendons or motors
+        return  # moving them would change the order of the tendons or motors
     comments: list[str] = []
     if sections[kind]:
         comments, sections[kind][0].before = sections[kind][0].before, []
@@ -303,9 +308,9 @@ def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
             _take_shared_values(group, lambda key, value: key not in INDIVIDUAL_KEYS["digit"])
         )
         for kind in DIGIT_KINDS:
-            # Tendons and motors of a template come before those that only the digits have. The
-            # order of tendons and motors must not change. Therefore only those before the first
-            # difference between the digits move into the template.
+            # In the resolved file, the tendons and motors of a template come before those of the
+            # digit itself. But the order of tendons and motors must not change. Therefore only
+            # those before the first difference between the digits are moved into the template.
             for short in group[0].held[kind]:
                 if not all(short in block.held[kind] for block in group):
                     break
@@ -328,7 +333,7 @@ def _kind_lines(
     templates: dict[str, TomlTable],
     sections: Sequence[TomlTable],
 ) -> list[str]:
-    """Return the lines of the file for one kind of section: the default, the templates and the sections."""
+    """Return the lines of the new file for one kind of section: default, templates and sections."""
     lines = ["", *(sections[0].before if sections else [])]
     if default:
         lines += [f"[default.{kind}]", *(entry.line() for entry in default), ""]
@@ -346,7 +351,7 @@ def _kind_lines(
 
 
 def _header_comment(block: TomlTable) -> str:
-    """Return the text of the comment behind the header of a table."""
+    """Return the text of the comment after the header of a table."""
     return f"   {block.comment}" if block.comment else ""
 
 

@@ -152,12 +152,12 @@ class SensorNode(Section):
 
     @property
     def is_cia404(self) -> bool:
-        """Return True if CANopen measuring amplifiers according to CiA 404 measure the tensions."""
+        """Return True if CANopen amplifiers of the profile CiA 404 measure the tensions."""
         return self.protocol == CIA404_PROTOCOL
 
     @property
     def amplifier_channels(self) -> tuple[int, ...]:
-        """Return for each CiA 404 amplifier the number of channels that have a load cell."""
+        """Return, for each CiA 404 amplifier, the number of channels to which a load cell is connected."""
         size = self.channels_per_node
         return tuple(
             min(max(len(self.tendons) - size * i, 0), size)
@@ -396,24 +396,24 @@ class Digit(Section):
 
     @property
     def is_prismatic(self) -> tuple[bool, ...]:
-        """Return True for each prismatic joint, from the palm outwards."""
+        """Return True for each prismatic joint, in the order from the palm to the tip."""
         if self.joint_type is None:
             return (False,) * len(self.link_length_m)
         return tuple(kind == PRISMATIC for kind in self.joint_type)
 
     @property
     def axes(self) -> tuple[tuple[float, float, float], ...]:
-        """Return the axis of each joint in the frame of its link, as in the file or by default."""
+        """Return the axis of each joint in the frame of its link, from the file or by default."""
         if self.joint_axis is not None:
             return self.joint_axis
         return tuple(Y_AXIS if slides else Z_AXIS for slides in self.is_prismatic)
 
     def joint_values(self, key: str) -> tuple[float, ...]:
-        """Return the value of each joint for a key of revolute joints or its counterpart in metres.
+        """Return a value for each joint, from a key for revolute joints or from the corresponding key in metres.
 
         Args:
-            key: one of ``REVOLUTE_KEYS``. The values of prismatic joints are in SI units, those of
-                revolute joints in the unit of the key.
+            key: one of ``REVOLUTE_KEYS``. The values of prismatic joints are in SI units. Those of
+                revolute joints have the unit of the key.
         """
         turning = iter(getattr(self, key))
         sliding = iter(getattr(self, PRISMATIC_KEYS[REVOLUTE_KEYS.index(key)]))
@@ -446,7 +446,7 @@ class Digit(Section):
 
     @property
     def rated_loads(self) -> tuple[float, ...] | None:
-        """Return the largest torque or force that each joint withstands [N m or N], None if one is unknown."""
+        """Return the largest torque or force that each joint withstands [N m or N], or None if one is not known."""
         turning = self.joint_rated_torque_N_m
         sliding = self.joint_rated_force_N
         slides = self.is_prismatic
@@ -457,7 +457,7 @@ class Digit(Section):
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Return the names of the digit's joints from the palm outwards."""
+        """Return the names of the digit's joints, in the order from the palm to the tip."""
         return tuple(f"{self.name}_j{i + 1}" for i in range(len(self.link_length_m)))
 
 
@@ -538,7 +538,7 @@ class Tendon(Section):
 
     @property
     def arms(self) -> dict[str, Any]:
-        """Return the entries of R by joint: moment arms [m], and excursion ratios of prismatic joints."""
+        """Return the entries of R for this tendon by joint: moment arms [m], or ratios for prismatic joints."""
         return {**self.moment_arm_m, **self.excursion_ratio}
 
     def arm_key(self, joint: str) -> str:
@@ -602,5 +602,5 @@ class Motor(Section):
 
     @property
     def holds_position(self) -> bool:
-        """Return True if the drive closes the position loop of a moving digit."""
+        """Return True if the control loop for the position of a moving digit runs in the drive."""
         return self.control == "position"

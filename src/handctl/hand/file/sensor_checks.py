@@ -1,4 +1,4 @@
-"""Checks of the section ``sensor_node`` of a hand file: keys of its protocol, sensor channels, and measuring range."""
+"""Checks of the section ``sensor_node`` in a hand file: keys of the protocol, sensor channels, measuring range."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _check_range(hand: Hand) -> Iterator[FileMistake]:
 
 
 def amplifier_identifiers(node: SensorNode) -> Iterator[tuple[int, str]]:
-    """Yield (identifier, key path) of the CAN frames of CiA 404 amplifiers."""
+    """Yield (identifier, key path) for the CAN frames of CiA 404 amplifiers."""
     if not node.is_cia404:
         return
     for identifier in node.tension_ids:

@@ -1,7 +1,9 @@
-"""Resolution of a hand file of schema 2: defaults and templates are replaced by the values that they stand for.
+"""Resolution of a hand file of schema 2.
 
-In a file of schema 2, a repeated value is written once. The resolved content has the form of schema
-1, in which every section has all its values. These rules apply in order:
+Defaults and templates are replaced by the values for which they stand.
+
+In a file of schema 2, a value that is repeated is written only once. The resolved content has the
+form of schema 1, where every section contains all of its values. These rules apply in order:
 
 1. A digit, tendon or motor has the values of ``[default.KIND]``. Values of its template
    ``[KIND_template.NAME]`` replace these, and values in the section itself replace both. Tables are
@@ -58,9 +60,9 @@ KeyPathOrigins = dict[str, str]
 
 
 class ValueLayer(NamedTuple):
-    """Values for a section from one place in the file, and the key path of this place.
+    """Values for a section that come from one place in the file, with the key path of this place.
 
-    Values of later layers replace values of earlier ones.
+    Values of a later layer replace values of an earlier layer.
     """
 
     values: TableContent
@@ -72,7 +74,7 @@ class ResolvedContent(NamedTuple):
 
     Attributes:
         content: content of the file in the form of schema 1.
-        origins: key path in the file of each value whose key path in ``content`` is another one.
+        origins: key path in the file, for each value that has a different key path in ``content``.
         mistakes: mistakes in the use of defaults and templates.
     """
 
@@ -82,7 +84,9 @@ class ResolvedContent(NamedTuple):
 
 
 def resolve_templates(content: TableContent) -> ResolvedContent:
-    """Replace defaults and templates by values. Content of schema 1 is not changed.
+    """Replace the defaults and templates of a hand file by the values for which they stand.
+
+    Content of schema 1 is not changed.
 
     A value that stands in the place of a section but is no table is not changed either. The later
     validation describes a wrong section better.
@@ -115,7 +119,7 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
     for kind in DIGIT_KINDS:
         if isinstance(sections[kind], list):
             sections[kind] = resolver.of_digits[kind] + sections[kind]
-    # An absent section stays absent, so that the validation reports it as missing.
+    # If a section is missing, it is not added, so that the validation reports it as missing.
     resolved |= {kind: section for kind, section in sections.items() if section or kind in content}
     node = content.get("sensor_node")
     if isinstance(node, Mapping):
@@ -124,17 +128,17 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
 
 
 class _TemplateResolver:
-    """Resolution of one hand file: the content of the file, and the results so far."""
+    """Resolution of one hand file, with the content of the file and the results so far."""
 
     def __init__(self, content: TableContent) -> None:
-        """Start the resolution with the content of a hand file."""
+        """Begin to resolve the content of a hand file."""
         self.content = content
         self.origins: KeyPathOrigins = {}
         self.mistakes: list[FileMistake] = []
         self.of_digits: dict[str, list[dict[str, Any]]] = {kind: [] for kind in DIGIT_KINDS}
 
     def check_tables(self) -> None:
-        """Find mistakes in defaults and templates.
+        """Find mistakes in the defaults and templates of the file.
 
         Defaults and templates must be tables. They must not have the keys ``name`` and
         ``template``, which belong to a section itself.
@@ -169,11 +173,11 @@ class _TemplateResolver:
     def entry(
         self, kind: str, own: Sequence[ValueLayer], name: str | None = None
     ) -> dict[str, Any]:
-        """Return one digit, tendon or motor with all its values.
+        """Return one digit, tendon or motor with all of its values.
 
         Args:
             kind: kind of section.
-            own: layers of the section itself, without those of its default and its template.
+            own: layers of the section itself, without those of the default and the template.
             name: name of the section, or None if the layers contain the name.
         """
         layers = [*self.shared(kind, own), *own]
@@ -189,12 +193,12 @@ class _TemplateResolver:
         return values
 
     def shared(self, kind: str, own: Sequence[ValueLayer]) -> Iterator[ValueLayer]:
-        """Yield the layers of the default of a kind, and of the template that a section names."""
+        """Yield the layers of the default for a kind of section, and of the template that the section names."""
         given = self.content.get("default")
         default: TableContent = given if isinstance(given, Mapping) else {}
         for key, values in default.items():
-            # The default of a misspelt kind is used. Otherwise the values in this default would
-            # also be reported as missing.
+            # If a kind is misspelt, its default is used nevertheless. Otherwise all values of this
+            # default would also be reported as missing.
             misspelt = (
                 key not in SECTION_KINDS
                 and kind not in default
@@ -216,8 +220,8 @@ class _TemplateResolver:
             self.mistakes.append(
                 FileMistake(toml_spelling(name), f"{named[-1].path}.template", right)
             )
-            # The most similar template is used. Otherwise the values in this template would also be
-            # reported as missing.
+            # If a template does not exist, the template with the most similar name is used.
+            # Otherwise all values of the template would also be reported as missing.
             name = right if right in valid else next(iter(valid), None)
         if isinstance(templates, Mapping) and isinstance(templates.get(name), Mapping):
             yield ValueLayer(_without_entry_keys(templates[name]), f"{key}.{name}")
@@ -225,13 +229,13 @@ class _TemplateResolver:
     def _resolve_digit(
         self, layers: Sequence[ValueLayer], values: dict[str, Any], path: str
     ) -> None:
-        """Take tendons and motors out of a digit, and extend single numbers to lists with a value per link."""
+        """Take the tendons and motors out of a digit, and extend single numbers to lists with a value per link."""
         digit = values.get("name")
         inner = {kind: _template_layers_by_name(layers, kind) for kind in DIGIT_KINDS}
         for kind in DIGIT_KINDS:
             held = values.get(kind)
             if not isinstance(held, Mapping):
-                continue  # there are none, or the later validation describes the mistake
+                continue  # either there are none, or the later validation describes the mistake
             del values[kind]
             for name, table in held.items():
                 where = self.origins[f"{path}.{kind}.{name}"]
@@ -257,7 +261,7 @@ class _TemplateResolver:
     def _of_digit(
         self, kind: str, digit: Any, name: str, own: list[ValueLayer], motors: TableContent
     ) -> dict[str, Any]:
-        """Return a tendon or motor that a digit holds, with full names of itself, its motor and its joints.
+        """Return a tendon or motor that a digit contains, with the full names of itself, its motor and its joints.
 
         Args:
             kind: kind of section.
@@ -319,10 +323,10 @@ def join_mistakes_of_default(
 ) -> list[FileMistake]:
     """Join the mistakes about a key that is missing in all sections of a kind.
 
-    The joined mistake says that the key is missing in the default.
+    The joined mistake says that the key is missing in the default of this kind.
 
     Args:
-        mistakes: mistakes with key paths of the resolved content.
+        mistakes: mistakes whose key paths belong to the resolved content.
         content: resolved content.
     """
     found = list(mistakes)
@@ -343,11 +347,13 @@ def join_mistakes_of_default(
 def _merge_layers(
     layers: Sequence[ValueLayer], depth: int
 ) -> tuple[dict[str, Any], KeyPathOrigins]:
-    """Merge layers. Values of later layers replace those of earlier ones, and tables are merged key by key.
+    """Merge several layers of values for a section.
+
+    Values of a later layer replace those of an earlier layer. Tables are merged key by key.
 
     Returns:
-        The merged values, and the key path in the file of each value, by its key path within the
-        section.
+        The merged values. For each value, by its key path within the section, also the key path in
+        the file.
     """
     values: dict[str, Any] = {}
     origins: KeyPathOrigins = {}
@@ -376,7 +382,7 @@ def _copy_list(value: Any) -> Any:
 def _template_layers_by_name(
     layers: Sequence[ValueLayer], kind: str
 ) -> dict[str, list[ValueLayer]]:
-    """Return the layers of each tendon or motor that a digit holds, by its short name."""
+    """Return the layers of each tendon or motor that a digit contains, by the short name."""
     held: dict[str, list[ValueLayer]] = {}
     for layer in layers:
         tables = layer.values.get(kind)
@@ -387,7 +393,7 @@ def _template_layers_by_name(
 
 
 def _expand_all_names(node: TableContent, sections: TableContent) -> dict[str, Any]:
-    """Return the sensor node with the names that ``"all"`` stands for."""
+    """Return the sensor node, where names take the place of ``"all"``."""
     names = {
         "tendons": [tendon.get("name") for tendon in _list_of_tables(sections["tendon"])],
         "joints": [

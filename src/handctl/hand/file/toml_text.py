@@ -1,6 +1,6 @@
 """TOML text of the resolved content of a hand file, for the log.
 
-A hand that is read from this text equals the original hand.
+A hand that is read from this text is equal to the original hand.
 """
 
 import json
@@ -11,9 +11,9 @@ from handctl.printing import escape_surrogates
 
 
 def toml_text(content: Mapping[str, Any]) -> str:
-    """Write content as TOML: plain values first, then tables and arrays of tables.
+    """Write content as TOML text: first plain values, then tables and arrays of tables.
 
-    Values that are None and empty inline tables are left out.
+    Values that are None, and empty inline tables, are left out.
     """
     lines = _value_lines(content)
     for key, value in content.items():
@@ -82,7 +82,7 @@ def quoted_string(text: str) -> str:
 
 
 def _key_text(key: str) -> str:
-    """Return the text of a key, with quotes if they are necessary."""
+    """Return the text of a key. If quotes are necessary, add them."""
     return (
         key
         if key.isascii() and key.replace("_", "").replace("-", "").isalnum()

@@ -1,1 +1,1 @@
-"""Export of a hand to the file formats of other tools, and import from robot descriptions."""
+"""Export of a hand to the file formats of other tools, and import of robot descriptions."""

@@ -1,6 +1,6 @@
 """Meshes of a hand's links and palm, for display only.
 
-These meshes have neither mass nor contacts.
+These meshes have neither mass nor contacts in a simulation.
 """
 
 import os
@@ -35,14 +35,14 @@ A binary STL with the largest number of triangles has 10 MB.
 
 @dataclass(frozen=True, slots=True)
 class LinkMesh:
-    """Mesh of a link or of the palm, and its place in the frame of the link.
+    """Mesh of a link or of the palm, with its placement in the frame of the link.
 
     Attributes:
-        link: name of the link, ``palm`` for the palm.
+        link: name of the link, or ``palm`` for the palm.
         key: key path of the mesh in the resolved content of the hand file.
         file: path of the mesh file as it is written in the hand file.
         scale: factors from the file's unit to metres, for x, y, z.
-        position: position of the mesh's origin in the frame of the link [m].
+        position: position of the origin of the mesh in the frame of the link [m].
         rpy_deg: roll, pitch, yaw of the mesh in the frame of the link.
     """
 
@@ -55,21 +55,21 @@ class LinkMesh:
 
     @property
     def rotation(self) -> Array:
-        """Return the orientation of the mesh in the frame of its link, (3, 3)."""
+        """Return the rotation (3, 3) of the mesh in the frame of the link."""
         return rotation_of_rpy(*np.radians(self.rpy_deg))
 
     @property
     def suffix(self) -> str:
-        """Return the ending of the name of the mesh file, in lower case."""
+        """Return the suffix of the mesh file's name in lower case."""
         return PurePath(self.file).suffix.lower()
 
     def place(self, triangles: Array) -> Array:
-        """Return triangles (n, 3, 3) of the mesh file, transformed to the frame of the link [m]."""
+        """Transform triangles (n, 3, 3) of the mesh file to the frame of the link [m]."""
         return np.asarray(triangles * self.scale @ self.rotation.T + self.position)
 
 
 def meshes_of_hand(hand: Hand) -> tuple[LinkMesh, ...]:
-    """Return the meshes of a hand, first the mesh of the palm."""
+    """Return the meshes of a hand, beginning with the mesh of the palm."""
     mount = hand.mount
     meshes = []
     if mount.palm_mesh:
@@ -86,7 +86,7 @@ def meshes_of_hand(hand: Hand) -> tuple[LinkMesh, ...]:
 
 
 def _link_mesh(link: str, key: str, file: str, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
-    """Return the mesh of a link, with default values for arguments that are None."""
+    """Return the mesh of a link. Arguments that are None get default values."""
     scale = 1.0 if scale is None else scale
     scales = (scale, scale, scale) if isinstance(scale, float) else scale
     return LinkMesh(
@@ -114,11 +114,11 @@ def mesh_mistakes(hand: Hand, folder: Path) -> Iterator[FileMistake]:
 
 
 def read_triangles(path: Path) -> Array:
-    """Return the corners of all triangles of a mesh file, (n, 3, 3), in the unit of the file.
+    """Return the corners of all triangles in a mesh file (n, 3, 3), in the unit of the file.
 
     Raises:
-        ValueError: the file is missing, unreadable, too large, or not a mesh. The message says
-            which file is expected.
+        ValueError: the file is missing, unreadable, too large, or not a mesh. The error message
+            says which kind of file is expected.
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise ValueError(
@@ -146,7 +146,7 @@ def _read_file(path: Path) -> bytes:
 
 
 def _size_mistakes(mesh: LinkMesh, triangles: Array) -> Iterator[FileMistake]:
-    """Check that the extent of a mesh and its distance from the link are plausible."""
+    """Check that the size of a mesh and its distance from the link are plausible."""
     points = mesh.place(triangles).reshape(-1, 3)
     extent = float((points.max(axis=0) - points.min(axis=0)).max())
     far = float(np.abs(points).max())
@@ -180,13 +180,13 @@ def _size_mistakes(mesh: LinkMesh, triangles: Array) -> Iterator[FileMistake]:
 
 
 def mesh_sizes(hand: Hand, folder: Path) -> dict[str, int]:
-    """Return the size of each existing mesh file of a hand [bytes], by its path as written in the hand file."""
+    """Return the size of each mesh file that exists [bytes], by the path in the hand file."""
     files = dict.fromkeys(mesh.file for mesh in meshes_of_hand(hand))
     return {file: (folder / file).stat().st_size for file in files if (folder / file).is_file()}
 
 
 def read_meshes(files: Iterable[str], folder: Path) -> dict[str, bytes]:
-    """Return the content of mesh files, by their paths as written in the hand file.
+    """Return the content of mesh files, by their paths in the hand file.
 
     Raises:
         ValueError: a file is missing or unreadable.
@@ -195,7 +195,9 @@ def read_meshes(files: Iterable[str], folder: Path) -> dict[str, bytes]:
 
 
 def exported_meshes(hand: Hand, folder: Path, output: Path) -> dict[str, LinkMesh]:
-    """Return the meshes of a hand by link, with paths relative to the folder of an exported file.
+    """Return the meshes of a hand by the name of the link.
+
+    Their paths are relative to the folder of an exported file.
 
     Args:
         hand: description of the hand.
@@ -217,7 +219,7 @@ def with_meshes_from(content: Mapping[str, Any], folder: Path) -> dict[str, Any]
     """Return the resolved content of a hand with absolute mesh paths, which do not depend on the hand file's place.
 
     Args:
-        content: ``Hand.content``.
+        content: content of the hand, from ``Hand.content``.
         folder: folder of the hand file.
     """
     place = folder.absolute()

@@ -1,6 +1,6 @@
-"""Triangles of mesh files, in binary STL or OBJ.
+"""Triangles of mesh files in the formats binary STL and OBJ.
 
-Only handctl's checks of meshes need the triangles. MuJoCo and the viewer read the mesh files
+Only the checks of meshes in handctl need the triangles. MuJoCo and the viewer read the mesh files
 themselves.
 """
 
@@ -22,15 +22,15 @@ MAX_TRIANGLES = 200_000
 
 
 def mesh_triangles(data: bytes, suffix: str) -> Array:
-    """Return the corners of all triangles of a mesh, (n, 3, 3), in the unit of the file.
+    """Return the corners of all triangles of a mesh (n, 3, 3), in the unit of the file.
 
     Args:
         data: content of the file.
-        suffix: ending of the file's name, ``.stl`` or ``.obj``.
+        suffix: suffix of the file's name, ``.stl`` or ``.obj``.
 
     Raises:
-        ValueError: the content is not a mesh of this format, is empty, or is too large. The message
-            says which content is expected.
+        ValueError: the content is not a mesh of this format, is empty, or is too large. The error
+            message says which content is expected.
     """
     triangles = _stl_triangles(data) if suffix.lower() == ".stl" else _obj_triangles(data)
     if not len(triangles):
@@ -43,7 +43,7 @@ def mesh_triangles(data: bytes, suffix: str) -> Array:
 
 
 def _stl_triangles(data: bytes) -> Array:
-    """Return the triangles of a binary STL."""
+    """Return the triangles of a mesh in the format binary STL."""
     count = int.from_bytes(data[80:STL_HEADER], "little") if len(data) >= STL_HEADER else 0
     size = STL_HEADER + count * STL_TRIANGLE.itemsize
     if len(data) < STL_HEADER or len(data) != size:
@@ -60,7 +60,7 @@ def _stl_triangles(data: bytes) -> Array:
 
 
 def _obj_triangles(data: bytes) -> Array:
-    """Return the triangles of an OBJ file.
+    """Return the triangles of a mesh in the format OBJ.
 
     A face with more than three corners is divided into a fan of triangles.
     """
@@ -74,8 +74,8 @@ def _obj_triangles(data: bytes) -> Array:
                 if len(vertices[-1]) != 3:
                     raise ValueError
             elif words[:1] == ["f"]:
-                # Each corner is written as v, v/vt, v//vn or v/vt/vn. A negative number counts
-                # backwards from the last vertex.
+                # In the file, each corner is written as v, v/vt, v//vn or v/vt/vn. A negative
+                # number counts backwards from the last vertex in the file.
                 given = [int(word.split("/")[0]) for word in words[1:]]
                 corners = [corner - 1 if corner > 0 else len(vertices) + corner for corner in given]
                 if len(corners) < 3 or 0 in given or min(corners) < 0:

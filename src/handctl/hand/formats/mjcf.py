@@ -1,8 +1,8 @@
-"""Export of a hand as MJCF for MuJoCo: links, springs, stops, and tendons driven by tension.
+"""Export of a hand as MJCF for MuJoCo, with links, springs, stops, and tendons whose tension is controlled.
 
-The world frame is the palm frame. At joint angles of zero the hand is open, and positive angles
-flex. Each control is the tension of one tendon at the joint pulleys [N]. The model has no tendon
-elasticity, no friction, and no rotors.
+The world frame is the palm frame. At joint angles of zero, the hand is open. Positive angles flex
+the digits. Each control input is the tension of one tendon at the joint pulleys [N]. The exported
+model contains no tendon elasticity, no friction and no rotors.
 """
 
 from collections.abc import Mapping
@@ -34,12 +34,13 @@ HIDDEN_GROUP = "3"
 def mjcf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
     """Return the text of the MJCF file of a hand.
 
-    Bodies are ``palm`` and ``index_link1``.., joints ``index_j1``.., sites ``index_tip``..
+    The bodies are named ``palm``, ``index_link1`` and so on, the joints ``index_j1`` and so on, and
+    the sites ``index_tip`` and so on.
 
     Args:
         hand: description of the hand.
-        meshes: meshes by link, with paths relative to the MJCF file. They have neither mass nor
-            contacts.
+        meshes: meshes by the name of the link, with paths relative to the MJCF file. They have
+            neither mass nor contacts.
     """
     root = ET.Element("mujoco", model=hand.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
@@ -62,7 +63,7 @@ def mjcf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
 
 
 def _add_palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
-    """Add the digits that are mounted on a link, and a box behind them.
+    """Add the digits that are mounted on a link, and a box behind these digits.
 
     The digits do not collide with this box.
     """
@@ -79,12 +80,12 @@ def _add_palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
 def _add_digit(base: ET.Element, hand: Hand, digit: Digit) -> None:
     """Add the links of a digit as nested bodies.
 
-    Each link lies along its x axis and has its hinge at its origin.
+    Each link lies along the x axis of its frame, and its hinge is at the origin.
     """
     parent = base
     for i, joint in enumerate(digit.joints):
         position, rotation = link_placement(digit, i)
-        # A quaternion of MuJoCo begins with w.
+        # In MuJoCo, a quaternion begins with w.
         x, y, z, w = quaternion_of_rotation(rotation)
         place = {"pos": numbers_text(position), "quat": numbers_text((w, x, y, z))}
         link = ET.SubElement(parent, "body", place, name=f"{digit.name}_link{i + 1}")
@@ -102,7 +103,7 @@ def _add_digit(base: ET.Element, hand: Hand, digit: Digit) -> None:
 
 
 def _add_joint(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
-    """Add the hinge or the slide between link i and the link before it."""
+    """Add the hinge or slide joint between link i and the link before it."""
     low, high = digit.joint_limits
     kind = {"type": "slide"} if digit.is_prismatic[i] else {}
     ET.SubElement(
@@ -115,7 +116,8 @@ def _add_joint(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
         damping=number_text(digit.joint_values("joint_damping_N_m_s_per_rad")[i]),
         armature=number_text(digit.joint_values("joint_armature_kg_m2")[i]),
         stiffness=number_text(digit.joint_values("spring_stiffness_N_m_per_rad")[i]),
-        # The spring torque is -k (q - springref) in MuJoCo, and -k (q + preload) in a hand file.
+        # In MuJoCo, the torque of a spring is -k (q - springref). In a hand file, it is -k (q +
+        # preload).
         springref=number_text(-digit.joint_values("spring_preload_rad")[i]),
         solreflimit=STOP_SOLVER_PARAMETERS[0],
         solimplimit=STOP_SOLVER_PARAMETERS[1],
@@ -123,7 +125,7 @@ def _add_joint(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
 
 
 def _add_link_body(link: ET.Element, digit: Digit, i: int, length: float) -> None:
-    """Add inertia and collision shape of link i.
+    """Add the inertia and the collision shape of link i.
 
     The shape is a capsule, or a ball if the length [m] is 0.
     """
@@ -155,8 +157,8 @@ def _add_meshes(root: ET.Element, meshes: Mapping[str, LinkMesh]) -> None:
     root.insert(list(root).index(root.find("worldbody")), assets)  # type: ignore[arg-type]
     bodies = {str(body.get("name")): body for body in root.iter("body")}
     for link, mesh in meshes.items():
-        # MuJoCo calculates an inertia for each mesh. The inertia of a shell is defined even for a
-        # surface with holes. No inertia of a mesh has an effect here.
+        # MuJoCo computes an inertia for each mesh. The inertia of a shell can be computed even if
+        # the surface has holes. But the inertia of a mesh has no effect in this model.
         ET.SubElement(
             assets,
             "mesh",
@@ -184,7 +186,8 @@ def _add_couplings(root: ET.Element, hand: Hand) -> None:
         return
     equality = ET.SubElement(root, "equality")
     for follower, leader, ratio in rows:
-        # follower = 0 + ratio * leader, both from their angles in the model, which are 0.
+        # The constraint is follower = 0 + ratio * leader. Both angles are measured from their zero
+        # in the model.
         polynomial = numbers_text((0.0, ratio, 0.0, 0.0, 0.0))
         ET.SubElement(equality, "joint", joint1=follower, joint2=leader, polycoef=polynomial)
 

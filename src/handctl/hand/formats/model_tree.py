@@ -1,10 +1,10 @@
 """Digits of a hand, built from the tree of links of a robot description.
 
-The links' frames may have any orientation.
+In the description, the frames of the links may have any orientation.
 
-In a hand file, a digit is a chain of links. The frame of each link has its x axis along the link,
-and the next joint lies on this axis. If a frame of the description differs from this form, the
-module turns the frame.
+In a hand file, a digit is a chain of links. The x axis of each link's frame is along the link, and
+the next joint lies on this axis. If a frame of the description does not have this form, this module
+turns the frame.
 """
 
 import re
@@ -58,7 +58,7 @@ JOINT_SUFFIX = re.compile(r"[\W_]*(joint|link|j|l)?[\W_]*[0-9]*[\W_]*$", re.IGNO
 
 @dataclass(frozen=True, eq=False)
 class ModelMesh:
-    """Mesh that shows a link of a robot description.
+    """Mesh by which a robot description shows a link.
 
     Attributes:
         file: path of the mesh file.
@@ -147,7 +147,7 @@ class ModelLink:
     def from_values(values: Mapping[str, Any], mesh: ModelMesh | None) -> "ModelLink":
         """Build a link from plain values and its mesh.
 
-        The axis of a joint that flexes towards negative angles is reversed.
+        If the joint flexes towards negative angles, its axis is reversed.
         """
         axis = np.array(values["axis"], dtype=float)
         rest = float(values["rest"])
@@ -197,14 +197,14 @@ class ModelDigit:
         joints: names of the joints in the description.
         position: position of the first joint in the frame of the carrier (3,) [m].
         rotation: rotation from the frame of the first link to the frame of the carrier (3, 3).
-        turns: rotation from the frame of each further link to that of the link before (n - 1, 3,
-            3).
+        turns: rotation (n - 1, 3, 3) from the frame of each link, except the first, to the frame of
+            the link before it.
         lengths: length of each link (n,) [m].
         axes: axis of each joint in the frame of its link (n, 3).
         links: the links of the description.
         coms: centre of mass of each link in its frame (n, 3) [m].
         inertias: inertia of each link about its centre of mass (n, 3, 3) [kg m2].
-        meshes: mesh of each link, None for a link without a mesh.
+        meshes: mesh of each link, or None for a link without a mesh.
     """
 
     name: str
@@ -223,7 +223,7 @@ class ModelDigit:
 
 @dataclass(frozen=True)
 class _LinkChain:
-    """Chain of links: its name, the index of the chain that carries it, and the indices of its links."""
+    """Chain of links, with its name, the index of the chain that carries it, and the indices of its links."""
 
     name: str
     carrier: int | None
@@ -237,14 +237,14 @@ def digits_of_links(
 
     Each digit comes after the digit that carries it.
 
-    The palm frame of the hand is the root frame of the description. The frame is turned by right
-    angles if the digits do not point along the x axis of the root frame. The frame is also shifted
-    if the foremost mount is far from the plane x = 0. After the shift, this mount lies in the
-    plane.
+    The palm frame of the hand is the root frame of the description. If the digits do not point
+    along the x axis of the root frame, the palm frame is turned by right angles. If the foremost
+    mount is far from the plane x = 0, the palm frame is also shifted. After this shift, the
+    foremost mount lies in the plane.
 
     Args:
-        links: all links, parents first.
-        source: name of the description, for messages.
+        links: all links, where the parent of a link comes before the link.
+        source: name of the description, for error messages.
 
     Returns:
         The digits, and the rotation (3, 3) and origin (3,) [m] of the palm frame in the root frame.
@@ -311,10 +311,10 @@ def _link_chains(links: Sequence[ModelLink]) -> Iterator[_LinkChain]:
 
 
 def _digit_name(links: Sequence[ModelLink], used_names: set[str], count: int) -> str:
-    """Return a name for a digit.
+    """Return a name for a digit that is not used yet.
 
-    The name is the common beginning of the names of the digit's joints or links. If these names
-    have no usable beginning, the digit gets a number.
+    The name is the text with which the names of all joints or links of the digit begin. If these
+    names do not begin with a usable text, the digit gets a number.
     """
     for names in ([link.joint for link in links], [link.name for link in links]):
         common = names[0]
@@ -338,7 +338,7 @@ def _digit_name(links: Sequence[ModelLink], used_names: set[str], count: int) ->
 def _link_frames(
     links: Sequence[ModelLink], chains: Sequence[_LinkChain], source: str
 ) -> dict[int, tuple[Array, float]]:
-    """Return the new frame of each link, (3, 3) in the frame of the description, and the length of the link [m]."""
+    """Return, for each link, the new frame (3, 3) relative to the frame in the description, and the length [m]."""
     frames = {}
     for chain in chains:
         for i, following in zip(chain.members, chain.members[1:], strict=False):
@@ -351,12 +351,13 @@ def _link_frames(
 
 
 def _link_frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
-    """Return a frame for a link with the x axis towards the link's end, and the length of the link [m]."""
+    """Return a frame for a link whose x axis points to the end of the link, and the length of the link [m]."""
     length = float(np.linalg.norm(end))
     if length < INTERSECTION_TOLERANCE_M:
         return np.eye(3), 0.0
     x = end / length
-    # A sliding link moves like a hinge across the axis and the link.
+    # A sliding link moves like a hinge whose axis is perpendicular to the sliding axis and to the
+    # link.
     axis = np.cross(x, link.axis) if link.is_prismatic else link.axis
     motion = np.cross(axis, x)
     if (
@@ -367,7 +368,8 @@ def _link_frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
         return np.eye(3), length
     z = axis - (axis @ x) * x
     if np.linalg.norm(z) < MAX_PARALLEL_SINE:
-        # The axis of the joint is along the link. Therefore z may be any direction across the link.
+        # The axis of the joint is parallel to the link. Therefore the z axis may have any direction
+        # perpendicular to the link.
         z = np.eye(3)[int(np.argmin(np.abs(x)))]
         z = z - (z @ x) * x
     z = z / np.linalg.norm(z)
@@ -375,7 +377,7 @@ def _link_frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
 
 
 def _link_end(links: Sequence[ModelLink], i: int, where: str) -> Array:
-    """Return the end of the last link of a digit, (3,) in the frame of the link [m].
+    """Return the end (3,) of the last link of a digit, in the frame of the link [m].
 
     Raises:
         ConfigError: neither a named frame nor a shape shows where the link ends.
@@ -391,7 +393,8 @@ def _link_end(links: Sequence[ModelLink], i: int, where: str) -> Array:
         return named[0]
     carried = [other.position for other in links if other.parent == i]
     if carried:
-        # A link that carries digits has no fingertip. Any end that differs from the joint will do.
+        # A link that carries digits has no fingertip of its own. So any end that differs from the
+        # joint can be used.
         return (
             np.mean(carried, axis=0)
             if np.linalg.norm(np.mean(carried, axis=0)) > INTERSECTION_TOLERANCE_M
@@ -402,8 +405,8 @@ def _link_end(links: Sequence[ModelLink], i: int, where: str) -> Array:
     if not len(link.points):
         what = f"neither a frame nor a shape tells where its last link {link.name} ends"
         raise ConfigError(what, where, f"a fixed link or site {link.name}_tip")
-    # The end is on the line from the joint to the middle of the link's shapes, as far away as the
-    # farthest corner.
+    # The end lies on the line from the joint to the middle of the link's shapes, at the distance of
+    # the farthest corner.
     middle = (link.points.min(axis=0) + link.points.max(axis=0)) / 2
     across = middle - (middle @ link.axis) * link.axis
     direction = across if np.linalg.norm(across) > INTERSECTION_TOLERANCE_M else middle
@@ -416,10 +419,10 @@ def _palm_frame(
     chains: Sequence[_LinkChain],
     frames: Mapping[int, tuple[Array, float]],
 ) -> tuple[Array, Array]:
-    """Return rotation (3, 3) and origin (3,) [m] of the palm frame in the root frame.
+    """Return the rotation (3, 3) and the origin (3,) [m] of the palm frame in the root frame.
 
-    x points out of the palm, along the digits. y points from thumb to fingers. The first digit
-    closes towards -y.
+    The x axis points out of the palm, along the digits. The y axis points from the thumb to the
+    fingers. The first digit closes towards -y.
     """
     places: list[tuple[Array, Array]] = []
     for link in links:
@@ -447,14 +450,14 @@ def _palm_frame(
     depth = mounts @ palm[:, 0]
     origin = palm[:, 0] * depth.max() if abs(depth.max()) > MAX_MOUNT_OFFSET_M else np.zeros(3)
     if not np.array_equal(palm, np.eye(3)):
-        # The origin is in the middle of the mounts. The middle of the mounts is the point of the
-        # palm that faces the object.
+        # The origin is in the middle of the mounts. This is the point of the palm that faces the
+        # object.
         origin = origin + (np.eye(3) - np.outer(palm[:, 0], palm[:, 0])) @ mounts.mean(axis=0)
     return palm, origin
 
 
 def _right_angles() -> Iterator[Array]:
-    """Yield the 24 rotations by right angles, (3, 3) each."""
+    """Yield all 24 rotations (3, 3) by right angles."""
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             turn = np.zeros((3, 3))

@@ -4,7 +4,7 @@ import numpy as np
 
 
 def number_text(value: float) -> str:
-    """Return the shortest text that reads back as an equal number."""
+    """Return the shortest text from which an equal number can be read."""
     return repr(float(value))
 
 

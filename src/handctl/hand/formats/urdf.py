@@ -1,7 +1,7 @@
-"""Export of a hand as URDF, with primitive shapes, for viewers and dynamics libraries.
+"""Export of a hand as URDF with simple shapes, for viewers and dynamics libraries.
 
-At joint angles of zero the hand is open, and positive angles flex. Each link is a bar along its x
-axis.
+At joint angles of zero, the hand is open. Positive angles flex the digits. Each link is a bar along
+the x axis of its frame.
 """
 
 from collections.abc import Mapping
@@ -42,18 +42,18 @@ PALM_MARGIN_M = 0.010
 def urdf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
     """Return the text of the URDF file of a hand.
 
-    The root link is ``palm``, links are ``index_link1``.., joints ``index_j1``.., tips
-    ``index_tip``.
+    The root link is named ``palm``, the links ``index_link1`` and so on, the joints ``index_j1``
+    and so on, and the tips ``index_tip`` and so on.
 
     Args:
         hand: description of the hand.
-        meshes: meshes by link, with paths relative to the URDF file. They replace the visual shapes
-            of links.
+        meshes: meshes by the name of the link, with paths relative to the URDF file. They replace
+            the visual shapes of these links.
     """
     robot = ET.Element("robot", name=hand.name)
     if meshes:
-        # Without this option, MuJoCo removes the folders from the paths of meshes, and drops the
-        # meshes.
+        # Without this option, MuJoCo would remove the folders from the paths of meshes, and leave
+        # the meshes out.
         extension = ET.SubElement(robot, "mujoco")
         ET.SubElement(extension, "compiler", strippath="false", discardvisual="false")
     _add_palm(ET.SubElement(robot, "link", name="palm"), hand, None, meshes.get("palm"))
@@ -75,7 +75,7 @@ def urdf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
 
 
 def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
-    """Return centre and lengths of the box behind the digits that a link carries, (3,) each [m].
+    """Return the centre and the side lengths of the box behind the digits that a link carries, (3,) each [m].
 
     Args:
         hand: description of the hand.
@@ -90,10 +90,10 @@ def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
 
 
 def shape_length(hand: Hand, digit: Digit, i: int) -> float:
-    """Return the length of the primitive shape of link i [m].
+    """Return the length of the simple shape for link i [m].
 
-    The shape of a link that carries digits is shorter by its radius. The round end of this shape
-    then ends where the link ends.
+    If a link carries digits, its shape is shorter by the radius of the link. So the round end of
+    the shape ends where the link ends.
     """
     length = digit.link_length_m[i]
     last = i == len(digit.link_length_m) - 1
@@ -107,7 +107,7 @@ def shape_length(hand: Hand, digit: Digit, i: int) -> float:
 def _add_palm(link: ET.Element, hand: Hand, carrier: str | None, mesh: LinkMesh | None) -> None:
     """Add a box behind all digits that a link carries.
 
-    The box has no mass, because the palm is fixed.
+    The box has no mass, because the palm does not move.
     """
     centre, size = palm_box(hand, carrier)
     if mesh and carrier is None:
@@ -121,7 +121,7 @@ def _add_palm(link: ET.Element, hand: Hand, carrier: str | None, mesh: LinkMesh 
 def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     """Add the joint before link i.
 
-    Tendons and motors determine the limits of its torque and speed.
+    Its torque and speed limits follow from the tendons and motors.
     """
     name = digit.joints[i]
     kind = PRISMATIC if digit.is_prismatic[i] else "revolute"
@@ -131,7 +131,7 @@ def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     )
     ET.SubElement(joint, "child", link=f"{digit.name}_link{i + 1}")
     position, rotation = link_placement(digit, i)
-    # Adding 0.0 turns -0.0 into 0.0.
+    # The addition of 0.0 turns -0.0 into 0.0.
     ET.SubElement(
         joint,
         "origin",
@@ -146,8 +146,9 @@ def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     ]
     effort = sum(arm * tendon.tension_max_N for arm, tendon in zip(arms, crossing, strict=True))
     motors = [(hand.motor_of(tendon.name), arm) for arm, tendon in zip(arms, crossing, strict=True)]
-    # Joint speed = spool speed * spool radius / moment arm. The slowest tendon limits the joint. A
-    # prismatic joint has an effort in N and a speed in m/s.
+    # The joint speed is the spool speed times the spool radius, divided by the moment arm. The
+    # slowest tendon determines the limit of the joint. A prismatic joint has an effort in N and a
+    # speed in m/s.
     low, high = digit.joint_limits
     damping = digit.joint_values("joint_damping_N_m_s_per_rad")[i]
     speed = min(motor.velocity_range_rad_s * motor.spool_radius_m / arm for motor, arm in motors)
@@ -189,9 +190,9 @@ def coupled_joints(hand: Hand, digit: Digit) -> dict[int, tuple[int, float]]:
 
 
 def _shape_elements(mesh: LinkMesh | None) -> tuple[str, ...]:
-    """Return the URDF elements for which a link gets a primitive shape.
+    """Return the names of the URDF elements that contain a simple shape of a link.
 
-    A mesh replaces the visual shape.
+    If the link has a mesh, the mesh replaces the visual shape.
     """
     return ("collision",) if mesh else ("visual", "collision")
 
@@ -218,7 +219,7 @@ def _add_link(
 ) -> None:
     """Add link i with its inertia.
 
-    The shape of the link is a cylinder of the given length [m] with a ball at the far end.
+    The shape is a cylinder of the given length [m] with a ball at the far end.
     """
     radius = digit.link_radius_m
     link = ET.SubElement(robot, "link", name=f"{digit.name}_link{i + 1}")
@@ -251,7 +252,7 @@ def _add_link(
 
 
 def _add_tip_frame(robot: ET.Element, digit: Digit) -> None:
-    """Add a link without mass that marks the end of the digit's last link."""
+    """Add a link without mass at the end of the digit's last link."""
     last = len(digit.link_length_m)
     ET.SubElement(robot, "link", name=f"{digit.name}_tip")
     joint = ET.SubElement(robot, "joint", name=f"{digit.name}_tip_joint", type="fixed")

@@ -1,8 +1,8 @@
-"""Camera videos of a LeRobot dataset, and their statistics.
+"""Videos of the cameras in a LeRobot dataset, and statistics of their images.
 
 A video has one image for each frame of an episode. The program ``ffmpeg`` decodes and encodes the
-videos. Each frame of the dataset gets the latest camera frame up to the time of this frame. The
-layout of the dataset is that of LeRobot 0.4, ``datasets/lerobot_dataset.py`` and
+videos. Each frame of the dataset gets the latest image that the camera had recorded by the time of
+this frame. The layout of the dataset is that of LeRobot 0.4, ``datasets/lerobot_dataset.py`` and
 ``video_utils.py``. Each episode has its own video file. The statistics are computed for each colour
 channel. The values of a channel are from 0 to 1.
 """
@@ -37,13 +37,13 @@ CHANNEL_LEVELS = 256
 
 
 class DatasetCamera(NamedTuple):
-    """Camera of a dataset.
+    """Camera of a LeRobot dataset.
 
     Attributes:
         name: name of the camera, such as ``wrist``.
-        videos: for each episode, the video file that the camera recorded.
-        starts_s: for each episode, time from the start of the run to the first frame of the video
-            [s].
+        videos: video file that the camera recorded, for each episode.
+        starts_s: time from the start of the run to the first image of the video [s], for each
+            episode.
     """
 
     name: str
@@ -62,7 +62,7 @@ class EpisodeVideo(NamedTuple):
     Attributes:
         height: height of an image of the video [pixels].
         width: width of an image of the video [pixels].
-        frames: number of frames of the video.
+        frames: number of images in the video.
         histogram: (3, 256) number of pixels with each value, for red, green and blue.
     """
 
@@ -115,20 +115,20 @@ def make_cameras(names: Sequence[str], videos: Sequence[Sequence[Path]], starts_
 
 
 def video_file_numbers(episode: int) -> dict[str, int]:
-    """Return the chunk number and the file number under which the dataset stores the video of an episode."""
+    """Return the chunk number and the file number under which the dataset stores an episode's video."""
     return {"chunk_index": episode // FILES_PER_CHUNK, "file_index": episode % FILES_PER_CHUNK}
 
 
 def write_episode_video(
     source: Path, target: Path, first_s: float, frames: int, fps: int
 ) -> EpisodeVideo:
-    """Write the dataset's video of an episode.
+    """Write the video of an episode for the dataset.
 
     Args:
         source: video file that the camera recorded.
         target: video file to write.
-        first_s: time within the source at which the episode begins [s]. If the time is negative,
-            the source begins after the start of the episode.
+        first_s: time in the source video at which the episode begins [s]. If the time is negative,
+            the source video begins after the start of the episode.
         frames: number of frames of the episode.
         fps: frame rate of the dataset [Hz].
 
@@ -188,16 +188,16 @@ def _run_ffmpeg(source: Path, *words: str) -> None:
 
 
 def _unreadable_video_error(source: Path, stderr: str) -> LogError:
-    """Return the error to raise for a video that ffmpeg cannot read."""
+    """Return the error that is raised if ffmpeg cannot read a video."""
     reason = printable_text((stderr.strip().splitlines() or ["no reason"])[-1])
     return LogError(f"ffmpeg: {reason}", str(source), "a video that ffmpeg reads")
 
 
 def _video_frames(source: Path, filters: str) -> Any:
-    """Yield width, height and pixels (height * width * 3,) of every frame of a video.
+    """Yield the width, the height and the pixels (height * width * 3,) of every image of a video.
 
     Raises:
-        LogError: the video has no frame.
+        LogError: the video contains no image.
     """
     command = ["ffmpeg", "-nostdin", "-v", "error", "-i", str(source), "-vf", filters]
     command += ["-fps_mode", "passthrough", "-f", "image2pipe", "-c:v", "ppm", "-"]
@@ -216,7 +216,7 @@ def _video_frames(source: Path, filters: str) -> Any:
 
 
 def _read_ppm(stream: IO[bytes]) -> tuple[int, int, NDArray[np.uint8]] | None:
-    """Return width, height and pixels of the next netpbm P6 image in a stream, or None at the end of the stream."""
+    """Return width, height and pixels of the next image (netpbm P6) in a stream, or None at the end of the stream."""
     if stream.readline() != b"P6\n":
         return None
     width, height = map(int, stream.readline().split())
@@ -227,9 +227,9 @@ def _read_ppm(stream: IO[bytes]) -> tuple[int, int, NDArray[np.uint8]] | None:
 def histogram_statistics(
     histogram: NDArray[np.int64], frames: int, percents: Sequence[int]
 ) -> dict[str, list[Any]]:
-    """Return the statistics of images.
+    """Return the statistics of the images of a video.
 
-    Each statistic has the shape (3, 1, 1): one value from 0 to 1 for each colour channel.
+    Each statistic has the shape (3, 1, 1), with a value from 0 to 1 for each colour channel.
 
     Args:
         histogram: (3, 256) number of pixels with each value, for each colour channel.

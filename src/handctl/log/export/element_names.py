@@ -1,6 +1,6 @@
-"""Names of joint positions in LeRobot datasets, with their units.
+"""Names of joint positions in LeRobot datasets. Each name contains the unit.
 
-The export, the reader of datasets and the plug-in ``lerobot_robot_handctl`` use the same names.
+The export of datasets, their reader, and the plug-in ``lerobot_robot_handctl`` use the same names.
 """
 
 from collections.abc import Collection, Iterable
@@ -12,11 +12,13 @@ SLIDE_SUFFIX = ".pos_m"
 
 
 def position_names(joints: Iterable[str], prismatic: Collection[str]) -> tuple[str, ...]:
-    """Return the name of the element with the position of each joint, e.g. ``index_j1.pos_rad``.
+    """Return the name of the element with the position of each joint, e.g.
+
+    ``index_j1.pos_rad``.
 
     Args:
         joints: names of the joints, in order.
-        prismatic: names of those joints that are prismatic.
+        prismatic: names of the prismatic joints among them.
     """
     return tuple(
         f"{joint}{SLIDE_SUFFIX if joint in prismatic else ANGLE_SUFFIX}" for joint in joints

@@ -1,14 +1,12 @@
-"""Export of logs as a LeRobot dataset.
+"""Export of logs to a LeRobot dataset.
 
-Each log becomes an episode. An episode is the part of the run in which the hand was active, sampled
-at exactly equal intervals. The layout is that of the codebase version 3.0 of LeRobot. One file
-contains the frames of all episodes. For each camera, an episode has one video. `observation.state`
-contains joint angles [rad],
-positions of prismatic joints [m] and estimated tensions [N]. `action` contains commanded joint
-angles and
-tensions. The joints of a digit that holds a tension have no commanded angle. For such a
-joint,
-`action` contains the estimated angle instead.
+Each log becomes one episode of the dataset. An episode is the part of a run in which the hand was
+active, sampled at equal intervals of time. The files have the layout of LeRobot's codebase version
+3.0. One file contains the frames of all episodes. Each episode has one video for each camera. The
+feature `observation.state` contains joint angles [rad], positions of prismatic joints [m] and
+estimated tensions [N]. The feature `action` contains commanded joint angles and tensions. While a
+digit holds a tension, its joints have no commanded angle. For the joints of such a digit, `action`
+contains the estimated angles instead.
 
 The name of each vector element ends in a unit, for example `index_j1.pos_rad` or
 `index_tendon.tension_N`.
@@ -67,13 +65,13 @@ The first key is the name of the feature, the second that of the statistic.
 
 
 class _Episode(NamedTuple):
-    """Frames of a dataset that come from one log.
+    """Frames of a dataset that are computed from one log.
 
     Attributes:
         vectors: names and values (frames, n) of each vector feature.
         task: description of the task that the log shows.
         frames: number of frames of the episode.
-        start_s: time of the first frame since the start of the run [s].
+        start_s: time from the start of the run to the first frame [s].
     """
 
     vectors: dict[str, tuple[list[str], Array]]
@@ -97,13 +95,13 @@ def export_lerobot(
         path: folder of the dataset, which must not exist yet.
         fps: frame rate of the dataset, at most the control rate [Hz]. If it is None, the control
             rate is used.
-        cameras: cameras that have a video for each log.
+        cameras: cameras, each with a video for each log.
 
     Raises:
         ConfigError: the frame rate is out of range.
-        LogError: the hand was never active in a log, the logs have different hands or control
-            rates, or a video does not cover the whole episode.
-        OSError: the folder exists already or cannot be written.
+        LogError: the hand was never active in some log, the logs belong to different hands or
+            control rates, or a video does not cover a whole episode.
+        OSError: the folder already exists or cannot be written.
     """
     first = logs[0]
     control_rate = round(1e9 / first.header.period_ns)
@@ -195,7 +193,7 @@ def _video_statistics(videos: Sequence[EpisodeVideo]) -> dict[str, list[Any]]:
 
 
 def _video_feature(videos: Sequence[EpisodeVideo], fps: int) -> dict[str, Any]:
-    """Return the declaration of a camera's feature for `meta/info.json`."""
+    """Return the declaration of a camera's images for `meta/info.json`."""
     height, width = videos[0].height, videos[0].width
     encoding = {
         "codec": "h264",
@@ -214,10 +212,10 @@ def _video_feature(videos: Sequence[EpisodeVideo], fps: int) -> dict[str, Any]:
 
 
 def _check_same_dataset(first: RunLog, log: RunLog, same_names: bool, where: str) -> None:
-    """Check that a log has the hand and the control rate of the first log of the dataset.
+    """Check that a log has the same hand and the same control rate as the first log of the dataset.
 
     Raises:
-        LogError: the log has another hand or another control rate.
+        LogError: the log belongs to another hand or has another control rate.
     """
     hands = [printable_text(str(one.header.metadata.get("hand"))) for one in (first, log)]
     if hands[0] != hands[1] or not same_names:
@@ -232,9 +230,9 @@ def _check_same_dataset(first: RunLog, log: RunLog, same_names: bool, where: str
 
 
 def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
-    """Return, for each frame of the time grid, the index of the tick whose values the frame takes.
+    """Return, for each frame of the dataset, the index of the tick from which the frame takes its values.
 
-    This is the latest tick up to the time of the frame, even if ticks are missing in the log.
+    It is the last tick at or before the time of the frame, even if ticks are missing in the log.
 
     Raises:
         LogError: the hand was never active, or the ticks are out of order.
@@ -246,8 +244,8 @@ def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
     start = int(log.t_ns[active[0]])
     end = int(log.t_ns[active[-1]])
     frames = (end - start) * fps // 10**9 + 1
-    # The times are integers, rounded to the nearest nanosecond. Integer times keep the time grid
-    # exact over hours.
+    # The times are integers, rounded to the nearest nanosecond. With integers, the times of the
+    # frames stay exact over hours.
     grid = start + (np.arange(frames) * 10**9 + fps // 2) // fps
     return np.asarray(np.searchsorted(log.t_ns, grid, "right") - 1, np.intp)
 
@@ -345,10 +343,10 @@ def _frame_table(names: dict[str, list[str]], values: dict[str, NDArray[Any]]) -
 def _episode_table(
     episodes: Sequence[_Episode], statistics: Sequence[FeatureStatistics], video_keys: Iterable[str], fps: int
 ) -> pa.Table:  # fmt: skip
-    """Return the table of the episodes.
+    """Return the table with all episodes of the dataset.
 
-    The table contains the places of the frames of each episode, and has a column
-    `stats/FEATURE/NAME` for each statistic.
+    The table says where the frames of each episode are, and has a column `stats/FEATURE/NAME` for
+    each statistic.
     """
     count = len(episodes)
     ends = np.cumsum([episode.frames for episode in episodes]).tolist()
@@ -379,10 +377,10 @@ def _episode_table(
 
 
 def _task_table(tasks: list[str]) -> pa.Table:
-    """Return the table of the task descriptions.
+    """Return the table with the descriptions of all tasks.
 
-    The descriptions form the index of the table. The metadata of the schema tell pandas that this
-    column is the index.
+    The descriptions are the index of this table. Metadata in the schema tell pandas to use this
+    column as the index.
     """
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
     columns = [
@@ -441,9 +439,9 @@ def _info_content(
 
 
 def _feature_statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
-    """Return the statistics of a feature over all given frames.
+    """Return the statistics of a feature of the dataset over all given frames.
 
-    LeRobot uses them to normalise the feature.
+    With these statistics, LeRobot normalises the feature.
     """
     table = np.asarray(values, np.float64).reshape(len(values), -1)
     statistics = {
@@ -460,7 +458,7 @@ def _feature_statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
 
 
 def _write_parquet(path: Path, table: pa.Table) -> None:
-    """Write a table as Parquet."""
+    """Write a table as a Parquet file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     pq.write_table(table, path)
 

@@ -2,8 +2,8 @@
 
 The table has one row for each tick, and one column for each number of a tick.
 
-Columns that contain text are dictionary-encoded. The metadata of each numeric column contain its
-unit, under the key `unit`.
+Columns with text are dictionary-encoded, which means that each different text is stored only once.
+The metadata of a numeric column contain the unit under the key `unit`.
 """
 
 from pathlib import Path
@@ -23,10 +23,12 @@ from handctl.log.read.reader import RunLog
 
 
 def export_parquet(log: RunLog, path: Path) -> int:
-    """Write the table of a log, with the run's metadata in the schema, and return the number of rows.
+    """Write the table of a log, and return the number of rows.
+
+    The schema contains the metadata of the run.
 
     Raises:
-        OSError: the file exists already or cannot be written.
+        OSError: the file already exists or cannot be written.
     """
     count = 0
     names = column_names(log)

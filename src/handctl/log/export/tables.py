@@ -1,4 +1,4 @@
-"""Export of a log as CSV and as candump text.
+"""Export of a log as a CSV file or as text in the format of candump.
 
 This module also makes the tables of ticks that all exports use.
 """
@@ -50,11 +50,12 @@ The unit of a field is the same with and without such a suffix.
 
 
 class TableBlock(NamedTuple):
-    """Part of a log as a table: some consecutive ticks.
+    """Table with some consecutive ticks of a log.
 
     Attributes:
         k, t_ns, late_ns: (rows,) number, time and lateness of each tick, as in TickIn [ns].
-        mode, phase, action: names of the mode, the grasp phase and the safety action in each row.
+        mode, phase, action: names of the mode, the grasp phase and the reaction to faults in each
+            tick.
         numbers: (rows, columns) telemetry of each tick.
     """
 
@@ -95,9 +96,9 @@ def column_unit(column: str, prismatic: Collection[str] = ()) -> str:
 
 
 def column_title(column: str, prismatic: Collection[str] = ()) -> str:
-    """Return the title of a column: `tension/index_tendon [N]`.
+    """Return the title of a column, for example `tension/index_tendon [N]`.
 
-    If the name already contains the unit, the title is the name.
+    If the name of the column already contains the unit, the title is the name.
 
     The arguments are those of `column_unit`.
     """
@@ -129,7 +130,7 @@ def export_csv(log: RunLog, path: Path) -> int:
     The first row contains the titles of the columns with their units: `tension/index_tendon [N]`.
 
     Raises:
-        OSError: the file exists already or cannot be written.
+        OSError: the file already exists or cannot be written.
     """
     count = 0
     prismatic = prismatic_joints(log.header)
@@ -146,12 +147,13 @@ def export_csv(log: RunLog, path: Path) -> int:
 
 
 def export_candump(log: RunLog, path: Path) -> int:
-    """Write all CAN frames of a log in the log format of can-utils, and return the number of frames.
+    """Write all CAN frames of a log in the format of can-utils' log files, and return the number of frames.
 
-    The letter R marks a frame that the host received, and T marks a frame that it sent.
+    The letter R marks a frame that the host has received, and T marks a frame that the host has
+    sent.
 
     Raises:
-        OSError: the file exists already or cannot be written.
+        OSError: the file already exists or cannot be written.
     """
     count = 0
     buses = log.header.buses
@@ -164,7 +166,7 @@ def export_candump(log: RunLog, path: Path) -> int:
 
 
 def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
-    """Yield the time [ns], direction (R or T) and content of all CAN frames, in the order of their times.
+    """Yield the time [ns], the direction (R or T) and the content of all CAN frames, in the order of their times.
 
     The time of a received frame is its arrival. The time of a sent frame is the start of its tick.
     If a frame arrived in that tick later than this, the time of the latest arrival is used. On a
@@ -180,9 +182,9 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
         pending += [(frame.t_ns, "R", frame) for frame in received]
         pending += [(max(start_ns, sent_ns), "T", frame) for frame in tick.frames]
         pending.sort(key=itemgetter(0))
-        # Frames that the next tick reads arrive after the start of this tick. However, the kernel
-        # may deliver a frame slightly later than the time in its stamp. Therefore each frame is
-        # yielded one tick later.
+        # Frames that the next tick reads arrive after the start of the present tick. However, the
+        # kernel may deliver a frame slightly later than the frame's time stamp says. Therefore each
+        # frame is yielded one tick later.
         ready = bisect_left(pending, complete_ns, key=itemgetter(0))
         yield from pending[:ready]
         pending = pending[ready:]
@@ -195,8 +197,8 @@ def _candump_line(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: st
 
     Source: can-utils `lib.c`, `snprintf_canframe`.
     """
-    # Extended identifiers and error frames are written with eight hexadecimal digits, standard
-    # identifiers with three.
+    # Extended identifiers and error frames have eight hexadecimal digits, and standard identifiers
+    # have three.
     long_id = frame.can_id & (EXTENDED_FLAG | ERROR_FLAG)
     can_id = f"{frame.can_id & 0x3FFF_FFFF:08X}" if long_id else f"{frame.can_id & 0x7FF:03X}"
     data = frame.data.hex().upper()
@@ -205,6 +207,6 @@ def _candump_line(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: st
     else:
         body = f"#R{len(frame.data) or ''}" if frame.can_id & REMOTE_FLAG else f"#{data}"
     bus = buses[frame.bus] if frame.bus < len(buses) else "unknown"
-    # The log format of can-utils has times in microseconds. A negative time of a frame is written
-    # as 0.
+    # In the format of can-utils' log files, times are in microseconds. If the time of a frame is
+    # negative, 0 is written.
     return f"({max(t_ns, 0) // 10**9}.{max(t_ns, 0) % 10**9 // 1000:06d}) {bus} {can_id}{body} {direction}\n"

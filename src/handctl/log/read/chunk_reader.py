@@ -1,4 +1,4 @@
-"""Reader for the messages of an uncompressed chunk.
+"""Reader of the messages in an uncompressed chunk of a log.
 
 The reader returns blocks. A block contains consecutive messages of equal length.
 
@@ -37,12 +37,12 @@ _MESSAGE_DATA_OFFSET = 31
 
 
 class MessageRows(NamedTuple):
-    """Consecutive messages of a chunk that have the same channel and the same length.
+    """Consecutive messages of a chunk with the same channel and the same length.
 
     Attributes:
         channel: id of the channel.
         start: offset of the first record in the chunk [bytes].
-        records: (n, size of a record) bytes of each record.
+        records: (n, size of a record) bytes of all records.
     """
 
     channel: int
@@ -71,7 +71,7 @@ class MessageRows(NamedTuple):
 
 
 class ChunkDefinitions(NamedTuple):
-    """Schemas and channels that a chunk defines.
+    """Schemas and channels that are defined in a chunk.
 
     Attributes:
         schemas: (id, name, encoding, data) of each schema.
@@ -89,8 +89,8 @@ def iter_messages(
 
     Args:
         content: the uncompressed chunk.
-        packed: compressed size of the chunk [bytes]. This size limits the number of blocks, so that
-            a small file cannot cause much work.
+        packed: size of the compressed chunk [bytes]. This size limits the number of blocks, so that
+            a small file cannot cause a lot of work.
         channels: ids of the channels to read. If it is None, all channels are read.
 
     Raises:
@@ -144,8 +144,8 @@ def _count_equal(content: bytes, at: int, size: int) -> int:
             return count
         count += 1
         after += size
-    # Each step compares four times as many records as the step before, so that a long block needs
-    # few comparisons. An `ndarray` with a stride reads only the headers of the records.
+    # Each step compares four times as many records as the step before. So a long block needs few
+    # comparisons. An `ndarray` with a stride reads only the first bytes of each record.
     while count < max_count:
         number = min(step, max_count - count)
         heads = np.ndarray(number, _RECORD_HEADERS, content, at + count * size, (size,)).tobytes()
@@ -158,9 +158,9 @@ def _count_equal(content: bytes, at: int, size: int) -> int:
 
 
 def _count_equal_heads(heads: bytes, head: bytes, number: int) -> int:
-    """Count the elements at the start of `heads` that equal `head`.
+    """Count how many elements at the start of `heads` equal `head`.
 
-    At least one element of `heads` must differ from it.
+    At least one element of `heads` must differ from `head`.
     """
     low = 0
     while number - low > 1:
@@ -173,7 +173,7 @@ def _count_equal_heads(heads: bytes, head: bytes, number: int) -> int:
 
 
 def schemas_and_channels(content: bytes) -> ChunkDefinitions:
-    """Return the schemas and channels that are defined at the start of a chunk.
+    """Return the schemas and channels whose definitions are at the start of a chunk.
 
     This function raises the same errors as `iter_messages`.
     """
@@ -209,7 +209,7 @@ def _read_bytes(body: bytes, at: int) -> tuple[bytes, int]:
 
 
 def _decode_schema(body: bytes) -> tuple[int, str, str, bytes]:
-    """Decode a Schema record: id u16, name, encoding, data."""
+    """Decode a Schema record with the fields id u16, name, encoding, data."""
     (number,) = struct.unpack_from("<H", body)
     name, at = _read_text(body, 2)
     encoding, at = _read_text(body, at)
@@ -217,7 +217,7 @@ def _decode_schema(body: bytes) -> tuple[int, str, str, bytes]:
 
 
 def _decode_channel(body: bytes) -> tuple[int, int, str, str, dict[str, str]]:
-    """Decode a Channel record: id u16, schema id u16, topic, encoding, metadata as key and value texts."""
+    """Decode a Channel record with the fields id u16, schema id u16, topic, encoding, metadata (texts by key)."""
     number, schema = struct.unpack_from("<HH", body)
     topic, at = _read_text(body, 4)
     encoding, at = _read_text(body, at)

@@ -9,7 +9,7 @@ from handctl.log.header import RunHeader
 
 
 def described_hand(header: RunHeader, where: str) -> Hand:
-    """Return the hand that a log describes, if the names in its description are those of the header.
+    """Return the hand that a log describes, if its names are those in the header of the log.
 
     Args:
         header: header of the log.
@@ -30,10 +30,10 @@ def described_hand(header: RunHeader, where: str) -> Hand:
 
 
 def prismatic_joints(header: RunHeader) -> frozenset[str]:
-    """Return the names of a log's prismatic joints, whose positions are in m.
+    """Return the names of the prismatic joints in a log, whose positions are in m.
 
-    If the log contains no valid description of its hand, all joints count as hinges. Such a log can
-    still be exported.
+    If the log contains no valid description of the hand, all joints count as hinges. So such a log
+    can still be exported.
     """
     with suppress(ConfigError, LogError):
         return described_hand(header, "hand.toml in the log").prismatic_joints

@@ -1,6 +1,6 @@
 """Access to a log file that may be truncated, damaged, or malicious.
 
-A size that the file declares is checked before memory of that size is allocated.
+Before memory is allocated, every size that the file declares is checked.
 
 Source: the faults of damaged and of malicious log files (I08, I09) in the catalogue of faults.
 """
@@ -32,9 +32,9 @@ DAMAGE_ERRORS = (
 class LogErrorContext:
     """Context `with LogErrorContext(where)`.
 
-    If a bad file causes an exception in the context, the context raises a LogError with the
-    position instead. A log is read in thousands of pieces, and each piece has its own context. The
-    context is a class, because a generator would be slower.
+    If a bad file causes an exception in the context, a LogError with the position in the file is
+    raised instead. A log is read in thousands of pieces, and each piece needs a context. Therefore
+    this context is a class, because a generator would be slower.
     """
 
     __slots__ = ("where",)
@@ -68,11 +68,11 @@ class ChunkLocation(NamedTuple):
     """Location and checksum of a chunk in the file.
 
     Attributes:
-        offset, end: start and end of the record of the chunk [bytes].
+        offset, end: start and end of the chunk's record [bytes].
         data_offset: offset of the compressed bytes in the file.
         first_ns, last_ns: times of the first and last message of the chunk [ns].
         size: uncompressed size of the chunk [bytes].
-        crc: CRC-32 of the uncompressed bytes, or 0 if the chunk has no checksum.
+        crc: CRC-32 of the uncompressed bytes, or 0 if the file gives no checksum for the chunk.
         compression: name of the compression: "", "lz4" or "zstd".
     """
 
@@ -103,7 +103,7 @@ class LogFile:
         self.name = printable_text(str(path))
         self._latest: tuple[ChunkLocation, bytes] | None = None
         try:
-            # Without O_NONBLOCK, the opening of a named pipe that has no writer would never end.
+            # Without O_NONBLOCK, opening a named pipe that has no writer would wait forever.
             self._fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0))
         except OSError as error:
             raise LogError(f"cannot open: {error.strerror}", self.name, "a log") from error
@@ -118,7 +118,7 @@ class LogFile:
         os.close(self._fd)
 
     def position_text(self, offset: int) -> str:
-        """Return a position in the file as text for error messages."""
+        """Return a position in the file as text for an error message."""
         return f"{self.name}, byte {offset}"
 
     def read_range(self, offset: int, size: int) -> bytes:
@@ -137,7 +137,7 @@ class LogFile:
         return data
 
     def range_crc(self, start: int, end: int, value: int = 0) -> int:
-        """Compute the CRC-32 of a part of the file.
+        """Compute the CRC-32 of a part of the file, or continue a CRC-32.
 
         Args:
             start: start of the part [bytes].
@@ -151,7 +151,9 @@ class LogFile:
         return value
 
     def chunk_content(self, chunk: ChunkLocation, checked: bool = True) -> bytes:
-        """Return the uncompressed bytes of a chunk. The result never has more bytes than declared.
+        """Return the uncompressed bytes of a chunk.
+
+        The result never has more bytes than the chunk declares.
 
         Args:
             chunk: location of the chunk.
@@ -178,8 +180,8 @@ class LogFile:
 
 def _decompress_chunk(packed: bytes, chunk: ChunkLocation) -> bytes:
     """Return the decompressed bytes of a chunk, at most one byte more than the declared size."""
-    # If a chunk is longer than declared, this extra byte shows it. The rest of the chunk need not
-    # be decompressed then.
+    # If a chunk is longer than it declares, the additional byte shows this. In this case, the rest
+    # of the chunk need not be decompressed.
     if chunk.compression == "lz4":
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=chunk.size + 1))
     if chunk.compression == "zstd":

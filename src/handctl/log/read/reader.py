@@ -1,6 +1,6 @@
 """Reader of arrays, ticks and events of a recorded run.
 
-The log file may be incomplete or damaged.
+The log file may also be incomplete or damaged.
 """
 
 import functools
@@ -56,7 +56,7 @@ _CACHE_BYTES = 64 << 20
 
 
 def _read_header(scan: RecordScan) -> RunHeader:
-    """Return the header of the run in a file that was scanned."""
+    """Return the header of the run from a file that has been scanned."""
     record = scan.metadata["handctl.run"]
     if (schema := json.loads(record["schema"])) != LOG_SCHEMA_VERSION:
         raise ValueError(f"log of version {schema}; this reader reads version {LOG_SCHEMA_VERSION}")
@@ -74,9 +74,9 @@ class _ChunkIndex(NamedTuple):
     Attributes:
         fixed_parts: (ticks,) first part of each Tick message. This part has a constant length.
         first_of_chunk: (chunks + 1,) index of the first tick in each chunk. The last element is the
-            number of ticks.
-        snapshots: for each snapshot, the index of the chunk that contains it. The keys are the
-            sequence numbers of the snapshots.
+            number of all ticks.
+        snapshots: index of the chunk that contains each snapshot. The keys are the sequence numbers
+            of the snapshot messages.
     """
 
     fixed_parts: NDArray[np.void]
@@ -85,14 +85,14 @@ class _ChunkIndex(NamedTuple):
 
 
 class _SnapshotMapping(Mapping[int, bytes]):
-    """Mapping from the number of a tick to the snapshot of the controller's state after this tick.
+    """Mapping from the number of a tick to a snapshot of the controller's state after this tick.
 
-    Each snapshot is read from the file only when it is used, because the snapshots of one day do
-    not fit into memory.
+    A snapshot is read from the file only when it is used, because the snapshots of a day do not fit
+    into memory.
     """
 
     def __init__(self, chunks: dict[int, int], read: Callable[[int, int], bytes]) -> None:
-        """Store the function that reads a snapshot, and the index of the chunk of each snapshot by tick number."""
+        """Store the function that reads a snapshot, and the index of each snapshot's chunk by tick number."""
         self._chunks = chunks
         self._read = read
 
@@ -110,16 +110,16 @@ class _SnapshotMapping(Mapping[int, bytes]):
 
 
 class RunLog:
-    """Log of one run. Use a log as a context manager, or call `close` at the end.
+    """Log of one run. Use the log as a context manager, or call `close` at the end.
 
     Attributes:
-        header: header of the run: names, period, offset, gains, attachments and others.
+        header: header of the run with names, period, offset, gains, attachments and other data.
         metadata: all metadata records of the file.
-        end: data that were recorded at the end of the run (reason, ticks, messages, missed, dropped
-            and others). If the log was not finished, there are no such data.
-        warning: description of a defect of the file. The value is empty if there is no defect. The
-            data before the defect are complete.
-        scan: positions of all records in the file.
+        end: data that the recorder has written at the end of the run (reason, ticks, messages,
+            missed, dropped and others). If the log was not finished, this mapping is empty.
+        warning: description of a defect of the file, or an empty text if there is no defect. The
+            data before the defect can be used.
+        scan: positions of all records in the log file.
     """
 
     def __init__(self, path: Path, checked: bool = True) -> None:
@@ -127,12 +127,12 @@ class RunLog:
 
         Args:
             path: path of the log file.
-            checked: True to read the whole file and check the checksum of the file. If it is False,
-                the checksum of each chunk is checked when this chunk is read.
+            checked: True to read the whole file at once and check its checksum. If it is False, the
+                checksum of each chunk is checked when the chunk is read.
 
         Raises:
-            LogError: the file is not a log of handctl, is damaged, or exceeds a limit. A file that
-                ends early is accepted.
+            LogError: the file is not a log of handctl, is damaged, or exceeds a limit. But a file
+                that ends early is accepted.
         """
         self._file = LogFile(path)
         self._latest: tuple[ChunkLocation, dict[int, list[MessageRows]]] | None = None
@@ -173,7 +173,7 @@ class RunLog:
         self._file.close()
 
     def _channels(self) -> tuple[int, int, dict[str, int]]:
-        """Return the channel ids of the ticks and of the telemetry, and those of all topics by name."""
+        """Return the channel ids of the tick messages and the telemetry, and the channel ids of all topics by name."""
         with LogErrorContext(self._file.position_text(self._chunks[0].offset)):
             definitions_of_log: ChunkDefinitions = schemas_and_channels(
                 self._file.chunk_content(self._chunks[0])
@@ -184,12 +184,12 @@ class RunLog:
     def _rows(
         self, channel: int, chunks: slice = slice(None)
     ) -> Iterator[tuple[ChunkLocation, MessageRows]]:
-        """Yield the message blocks of a channel, each with the location of its chunk."""
+        """Yield the blocks of messages of a channel, each with the location of its chunk."""
         for chunk in self._chunks[chunks]:
             yield from ((chunk, rows) for rows in self._rows_of(chunk, channel))
 
     def _rows_of(self, chunk: ChunkLocation, channel: int) -> list[MessageRows]:
-        """Return the message blocks of one channel in one chunk.
+        """Return the blocks of messages of one channel in one chunk.
 
         The latest chunk stays in memory, for callers that read several channels of the same chunk.
         """
@@ -215,8 +215,8 @@ class RunLog:
                 with LogErrorContext(self._file.position_text(chunk.offset)):
                     if data.shape[1] < 4 + FIXED_DTYPE.itemsize:
                         raise ValueError("a tick that is too short")
-                    # In each message, four bytes of CDR encapsulation come before the part with a
-                    # constant length.
+                    # In each message, four bytes (the CDR encapsulation) come before the part whose
+                    # length is constant.
                     parts.append(
                         np.ascontiguousarray(data[:, 4 : 4 + FIXED_DTYPE.itemsize]).view(
                             FIXED_DTYPE
@@ -229,7 +229,7 @@ class RunLog:
 
     @property
     def _fixed(self) -> NDArray[np.void]:
-        """Return the first part of each Tick message (ticks,). This part has a constant length."""
+        """Return the first part of each Tick message (ticks,), whose length is constant."""
         return self._index.fixed_parts
 
     def __len__(self) -> int:
@@ -263,12 +263,12 @@ class RunLog:
 
     @property
     def mode(self) -> NDArray[np.uint8]:
-        """Return the `core.tick_types.HandMode` of each tick (ticks,)."""
+        """Return the mode of the hand in each tick (ticks,), as a `core.tick_types.HandMode`."""
         return self._fixed["mode"]
 
     @property
     def action(self) -> NDArray[np.uint8]:
-        """Return the `safety.action.SafetyAction` of each tick (ticks,)."""
+        """Return the reaction to faults in each tick (ticks,), as a `safety.action.SafetyAction`."""
         return self._fixed["action"]
 
     @property
@@ -278,16 +278,16 @@ class RunLog:
         return [TickGap(int(self.k[i]), int(self.k[i + 1])) for i in at]
 
     def field(self, name: str) -> Array:
-        """Return a telemetry field (ticks, n).
+        """Return a field of the telemetry (ticks, n).
 
         Unknown values are NaN. If a log of an earlier version does not have the field, all its
         values are NaN.
 
         Args:
-            name: one of `core.tick_types.TELEMETRY_FIELDS`.
+            name: name of the field, one of `core.tick_types.TELEMETRY_FIELDS`.
 
         Raises:
-            LogError: there is no telemetry field of this name, or the log is damaged.
+            LogError: the telemetry has no field of this name, or the log is damaged.
         """
         if name not in TELEMETRY_FIELDS:
             raise LogError(
@@ -296,7 +296,7 @@ class RunLog:
                 "one of " + ", ".join(TELEMETRY_FIELDS),
             )
         slices = columns_of_fields(self.header, self.fields)
-        if name not in slices:  # a log of an earlier version does not have this field
+        if name not in slices:  # the version that wrote this log did not have this field
             return np.full((len(self), len(self.names(name))), np.nan)
         if 8 * self._width * len(self) <= _CACHE_BYTES:
             return self._numbers[:, slices[name]]
@@ -306,7 +306,7 @@ class RunLog:
     def fields(self) -> tuple[str, ...]:
         """Return the names of the telemetry fields that the file contains.
 
-        Logs of earlier versions of handctl do not have the last fields of TELEMETRY_FIELDS.
+        Logs of earlier versions of handctl do not contain the last fields of TELEMETRY_FIELDS.
         """
         for chunk, rows in self._rows(self._values):
             with LogErrorContext(self._file.position_text(chunk.offset)):
@@ -323,14 +323,15 @@ class RunLog:
 
     @functools.cached_property
     def _numbers(self) -> Array:
-        """Return the telemetry of all ticks with all columns (ticks, columns)."""
+        """Return the whole telemetry of all ticks (ticks, columns)."""
         return self._columns(slice(0, self._width))
 
     def _columns(self, columns: slice) -> Array:
-        """Read the given columns of the telemetry (ticks, columns).
+        """Read some columns of the telemetry (ticks, columns).
 
         Raises:
-            LogError: the telemetry has other sequence numbers than the ticks.
+            LogError: the sequence numbers of the telemetry messages differ from those of the tick
+                messages.
         """
         parts = [np.empty((0, columns.stop - columns.start))]
         sequence = [np.empty(0, np.uint32)]
@@ -350,7 +351,7 @@ class RunLog:
     ) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
         """Yield the telemetry in blocks.
 
-        A block consists of the bytes of its rows (rows, bytes) and of the sequence numbers of these
+        A block consists of its rows as bytes (rows, bytes), and of the sequence numbers of these
         rows.
         """
         size = VALUES_START_OFFSET + 8 * self._width + 4
@@ -364,7 +365,7 @@ class RunLog:
     def packed_telemetry(self, chunks: slice = slice(None)) -> Iterator[bytes]:
         """Yield the telemetry of each tick in the layout of `Telemetry.packed`.
 
-        Only a part of the file is in memory at any time.
+        At any time, only a part of the file is in memory.
 
         Args:
             chunks: chunks of the file to read. By default, all chunks are read.
@@ -373,20 +374,23 @@ class RunLog:
             yield from (row.tobytes() for row in data)
 
     def tick_messages(self) -> Iterator[bytes]:
-        """Yield the bytes of each tick's Tick message, as they are in the file."""
+        """Yield the bytes of the Tick message of each tick, as the file contains them."""
         yield from (message for _, message in self._messages())
 
     def tick_digests(self) -> Iterator[bytes]:
-        """Yield the chain hash of each tick. Logs of earlier versions have no chain hashes."""
+        """Yield the hash of each tick in the hash chain.
+
+        Logs of earlier versions contain no hash chain.
+        """
         if CHAIN_TOPIC in self._others:
             for _, rows in self._rows(self._others[CHAIN_TOPIC]):
                 yield from (row[-HASH_SIZE:].tobytes() for row in rows.data())
 
     @functools.cached_property
     def clock_pairs(self) -> list[ClockPair]:
-        """Return the pairs of readings of wall clock and monotonic clock.
+        """Return all readings of the wall clock and the monotonic clock in the log.
 
-        Both clocks are read at the same moment, every ten seconds.
+        The recorder reads both clocks at the same moment, every ten seconds.
 
         The log of a lockstep run has no readings of clocks.
         """
@@ -402,18 +406,19 @@ class RunLog:
 
     @functools.cached_property
     def snapshots(self) -> Mapping[int, bytes]:
-        """Return the snapshots of the controller's state, by tick number.
+        """Return the snapshots of the controller's state, by the number of the tick.
 
-        A log has one snapshot for each second. Each snapshot is read from the file when it is used.
+        A log contains one snapshot for each second of the run. A snapshot is read from the file
+        only when it is used.
 
-        Logs of earlier versions have no snapshots.
+        Logs of earlier versions contain no snapshots.
         """
         chunks = self._index.snapshots
         ticks = self.k[np.isin(self.k & _SEQUENCE_MASK, list(chunks))].tolist()
         return _SnapshotMapping({k: chunks[k & _SEQUENCE_MASK] for k in ticks}, self._snapshot)
 
     def _snapshot(self, k: int, chunk: int) -> bytes:
-        """Read the snapshot of the state after a tick from a chunk.
+        """Read the snapshot of the controller's state after a tick from a chunk.
 
         Raises:
             LogError: the snapshot is damaged.
@@ -431,7 +436,7 @@ class RunLog:
         return self.header.axis_names(TELEMETRY_AXES[field])
 
     def _messages(self) -> Iterator[tuple[ChunkLocation, bytes]]:
-        """Yield each Tick message with the location of its chunk."""
+        """Yield each Tick message, together with the location of its chunk."""
         for chunk, rows in self._rows(self._tick):
             yield from ((chunk, message) for message in rows.messages())
 
@@ -439,14 +444,14 @@ class RunLog:
     def first_of_chunk(self) -> NDArray[np.intp]:
         """Return the index of the first tick in each chunk (chunks + 1,).
 
-        The last element is the number of ticks.
+        The last element is the number of all ticks.
         """
         return self._index.first_of_chunk
 
     def ticks(self, chunks: slice = slice(None)) -> Iterator[TickRecord]:
         """Yield the ticks of the given chunks in order.
 
-        By default, yield the ticks of all chunks.
+        By default, the ticks of all chunks are yielded.
         """
         for chunk in self._chunks[chunks]:
             with LogErrorContext(self._file.position_text(chunk.offset)):
@@ -460,17 +465,17 @@ class RunLog:
 
     @functools.cached_property
     def _events_and_phases(self) -> tuple[list[LoggedEvent], list[PhaseChange]]:
-        """Return the controller's events, and the starts of the grasp phases.
+        """Return the events of the controller, and the starts of the grasp phases.
 
-        If several Tick messages have the same end, this end is decoded only once.
+        If several Tick messages end with the same bytes, these bytes are decoded only once.
         """
         events: list[LoggedEvent] = []
         phases: list[PhaseChange] = []
         phase_of_tail: dict[bytes, str] = {}
         for index, (chunk, message) in enumerate(self._messages()):
             with LogErrorContext(self._file.position_text(chunk.offset)):
-                # Ticks of one phase that have no events also have equal message ends (the phase and
-                # empty lists). With the cache, such an end is not decoded again.
+                # All ticks of one phase without events end with the same bytes: the phase and empty
+                # lists. Because of the cache, these bytes are not decoded again.
                 tail = message[message_layout(message).tail_offset :]
                 phase = phase_of_tail.get(tail)
                 if phase is None:

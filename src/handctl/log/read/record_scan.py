@@ -3,10 +3,10 @@
 The scan does not use the index at the end of the file. The scan checks the checksums of the
 attachments, the data section and the summary.
 
-A record consists of an opcode u8, a length u64, and the content. The data section ends with the
-record DataEnd, which contains the CRC-32 of all bytes before this record. The summary and the
-footer follow after the data section. The footer has 29 bytes: opcode u8, length u64, two offsets
-u64, CRC-32 u32. The file begins and ends with MCAP_MAGIC.
+Each record consists of an opcode u8, a length u64 and the content. The data section ends with the
+record DataEnd, which contains the CRC-32 of all bytes before this record. After the data section,
+the summary and the footer follow. The footer has 29 bytes: opcode u8, length u64, two offsets u64,
+CRC-32 u32. The file begins and ends with MCAP_MAGIC.
 
 Source: MCAP specification.
 """
@@ -63,8 +63,8 @@ class RecordScan:
         end: offset after the last complete record of the data section.
         size: size of the file [bytes].
         complete: True if the data section has an end record with the correct checksum.
-        problem: description of a defect of the file. The value is empty if there is no defect.
-        skipped: (start, end) of every damaged record that the scan has skipped.
+        problem: description of a defect of the file, or an empty text if there is no defect.
+        skipped: (start, end) of every damaged record that the scan has skipped [bytes].
         unknown: number of records with an unknown opcode.
     """
 
@@ -87,7 +87,7 @@ class _FieldReader:
         self._at = 0
 
     def read_number(self, code: str) -> int:
-        """Read a number of the given `struct` format."""
+        """Read a number with the given format character of `struct`."""
         value = struct.unpack_from("<" + code, self._data, self._at)[0]
         self._at += struct.calcsize("<" + code)
         return int(value)
@@ -109,18 +109,18 @@ class _FieldReader:
 
 
 def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bool = False) -> None:
-    """Read the outer records of a file, and add their content to a scan.
+    """Read the outermost records of a file, and add their content to a scan.
 
-    A file that ends early raises no error. After such a file, `scan` contains all complete records,
-    and `scan.problem` describes where the file ends.
+    If the file ends early, no error is raised. In this case, `scan` contains all complete records,
+    and `scan.problem` describes the place where the file ends.
 
     Args:
         file: the MCAP file.
-        scan: empty scan to be filled, or a scan of the same file at a time when the file was
-            shorter. A scan of the shorter file continues at ``scan.end``. After an error, the scan
+        scan: empty scan to be filled, or an earlier scan of the same file, when the file was
+            shorter. An earlier scan continues at ``scan.end``. If an error is raised, the scan
             contains the records before the damage.
         checked: True to read the whole file and to check the checksum of the data section.
-        skip: True to skip damaged records whose ends are known. If it is False, a damaged record
+        skip: True to skip damaged records if their ends are known. If it is False, a damaged record
             raises an error.
 
     Raises:
@@ -134,7 +134,7 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
         and file.read_range(file.size - len(MCAP_MAGIC), len(MCAP_MAGIC)) == MCAP_MAGIC
     )
     scan.end = max(scan.end, len(MCAP_MAGIC))
-    # If no records were skipped, the only possible problem of a continued scan is the end of the
+    # If no records were skipped, the only problem that a continued scan can have is the end of the
     # shorter file.
     scan.problem = scan.problem if scan.skipped else ""
     unpacked = sum(chunk.size for chunk in scan.chunks)
@@ -142,7 +142,7 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
         at = scan.end
         code, length = _RECORD_STRUCT.unpack(file.read_range(at, _RECORD_STRUCT.size))
         end = at + _RECORD_STRUCT.size + length
-        # Opcode 0 is invalid. After a power failure, a file may end in zeros.
+        # The opcode 0 is never valid. But after a power failure, a file may end with zeros.
         if code == 0 or end > file.size:
             if finished:
                 raise LogError(
@@ -150,7 +150,7 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
                 )
             break
         if code == _MESSAGE_INDEX_OPCODE and length >= _LENGTHS[_MESSAGE_INDEX_OPCODE]:
-            scan.end = end  # Most records are message indexes. The scan does not use their content.
+            scan.end = end  # most records are message indexes, whose content the scan does not use
             continue
         if code == Opcode.DATA_END:
             _check_end(file, scan, at, end, checked)
@@ -201,7 +201,7 @@ def _check_limits(scan: RecordScan, unpacked: int) -> None:
 
 
 def _add_record(file: LogFile, scan: RecordScan, code: int, at: int, end: int) -> int:
-    """Add one record to a scan.
+    """Add one record of the file to a scan.
 
     Return the uncompressed size of a chunk, and 0 for other records.
     """
@@ -226,16 +226,16 @@ def _add_record(file: LogFile, scan: RecordScan, code: int, at: int, end: int) -
 
 
 def _checked_size(size: int, limit: int) -> int:
-    """Return the size of a record, after a check that it does not exceed a limit."""
+    """Check that the size of a record does not exceed a limit, and return the size."""
     if size > limit:
         raise ValueError(f"a record of {size} bytes; at most {limit} are allowed")
     return size
 
 
 def _decode_chunk_head(file: LogFile, at: int, end: int) -> ChunkLocation:
-    """Decode the first fields of a Chunk record, without reading the data of the chunk."""
-    # 80 bytes are enough for the fixed fields (41 bytes), the name of the compression (at most 8)
-    # and the compressed size of the records (8).
+    """Decode the first fields of a Chunk record, but do not read the data of the chunk."""
+    # 80 bytes are enough for the fields of constant size (41 bytes), the name of the compression
+    # (at most 8 bytes) and the compressed size (8 bytes).
     head = file.read_range(at, min(end - at, 80))
     first, last, size, crc, name = _CHUNK_STRUCT.unpack_from(head, _RECORD_STRUCT.size)
     _checked_size(size, MAX_CHUNK_BYTES)
@@ -251,16 +251,16 @@ def _decode_chunk_head(file: LogFile, at: int, end: int) -> ChunkLocation:
 
 
 def _decode_attachment(scan: RecordScan, data: bytes) -> None:
-    """Decode an attachment, and check its checksum."""
+    """Decode an attachment, and check the checksum of the attachment."""
     fields = _FieldReader(data)
     time_ns = fields.read_number("Q")
-    fields.read_number("Q")  # creation time
+    fields.read_number("Q")  # the time at which the attachment was created
     name = fields.read_string()
     media = fields.read_string()
     content = fields.read_bytes(fields.read_number("Q"))
     crc = fields.read_number("I")
-    # The checksum covers all fields of the attachment before it. The checksum itself is in the last
-    # four bytes of the attachment.
+    # The checksum covers all fields of the attachment that come before it. The checksum itself is
+    # in the last four bytes of the attachment.
     if crc and crc != zlib.crc32(data[: -4 - fields.unread_bytes()]):
         raise ValueError("checksum of an attachment does not match")
     scan.attachments[name] = (media, time_ns, content)

@@ -1,6 +1,6 @@
 """Recovery of a damaged log.
 
-The intact parts of a damaged file are copied into a new, complete file.
+The undamaged parts of the file are copied into a new, complete file.
 """
 
 import enum
@@ -20,9 +20,9 @@ from handctl.output import atomic_path
 
 
 class RecoveryStatus(enum.IntEnum):
-    """Result of a recovery.
+    """Result of the recovery of a log.
 
-    The number of the result is the exit code of ``handctl log recover``.
+    The number of the result is also the exit code of ``handctl log recover``.
     """
 
     WHOLE = 0
@@ -40,8 +40,8 @@ class RecoveryReport:
     Attributes:
         status: result of the recovery.
         chunks, messages: number of copied chunks and messages.
-        lost_ranges: (start, end) of each range of the old file that was not copied [bytes].
-        problem: description of a defect of the old file. The value is empty if there is no defect.
+        lost_ranges: (start, end) of each part of the old file that was not copied [bytes].
+        problem: description of a defect of the old file, or an empty text if there is no defect.
     """
 
     status: RecoveryStatus
@@ -52,11 +52,11 @@ class RecoveryReport:
 
 
 def recover_log(path: Path, out: Path) -> RecoveryReport:
-    """Copy all intact chunks, attachments and metadata of a log into a new file.
+    """Copy all undamaged chunks, attachments and metadata of a log into a new file.
 
     Args:
         path: path of a complete or damaged log.
-        out: path of the new file. If the log has no intact chunk, no file is written.
+        out: path of the new file. If the log has no undamaged chunk, no file is written.
 
     Raises:
         LogError: the file at `path` cannot be opened or is not an MCAP file.
@@ -87,7 +87,7 @@ def recover_log(path: Path, out: Path) -> RecoveryReport:
 def scan_damaged(file: LogFile, scan: RecordScan) -> str:
     """Scan a file like `scan_records`.
 
-    If the file has a defect, return its description instead of raising an error.
+    If the file has a defect, return the description of the defect instead of raising an error.
 
     After the call, `scan` contains the intact records before and after a damaged record.
     """
@@ -103,11 +103,11 @@ def scan_damaged(file: LogFile, scan: RecordScan) -> str:
 def _copy_intact_parts(
     file: LogFile, scan: RecordScan, problem: str, new: McapContainer
 ) -> RecoveryReport:
-    """Copy the intact parts of a file into the new file, and write the end of the new file."""
+    """Copy the undamaged parts of a file into the new file, and write the end of the new file."""
     for name, (media, time_ns, data) in scan.attachments.items():
         new.write_attachment(name, media, data, time_ns)
     for name, values in scan.metadata.items():
-        # The end record is written last, as in a log that was closed properly.
+        # The end record is written last, as in a log that was finished without errors.
         if name != "handctl.end":
             new.write_metadata(name, values)
     lost = scan.skipped.copy()
@@ -140,7 +140,7 @@ def _end_record(scan: RecordScan, problem: str) -> dict[str, str]:
 
 
 def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: McapContainer) -> None:
-    """Copy the messages of one chunk without change.
+    """Copy the messages of one chunk unchanged.
 
     Raises:
         LogError: the chunk is damaged.

@@ -24,14 +24,14 @@ class LoggedEvent(NamedTuple):
 
 
 class TickGap(NamedTuple):
-    """Gap in a log where ticks are missing: the last tick before it and the first tick after it."""
+    """Gap in a log, where ticks are missing: the last tick before the gap and the first tick after the gap."""
 
     last_before: int
     first_after: int
 
 
 class PhaseChange(NamedTuple):
-    """Start of a grasp phase: tick number, time [ns], name of the phase."""
+    """Start of a grasp phase, with tick number, time [ns] and name of the phase."""
 
     k: int
     t_ns: int
@@ -51,14 +51,13 @@ def phase_of_each(changes: Sequence[PhaseChange], k: NDArray[np.int64]) -> NDArr
 
 
 def check_order(t_ns: NDArray[np.int64], period_ns: int) -> None:
-    """Raise an error if the times of ticks do not fit a regular time grid.
+    """Raise an error if the times of the ticks cannot belong to a run with a constant period.
 
-    Without this check, a log with wrong times could demand a time grid that does not fit into
-    memory.
+    Without this check, a log with wrong times could require a table that does not fit into memory.
 
     Args:
         t_ns: (ticks,) times of the ticks [ns].
-        period_ns: period of the run [ns].
+        period_ns: control period of the run [ns].
 
     Raises:
         LogError: the ticks are out of order, or nearly all ticks of the run are missing.

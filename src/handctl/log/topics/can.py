@@ -1,4 +1,4 @@
-"""Topics that contain the CAN frames of a run, as can_msgs/Frame and ros2_socketcan_msgs/FdFrame."""
+"""Topics with the CAN frames of a run, as can_msgs/Frame and ros2_socketcan_msgs/FdFrame."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,7 @@ def encode_fd_frame(bus: str, t_ns: int, can_id: int, data: bytes) -> bytes:
 
 
 class _DirectionTopics:
-    """Topics for the frames of one direction, rx (received) or tx (sent)."""
+    """Topics for the frames of one direction: rx (received by the host) or tx (sent by the host)."""
 
     def __init__(self, buses: tuple[str, ...], registry: TopicRegistry, direction: str) -> None:
         self._buses = (*buses, "unknown")
@@ -93,8 +93,8 @@ class _DirectionTopics:
         if len(used) == 1:
             return self._streams[int(used[0])].block(stamps, _frame_values(frames), measured)
         records: list[bytes] = [b""] * len(frames)
-        # The template of the messages contains the name of the bus. If there are several buses, the
-        # messages are first made for each bus, and then sorted into the order of the frames.
+        # The template of a message contains the name of the bus. If there are several buses, the
+        # messages of each bus are made separately, and then sorted into the order of the frames.
         for bus_index in used.tolist():
             indexes = np.flatnonzero(bus == bus_index)
             block = self._streams[bus_index].block(
@@ -121,8 +121,8 @@ class _DirectionTopics:
         sequence = stamps.sequence.tolist()
         log = stamps.log_times.tolist()
         times = measured.tolist()
-        # `rest` contains the payload bytes after the eighth byte of all frames that are not encoded
-        # yet. Classical frames have no such bytes.
+        # `rest` contains the payload bytes after the eighth byte of those frames that have not been
+        # encoded yet. Classical frames have no such bytes.
         for index, (can_id, length) in enumerate(zip(*columns, strict=True)):
             more = max(length - 8, 0)
             payload = data[8 * index : 8 * index + min(length, 8)] + bytes(rest[:more])
@@ -139,7 +139,7 @@ class _DirectionTopics:
 
 
 def _join_records(channel: int, log_times: TimeArray, records: list[bytes]) -> MessageBlock:
-    """Join Message records to one block."""
+    """Join several Message records to one block."""
     ends = np.cumsum([0, *map(len, records)], dtype=np.uint64)
     return MessageBlock(channel, b"".join(records), log_times, ends[:-1])
 
@@ -160,8 +160,8 @@ def _frame_values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
 class CanTopics:
     """Topics of the CAN frames: /can/rx and /can/tx for classical frames, /can/rx_fd and /can/tx_fd for CAN FD frames.
 
-    The log time of a message is the time of its tick. The header stamp and the publish time are the
-    time of the frame.
+    The log time of a message is the time of the tick. The header stamp and the publish time of a
+    message are the time of the frame.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
@@ -174,7 +174,7 @@ class CanTopics:
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return a message for each frame in a batch of ticks.
 
-        The time of a sent frame is the start of its tick.
+        The time of a sent frame is the start of the tick.
         """
         sent_at = (batch.t_ns + batch.late_ns)[batch.sent.tick_indexes]
         blocks = []

@@ -1,8 +1,8 @@
-"""Topic with readings of wall clock and monotonic clock.
+"""Topic with readings of the wall clock and the monotonic clock.
 
-Both clocks are read at the same moment, every ten seconds. The readings show whether somebody set
-the wall clock during the run. The recorder reads these clocks, and not the controller. The log of a
-lockstep run has no such readings, because its messages depend only on the ticks.
+Both clocks are read at the same moment, every ten seconds. From these readings one can see whether
+the wall clock was set during the run. The recorder reads these clocks. The controller does not. The
+log of a run in lockstep contains no such readings, because its messages depend only on the ticks.
 """
 
 import struct
@@ -27,10 +27,10 @@ _CLOCK_PAIR_STRUCT = struct.Struct("<4xII8xqq")
 
 
 class ClockPair(NamedTuple):
-    """Readings of wall clock and monotonic clock, taken at the same moment.
+    """Readings of the wall clock and the monotonic clock, taken at the same moment.
 
     Attributes:
-        t_ns: time of the last tick before the readings, since the start of the run [ns].
+        t_ns: time of the last tick before both clocks were read, since the start of the run [ns].
         wall_ns: reading of the wall clock as UNIX time [ns].
         monotonic_ns: reading of CLOCK_MONOTONIC [ns].
     """
@@ -44,7 +44,7 @@ class ClockStep(NamedTuple):
     """Step of the wall clock between two readings of both clocks.
 
     Attributes:
-        t_s: time of the first pair of readings after the step, since the start of the run [s].
+        t_s: time of the first reading after the step, since the start of the run [s].
         step_s: size of the step [s].
     """
 
@@ -60,7 +60,7 @@ class ClockTopic:
         self._channel = registry.register_topic(CLOCK_PAIRS_TOPIC, "handctl_msgs/ClockPair")
 
     def block(self, stamps: MessageStamps, wall_ns: int, monotonic_ns: int) -> MessageBlock:
-        """Return the message that contains a reading of each clock."""
+        """Return the message with the readings of both clocks."""
         out = CdrWriter()
         t_ns = int(stamps.log_times[0])
         out.put_number("I", t_ns // 10**9)
@@ -72,7 +72,7 @@ class ClockTopic:
 
 
 def decode_clock_pair(message: bytes, offset_ns: int) -> ClockPair:
-    """Decode a message with readings of wall clock and monotonic clock.
+    """Decode a message with readings of the wall clock and the monotonic clock.
 
     Raises:
         struct.error: the message is too short.
@@ -82,7 +82,7 @@ def decode_clock_pair(message: bytes, offset_ns: int) -> ClockPair:
 
 
 def clock_steps(pairs: Iterable[ClockPair]) -> Iterator[ClockStep]:
-    """Compare the wall clock with the monotonic clock, and yield the steps of the wall clock."""
+    """Compare the wall clock with the monotonic clock, and yield each step of the wall clock."""
     before: ClockPair | None = None
     for pair in pairs:
         if before is not None:

@@ -1,4 +1,4 @@
-"""Topics that have one message for each log line, and for each change of gains, grasp phase, mode or safety action."""
+"""Topics with one message for each log line, and for each change of gains, grasp phase, mode or reaction to faults."""
 
 import math
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ def _stamped_writer(t_ns: int) -> CdrWriter:
 
 
 def encode_rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
-    """Encode a log line as rcl_interfaces/Log."""
+    """Encode a line of the log as rcl_interfaces/Log."""
     out = _stamped_writer(t_ns)
     out.put_number("B", LOG_LEVEL_NUMBERS.get(level, LOG_LEVEL_NUMBERS["error"]))
     out.put_string(name)
@@ -47,7 +47,7 @@ def encode_rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
 def _append_parameter(out: CdrWriter, name: str, value: str) -> None:
     """Append a gain as rcl_interfaces/Parameter.
 
-    If the text of the gain is a number, it is written as a double.
+    A gain whose text is a number is written as a double.
     """
     try:
         number = float(value)
@@ -60,15 +60,15 @@ def _append_parameter(out: CdrWriter, name: str, value: str) -> None:
     out.put_number("q", 0)
     out.put_number("d", number if is_number else 0.0)
     out.put_string("" if is_number else value)
-    # The five array fields of a ParameterValue stay empty.
+    # The five array fields of a ParameterValue are left empty.
     for _ in range(5):
         out.put_length(0)
 
 
 def encode_parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, str]) -> bytes:
-    """Encode new and changed gains as rcl_interfaces/ParameterEvent.
+    """Encode gains that are new or have changed as rcl_interfaces/ParameterEvent.
 
-    If the text of a gain is a number, it is written as a double.
+    A gain whose text is a number is written as a double.
     """
     out = _stamped_writer(t_ns)
     out.put_string("/handctl")
@@ -90,13 +90,13 @@ def encode_labelled_number(t_ns: int, number: int, name: str) -> bytes:
 
 
 def _changed_indexes(values: list[tuple[int, str]], last: tuple[int, str] | None) -> list[int]:
-    """Return the index of each value that differs from the value before it."""
+    """Return the indices of all values that differ from the value before them."""
     before = [last, *values[:-1]]
     return [index for index, value in enumerate(values) if value != before[index]]
 
 
 class EventTopics:
-    """Topics for events, as log lines, and for changes of the grasp phase, mode, safety action and gains."""
+    """Topics for events, as log lines, and for changes of the grasp phase, mode, reaction and gains."""
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topics."""
@@ -172,7 +172,7 @@ def _log_lines(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
         number = f" ({io_event.number})" if io_event.number != 1 else ""
         yield "warn", "io", " ".join(filter(None, (io_event.kind, io_event.where))) + number
     for request in tick.tick_in.requests:
-        # Streamed targets are not among them, because they have their own topic.
+        # Streamed targets are not among these lines, because they have a topic of their own.
         if not is_routine_request(request):
             yield "info", "request", request_text(request)
     for event in tick.events:

@@ -26,7 +26,7 @@ HASH_SIZE = 8
 def first_hash(
     metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Mapping[str, bytes]
 ) -> bytes:
-    """Compute the hash with which the chain begins.
+    """Compute the hash with which the hash chain begins.
 
     The hash covers all data of the header except the data about the machine and the date.
     """
@@ -36,7 +36,7 @@ def first_hash(
         for group, table in (("m", metadata), ("g", gains))
         for name, text in table.items()
     }
-    # Each text comes after its name and its length, so that different sets of texts never give the
+    # Each text follows after its name and its length. So different sets of texts never give the
     # same bytes.
     for name, data in sorted(
         (texts | {f"a.{name}": data for name, data in attachments.items()}).items()
@@ -47,7 +47,7 @@ def first_hash(
 
 
 def first_hash_of_run(header: RunHeader) -> bytes:
-    """Return the hash with which the chain of a run begins."""
+    """Return the hash with which the hash chain of a run begins."""
     return first_hash(
         header.metadata,
         header.gains,
@@ -56,11 +56,11 @@ def first_hash_of_run(header: RunHeader) -> bytes:
 
 
 def tick_hash(before: bytes, message: bytes, numbers: bytes) -> bytes:
-    """Compute the chain hash of a tick.
+    """Compute the hash of a tick in the hash chain.
 
     Args:
-        before: hash of the previous tick. For the first tick, it is the hash with which the chain
-            begins.
+        before: hash of the previous tick. For the first tick of the run, it is the hash with which
+            the chain begins.
         message: the Tick message.
         numbers: packed telemetry of the tick.
     """
@@ -89,10 +89,10 @@ def chain_message() -> MessageTemplate:
 
 
 class ChainTopic:
-    """Topic with the chain hash of every tick.
+    """Topic with the hash of every tick in the hash chain.
 
     Attributes:
-        last_hash: chain hash of the latest tick.
+        last_hash: hash of the latest tick in the chain.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:

@@ -1,4 +1,4 @@
-"""Topics for the diagnostics of motors, buses and the controller, and for the temperatures of motors."""
+"""Topics for the diagnostics of motors, buses and controller, and for the motor temperatures."""
 
 from dataclasses import dataclass, field
 
@@ -147,8 +147,8 @@ class HealthTopics:
         ]
 
     def _status_ticks(self, batch: TickBatch) -> NDArray[np.intp]:
-        """Return the indexes of the ticks that get a status message."""
-        # NaN is not equal to NaN. Without this line, an unknown state of a drive would count as a
+        """Return the indices of the ticks for which a status message is written."""
+        # NaN does not equal NaN. Without this line, an unknown state of a drive would look like a
         # change in every tick.
         phases = np.nan_to_num(batch.numbers[:, self._columns["drive_phase"]], nan=-1.0)
         state = np.column_stack([batch.mode, batch.action, phases])
@@ -160,7 +160,7 @@ class HealthTopics:
         return np.flatnonzero(changed | (np.diff(periods, prepend=last_period) != 0))
 
     def _count_frames(self, batch: TickBatch, start: int, end: int) -> None:
-        """Count the frames and io events of the ticks with indexes from `start` to `end` - 1."""
+        """Count the frames and io events of the ticks whose indices are from `start` to `end` - 1."""
         for direction, frames in enumerate((batch.received, batch.sent)):
             first, last = np.searchsorted(frames.tick_indexes, (start, end))
             bus = np.bincount(frames.frames["bus"][first:last], minlength=len(self._frames))
@@ -193,7 +193,7 @@ class HealthTopics:
         return [controller, *self._bus_statuses(), *self._motor_statuses(batch.numbers[index])]
 
     def _count_texts(self) -> dict[str, str]:
-        """Return the counts of io events as texts, by name."""
+        """Return the counts of io events as texts, by the name of the event."""
         return {f"io {name}": str(number) for name, number in self._io_events.items()}
 
     def _bus_statuses(self) -> list[DiagnosticStatus]:

@@ -26,7 +26,7 @@ Durability 1 is transient_local, 2 is volatile.
 
 @dataclass(slots=True)
 class TopicRegistry:
-    """Registry of the schemas and channels of a log.
+    """Registry of all schemas and channels of a log.
 
     Schemas and channels are numbered in the order of registration.
     """
@@ -74,7 +74,7 @@ class MessageStamps:
     sequence: NDArray[np.uint32]
 
     def selected(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "MessageStamps":
-        """Return the log times and sequence numbers of a selection of the messages."""
+        """Return the log times and sequence numbers of some of these messages."""
         return MessageStamps(self.log_times[index], self.sequence[index])
 
 
@@ -100,8 +100,8 @@ class MessageStream:
         """Build the layout of a Message record: a header of 31 bytes, then the template."""
         self._channel = channel
         self._stamps = len(template.stamp_offsets)
-        # Opcode 5 marks a Message record. The length field counts the bytes that follow it: 22
-        # bytes of header and the data.
+        # The opcode 5 marks a Message record. The length counts all bytes after the length field:
+        # 22 bytes of the header, and the data.
         self._record = (
             MESSAGE_STRUCT.pack(5, 22 + len(template.data), channel, 0, 0, 0) + template.data
         )
@@ -130,7 +130,7 @@ class MessageStream:
                 to the log times.
         """
         number = len(stamps.log_times)
-        # All messages begin as copies of the template. With a structured array, a single assignment
+        # All messages begin as copies of the template. In a structured array, a single assignment
         # then writes one field of all messages.
         rows = np.frombuffer(bytearray(self._record * number), self._dtype)
         measured = stamps.log_times if measured is None else measured
@@ -149,7 +149,7 @@ class MessageStream:
 def variable_length_block(
     channel: int, stamps: MessageStamps, messages: list[bytes]
 ) -> MessageBlock:
-    """Join messages of variable length to one block."""
+    """Join messages of different lengths to one block."""
     parts = []
     for sequence, t_ns, message in zip(
         stamps.sequence.tolist(), stamps.log_times.tolist(), messages, strict=True

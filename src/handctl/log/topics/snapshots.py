@@ -1,6 +1,6 @@
-"""Topic with a snapshot of the controller's state for every second of a run.
+"""Topic with a snapshot of the controller's state for each second of a run.
 
-From each snapshot, the rest of a log can be executed again.
+From a snapshot on, the rest of the log can be executed again.
 """
 
 import struct
@@ -59,7 +59,7 @@ def decode_snapshot(message: bytes) -> ControllerSnapshot:
 
     Raises:
         struct.error: the message is too short.
-        ValueError: the data of the snapshot end early.
+        ValueError: the data end before the end of the snapshot.
     """
     _, _, k, length = _SNAPSHOT_HEAD_STRUCT.unpack_from(message)
     data = message[_SNAPSHOT_HEAD_STRUCT.size : _SNAPSHOT_HEAD_STRUCT.size + length]

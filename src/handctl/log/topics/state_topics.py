@@ -62,7 +62,8 @@ _TOPIC_NOTES = {
 def moment_arms(header: RunHeader) -> FloatArray:
     """Return the moment arms R (N, J) of the tendons of a hand [m].
 
-    If a moment arm depends on the joint angle, R contains its mean over the range of the joint.
+    If a moment arm depends on the joint angle, R contains the mean of this moment arm over the
+    range of the joint.
     """
     return _hand_of(header).moment_arms
 
@@ -134,7 +135,7 @@ def estimate_template(names: tuple[str, ...], unit: str) -> MessageTemplate:
 
 
 def names_message(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
-    """Encode the names of the telemetry columns (`field/name`) as pal_statistics_msgs/StatisticsNames."""
+    """Encode the names (`field/name`) of the telemetry columns as pal_statistics_msgs/StatisticsNames."""
     out = CdrWriter()
     out.put_number("I", seconds)
     out.put_number("I", nanoseconds)
@@ -201,7 +202,7 @@ class StateTopics:
             )
 
     def _add_wrench_topic(self, registry: TopicRegistry, digit: str) -> MessageStream:
-        """Register the wrench topic of a digit."""
+        """Register the topic for the contact force (wrench) of a digit."""
         note = "force of the object on the digit; the tip closes towards +y of its frame"
         channel = registry.register_topic(
             f"/fingertip/{digit}/wrench", "geometry_msgs/WrenchStamped", note=note
@@ -225,8 +226,8 @@ class StateTopics:
             )
         for index, stream in enumerate(self._wrenches):
             force = np.zeros((len(batch.k), 3))
-            # The object pushes the tip against the direction +y in which the digit closes. The
-            # expression `0.0 -` avoids -0.0.
+            # A closing tip moves in the direction +y. The object pushes it in the opposite
+            # direction. With the expression `0.0 -`, the result is never -0.0.
             force[:, 1] = 0.0 - part["tip_force"][:, index]
             blocks.append(stream.block(stamps, {"force": force}))
         blocks.append(self._values.block(stamps, {"values": batch.numbers}))
@@ -263,7 +264,7 @@ class StateTopics:
     def _joint_state_values(
         self, topic: str, part: dict[str, FloatArray]
     ) -> dict[str, NDArray[np.generic]]:
-        """Return the values of position, velocity and effort for a JointState topic."""
+        """Return the positions, velocities and efforts for the messages of a JointState topic."""
         _, *fields = JOINT_STATE_TOPICS[topic]
         return {
             part_name: part[name]
@@ -278,7 +279,7 @@ class StateTopics:
         before = np.concatenate([[first_start], start[:-1]])
         period = np.where(before < 0, np.nan, (start - before) * 1e-9)
         missed = np.clip(np.diff(batch.k, prepend=first_k) - 1, 0, 2**32 - 1)
-        # The smallest int64 stands for a tick in which no reply arrived. This time becomes NaN.
+        # If no reply arrived in a tick, this time is the smallest int64. It is converted to NaN.
         latest = np.full(len(start), np.iinfo(np.int64).min)
         np.maximum.at(latest, batch.received.tick_indexes, batch.received.frames["t_ns"])
         received = (latest > np.iinfo(np.int64).min) & (before >= 0)

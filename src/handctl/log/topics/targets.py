@@ -47,8 +47,8 @@ class TargetTopic:
     def _targets_among(self, requests: tuple[TickRequest, ...]) -> Iterator[StreamTarget]:
         """Yield the streamed targets among some requests.
 
-        The request that opens a stream contains the names of the values in all later targets of
-        this stream.
+        The request that opens a stream gives the names for the values in all later targets of the
+        stream.
         """
         for request in requests:
             if isinstance(request, StreamTarget) or is_stream_target(request):

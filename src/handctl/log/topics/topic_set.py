@@ -1,4 +1,4 @@
-"""All topics of a log."""
+"""Set of all topics in a log."""
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -69,7 +69,7 @@ class TopicSet:
         return list(self._registry.channels.values())
 
     def latched(self) -> list[MessageBlock]:
-        """Return the messages that are written once, at t = 0 of the run."""
+        """Return the messages that are written only once, when the time of the run is 0."""
         stamps = MessageStamps(
             np.array([self._header.offset_ns], np.uint64), np.zeros(1, np.uint32)
         )
@@ -90,11 +90,11 @@ class TopicSet:
 
     @property
     def last_digest(self) -> bytes:
-        """Return the chain hash of the latest tick."""
+        """Return the hash of the latest tick in the hash chain."""
         return self._chain.last_hash
 
     def clock_pair(self, t_ns: int, k: int, wall_ns: int, monotonic_ns: int) -> MessageBlock:
-        """Return a message with a reading of the wall clock and of the monotonic clock.
+        """Return a message with the readings of the wall clock and the monotonic clock.
 
         Args:
             t_ns: time of the tick since the start of the run [ns].
@@ -120,8 +120,8 @@ class TopicSet:
             variable_length_block(self._tick, stamps, batch.messages),
             *self._chain.blocks(batch, stamps),
         ]
-        # If the controller fails, its numbers may overflow in these calculations. The log stores
-        # such results as they are.
+        # If the controller has failed, its numbers may overflow in these calculations. The log
+        # contains the results nevertheless.
         with np.errstate(all="ignore"):
             for part in self._parts:
                 blocks += part.blocks(batch, stamps)

@@ -1,6 +1,6 @@
-"""Topics with the transforms between the links of the hand.
+"""Topics with the transforms between the frames of the hand's links.
 
-Because of these topics, a viewer needs no knowledge of the kinematics of the hand.
+With these topics, a viewer can show the hand without knowing its kinematics.
 """
 
 import math
@@ -26,15 +26,15 @@ PRISMATIC_JOINT_AXIS = (0.0, 1.0, 0.0)
 
 
 class LinkFrame(NamedTuple):
-    """Frame of a link, relative to the frame of the parent link.
+    """Frame of a link, given relative to the frame of the parent link.
 
     Attributes:
-        parent, child: names of the frame of the parent link and of the frame of this link.
+        parent, child: names of the parent link's frame and of this link's frame.
         position: (3,) origin of the child frame in the parent frame [m].
-        rotation: (4,) quaternion x, y, z, w of the child frame at joint angle zero.
+        rotation: (4,) quaternion (x, y, z, w) of the child frame when the joint angle is zero.
         axis: (3,) joint axis as a unit vector in the child frame.
         joint: index of the joint that moves the link, or -1 if the link is fixed to its parent.
-        is_prismatic: True if the link slides along the axis.
+        is_prismatic: True if the link slides along the joint axis.
     """
 
     parent: str
@@ -47,7 +47,7 @@ class LinkFrame(NamedTuple):
 
 
 def quaternion_of_rpy(roll: float, pitch: float, yaw: float) -> tuple[float, ...]:
-    """Return the quaternion x, y, z, w of extrinsic rotations about x, y, z [rad]."""
+    """Return the quaternion (x, y, z, w) of extrinsic rotations about the axes x, y and z [rad]."""
     (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a / 2), math.cos(a / 2)) for a in (roll, pitch, yaw))
     return (
         sr * cp * cy - cr * sp * sy,
@@ -108,7 +108,7 @@ def multiply_quaternions(left: tuple[Any, ...], right: tuple[Any, ...]) -> tuple
 
 
 def link_quaternions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation of a link at joint angles (n,) [rad] as quaternions x, y, z, w (n, 4)."""
+    """Return the rotation of a link at joint angles (n,) [rad] as quaternions (x, y, z, w) of shape (n, 4)."""
     if link.is_prismatic:
         q = np.zeros_like(q)
     sine = np.sin(q / 2)
@@ -124,7 +124,7 @@ def link_positions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float6
     if not link.is_prismatic:
         return np.array([link.position])
     x, y, z, w = link.rotation
-    # The imaginary part of r a r* is the axis a, expressed in the frame of the parent.
+    # The imaginary part of r a r* is the axis a in the frame of the parent link.
     turned = multiply_quaternions(
         multiply_quaternions(link.rotation, (*link.axis, 0.0)), (-x, -y, -z, w)
     )[:3]
@@ -132,7 +132,7 @@ def link_positions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float6
 
 
 def _transform_stream(channel: int, link_frames: list[LinkFrame]) -> MessageStream:
-    """Return the stream of a tf2_msgs/TFMessage for some links."""
+    """Return the stream of tf2_msgs/TFMessage messages for some links."""
     out = TemplateWriter()
     out.put_length(len(link_frames))
     for index, link in enumerate(link_frames):
@@ -144,9 +144,9 @@ def _transform_stream(channel: int, link_frames: list[LinkFrame]) -> MessageStre
 
 
 class TfTopics:
-    """Topics /tf_static, which is written once, and /tf, which is written at 50 Hz.
+    """Topics /tf_static, with a single message, and /tf, with 50 messages per second.
 
-    If a joint angle is unknown, the rotation is NaN.
+    If a joint angle is not known, the rotation of its link is NaN.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
@@ -173,7 +173,7 @@ class TfTopics:
         return self._static.block(stamps, values)
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
-        """Return the /tf messages: one for the first tick in each 50 Hz period."""
+        """Return the /tf messages. The first tick in each period of 20 ms gets one."""
         periods = batch.t_ns // TRANSFORM_PERIOD_NS
         selected = np.flatnonzero(np.diff(periods, prepend=self._last))
         self._last = int(periods[-1])

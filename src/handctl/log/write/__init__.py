@@ -1,4 +1,4 @@
-"""Writing of logs.
+"""Writing of log files.
 
-A recorder process writes the file, and the controller sends records to it through a pipe.
+A recorder process writes the file. The controller sends records to this process through a pipe.
 """

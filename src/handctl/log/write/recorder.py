@@ -1,4 +1,4 @@
-"""Sending end of the pipe from the controller to the recorder process.
+"""The controller's end of the pipe to the recorder process.
 
 In real time, the controller sends a record without waiting.
 """
@@ -53,7 +53,7 @@ event of the recorder stops the hand.
 
 
 def _enlarge_pipe(descriptor: int) -> int:
-    """Request a larger size for a pipe. Return the size that the system has granted [bytes]."""
+    """Ask the system for a larger pipe. Return the size that the system has granted [bytes]."""
     for size in PIPE_BYTES if hasattr(fcntl, "F_SETPIPE_SZ") else ():
         with suppress(OSError):
             return fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, size)
@@ -95,14 +95,15 @@ class Recorder:
 
     @classmethod
     def start(cls, path: Path, header: RunHeader, floor_bytes: int = MIN_FREE_DISK_BYTES) -> Self:
-        """Start recording, and wait until the header is in the log file.
+        """Start recording, and wait until the log file contains the header.
 
-        If a recorder process was started ahead, use this process.
+        If a recorder process has already been started in advance, this process is used.
 
         Args:
             path: path of the new log file.
             header: header of the run.
-            floor_bytes: free disk space [bytes]. If less space is free, the log is finished early.
+            floor_bytes: smallest amount of free disk space for the recording [bytes]. If less space
+                is free, the recorder finishes the log early.
 
         Raises:
             LogError: the log file cannot be created, or the recorder process does not answer.
@@ -141,7 +142,7 @@ class Recorder:
             raise
 
     def _abandon_process(self) -> None:
-        """End a recorder process that did not start properly."""
+        """End a recorder process whose start has failed."""
         self._ended = True
         self._process.end_process()
 
@@ -151,7 +152,7 @@ class Recorder:
         self._child.stdout.close()
 
     def _send(self, data: bytes, timeout_s: float) -> bool:
-        """Write all bytes to the pipe, and wait at most `timeout_s` [s].
+        """Write all bytes to the pipe, but wait at most `timeout_s` [s].
 
         Returns:
             True if all bytes were written. If the result is False, no further record may be sent,
@@ -172,10 +173,12 @@ class Recorder:
         return True
 
     def send_record(self, data: bytes) -> bool:
-        """Send one record. A real-time run does not wait for a full pipe. A deterministic run waits.
+        """Send one record.
+
+        A real-time run does not wait for a full pipe. A deterministic run waits.
 
         Args:
-            data: encoded record, such as `record.pack_tick_record` returns.
+            data: encoded record, for example from `record.pack_tick_record`.
 
         Returns:
             True if the record was sent, and False if it was dropped.
@@ -188,8 +191,8 @@ class Recorder:
             self.dropped += self._ended
             return not self._ended
         try:
-            # If only a part of the last record was written, the rest of this record must be written
-            # first. Otherwise the recorder could not find the start of the next record.
+            # If only a part of the last record was written, the rest of it must be written first.
+            # Otherwise the recorder could not find the start of the next record.
             if self._rest:
                 self._rest = self._rest[os.write(self._pipe, self._rest) :]
             if not self._rest:
@@ -259,7 +262,7 @@ class Recorder:
         """Read all notes that the recorder process has sent to the controller.
 
         Args:
-            timeout_s: longest wait for the first note [s].
+            timeout_s: longest time to wait for the first note [s].
         """
         if timeout_s and not select.select([self._notes], [], [], timeout_s)[0]:
             return
@@ -279,11 +282,12 @@ class Recorder:
 
         Args:
             reason: reason why the run ended. The log contains it.
-            facts: facts for the log that become known at the end of the run, by name.
+            facts: facts for the log that are known only at the end of the run, by the name of the
+                fact.
 
         Returns:
-            A summary with path, bytes, complete and dropped. If the recorder has finished the log,
-            the summary also contains ticks, messages, lost and reason.
+            A summary with the keys path, bytes, complete and dropped. If the recorder has finished
+            the log, the summary also contains ticks, messages, lost and reason.
         """
         body = json.dumps(
             {"reason": reason, "dropped": self.dropped, "facts": dict(facts or {})}

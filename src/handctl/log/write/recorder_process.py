@@ -59,7 +59,7 @@ has real-time priority, which is higher still.
 def send_note(note: dict[str, object]) -> None:
     """Send a note to the controller.
 
-    If the pipe for notes is full, the note is lost, because the recorder must not wait.
+    If the pipe for notes is full, the note is lost, because the recorder must never wait.
     """
     with suppress(BlockingIOError, BrokenPipeError):
         os.write(1, json.dumps(note).encode() + b"\n")
@@ -77,13 +77,16 @@ class RecordSplitter:
     """
 
     def __init__(self) -> None:
-        """Create the splitter. The stream must begin at the start of a record."""
+        """Start with an empty stream.
+
+        The first byte of the stream must be the start of a record.
+        """
         self._rest = b""
 
     def split(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Add bytes of the stream.
+        """Add bytes to the stream.
 
-        Yield the kind and the body of each record that these bytes complete.
+        For each record that is now complete, yield the kind and the body.
         """
         data = self._rest + data
         at = 0
@@ -98,7 +101,7 @@ class RecordSplitter:
 
 
 class RecorderSession:
-    """Session of the recorder for one run, from the first record to the end of the input.
+    """Work of the recorder for one run, from the first record to the end of the input.
 
     Attributes:
         path: path of the log.
@@ -130,8 +133,8 @@ class RecorderSession:
             now = time.monotonic()
             if self._writer and self._wall_flush and now >= clean + MAX_UNWRITTEN_S:
                 self._writer.flush()
-            # `clean` is the last time at which no tick was waiting to be written. MAX_UNWRITTEN_S
-            # therefore counts from the arrival of the oldest waiting tick.
+            # `clean` is the last time at which no tick was waiting to be written to the file. So
+            # MAX_UNWRITTEN_S counts from the arrival of the oldest tick that waits.
             if not (self._writer and self._writer.has_pending_ticks):
                 clean = now
             if self._writer and now >= next_sync:
@@ -167,11 +170,11 @@ class RecorderSession:
 def main() -> int:
     """Run the recorder process, and return its exit code.
 
-    The code is 1 if the log file cannot be created.
+    If the log file cannot be created, the exit code is 1.
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    # Writing a note must never make the recorder wait.
+    # Writing a note must not block, because the recorder must never wait.
     os.set_blocking(1, False)
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, RECORDER_NICE_VALUE)

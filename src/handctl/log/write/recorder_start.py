@@ -2,7 +2,7 @@
 
 The recorder process needs half a second for its imports. A command that records a run starts the
 recorder process before it imports other modules (`recorder_process_ahead`). Both processes then
-import at the same time, on two cores. For this reason, this module itself imports only a few
+import modules at the same time, on two cores. Therefore this module itself imports only a few
 modules.
 """
 
@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 
 class RecorderProcess(NamedTuple):
-    """Recorder process that has no log file yet.
+    """Recorder process that does not have a log file yet.
 
     Attributes:
         child: the process. The stdout of this process is a pipe with notes to the controller.
@@ -44,7 +44,7 @@ The list has at most this one element.
 def start_recorder_process() -> RecorderProcess:
     """Start a recorder process. The process ends when the pipe for the records is closed."""
     reading, writing = os.pipe()
-    # Because of the option `-P`, Python does not import modules from the working directory.
+    # With the option `-P`, Python imports no modules from the working directory.
     command = [sys.executable, "-P", "-m", "handctl.log.write.recorder_process"]
     try:
         child = subprocess.Popen(
@@ -60,9 +60,11 @@ def start_recorder_process() -> RecorderProcess:
 
 @contextmanager
 def recorder_process_ahead() -> Iterator[None]:
-    """Start a recorder process in advance. The first recorder in this block uses it.
+    """Start a recorder process in advance.
 
-    If no recorder uses it, it is ended at the end of the block.
+    The first recorder that is created in this block uses this process.
+
+    If no recorder has used the process, it is ended at the end of the block.
     """
     _started_ahead.append(start_recorder_process())
     try:

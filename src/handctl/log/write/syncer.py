@@ -26,9 +26,9 @@ def sync_now(descriptor: int) -> None:
 
 
 class DiskSyncer:
-    """Function object that starts a sync of a file to disk.
+    """Callable object that starts a sync of a file to the disk.
 
-    If a sync has failed, a later call raises its error.
+    If a sync has failed, a later call raises the error of this sync.
     """
 
     def __init__(self) -> None:
@@ -38,7 +38,7 @@ class DiskSyncer:
     def __call__(self, descriptor: int) -> None:
         """Request a sync of the file to disk.
 
-        The next sync serves all requests that arrive during the present sync.
+        While a sync is running, new requests may arrive. The next sync serves all of them.
 
         Raises:
             OSError: an earlier sync failed.
@@ -82,7 +82,7 @@ def _close_all_but(*descriptors: int) -> None:
 def _serve_sync_requests(descriptor: int, requests: int, errors: int) -> None:
     """Serve sync requests until the recorder's end of the request pipe is closed.
 
-    One sync to disk serves all waiting requests.
+    A single sync serves all requests that are waiting.
     """
     while os.read(requests, _READ_BYTES):
         try:

@@ -1,4 +1,7 @@
-"""Writer of the log file of a run. The log stays readable if the disk is full or a write fails."""
+"""Writer of the log file of a run.
+
+The log stays readable even if the disk is full or a write fails.
+"""
 
 import errno
 import json
@@ -60,18 +63,19 @@ def _create_file(path: Path) -> int:
 class _ReservedSpace:
     """Disk space that is reserved for the end of a log.
 
-    A file without a name occupies this space. This file disappears if the recorder is killed.
+    A file without a name occupies this space on the disk. If the recorder is killed, this file
+    disappears.
     """
 
     def __init__(self, folder: Path) -> None:
         """Reserve the disk space.
 
-        If the space cannot be reserved, the log is written without it.
+        If the disk space cannot be reserved, the log is written nevertheless.
         """
         self._fd = -1
         with suppress(OSError):
             self._fd, name = tempfile.mkstemp(dir=folder)
-            # The space stays reserved as long as the file descriptor is open.
+            # The space stays reserved while the file descriptor is open.
             os.unlink(name)
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(self._fd, 0, RESERVED_BYTES)
@@ -88,13 +92,12 @@ class _ReservedSpace:
 class LogWriter:
     """Writer of the log file of a run.
 
-    After the first failed write, the writer closes the file. After this, it counts further ticks
-    without writing them.
+    After a write has failed, the writer closes the file. Later ticks are counted, but not written.
 
     Attributes:
         ticks: number of ticks written or waiting for the next chunk.
-        lost: number of ticks that were lost in a failed write, or that arrived after the file was
-            closed.
+        lost: number of ticks that were lost because a write failed, or because they arrived after
+            the file was closed.
         closed: True if the file is closed.
     """
 
@@ -114,10 +117,11 @@ class LogWriter:
             header: header of the run.
             report: function that is called for each event. The arguments of this function are one
                 of disk_low, disk_full, error and misshapen, and a number: free bytes, errno, or 1.
-            floor_bytes: free disk space [bytes]. If less space is free, the file is finished early.
-            clocks: function that reads the wall clock and the monotonic clock [ns]. A deterministic
-                run does not call this function.
-            to_disk: function that takes a file descriptor, and syncs its file to disk.
+            floor_bytes: smallest amount of free disk space for the recording [bytes]. If less space
+                is free, the writer finishes the file early.
+            clocks: function that reads the wall clock and the monotonic clock [ns]. In a lockstep
+                run, this function is not called.
+            to_disk: function that takes a file descriptor, and syncs the file to the disk.
 
         Raises:
             OSError: the file cannot be created. Later failures raise no error. Instead, `report` is
@@ -144,7 +148,7 @@ class LogWriter:
         self._write_header_records()
 
     def _write_header_records(self) -> None:
-        """Write the records that come before the ticks: attachments, metadata, schemas and channels."""
+        """Write the records that come before the ticks in the file: attachments, metadata, schemas and channels."""
         header = self._header
         container = self._container
         for name, data in ({"hand.toml": header.hand_toml.encode()} | header.attachments).items():
@@ -208,8 +212,8 @@ class LogWriter:
     def _ends_chunk(self, t_ns: int, begins_chunk: bool) -> bool:
         """Return True if the current chunk must end with this tick.
 
-        In a deterministic run, the chunks end on a fixed time grid. In other runs, a chunk ends
-        after CHUNK_SPAN_NS.
+        In a lockstep run, the chunks end at fixed times. In other runs, a chunk ends after
+        CHUNK_SPAN_NS.
         """
         if self._header.deterministic:
             before = self._mark
@@ -224,7 +228,7 @@ class LogWriter:
         if self.closed or not self.has_pending_ticks:
             return
         batch = self._batcher.take_batch()
-        # Each missing tick number counts as a missed tick, even between two chunks.
+        # Each tick number that does not occur counts as a missed tick, even between two chunks.
         first = self._last_k + 1 if self._last_k >= 0 else int(batch.k[0])
         self._missed += max(int(batch.k[-1]) - first + 1 - len(batch.k), 0)
         self._last_k = int(batch.k[-1])
@@ -240,7 +244,7 @@ class LogWriter:
             self._close_after_failure(error)
 
     def _clock_pair(self, t_ns: int) -> list[MessageBlock]:
-        """If PAIR_PERIOD_NS has passed since the last readings, return a message with the readings of both clocks."""
+        """Return a message with new readings of both clocks, if PAIR_PERIOD_NS has passed since the last ones."""
         if self._header.deterministic or t_ns < self._next_pair_ns:
             return []
         self._next_pair_ns = t_ns + PAIR_PERIOD_NS
@@ -252,7 +256,8 @@ class LogWriter:
             return
         try:
             self._to_disk(self._fd)
-            # The descriptor stays valid even if somebody renames or deletes the log during the run.
+            # The file descriptor stays valid even if somebody renames or deletes the log file
+            # during the run.
             disk = os.fstatvfs(self._fd)
         except OSError as error:
             self._close_after_failure(error)
@@ -265,7 +270,7 @@ class LogWriter:
             self._report("disk_low", free)
 
     def _stop_early(self, free_bytes: int) -> None:
-        """Finish the log early because the disk is nearly full."""
+        """Finish the log early, because the disk is almost full."""
         self.flush()
         if not self.closed:
             self._report("disk_full", free_bytes)
@@ -283,7 +288,7 @@ class LogWriter:
     def _write_end(self, reason: str, dropped: int, facts: Mapping[str, str] | None = None) -> None:
         """Write the end of the log file: the end record, the summary and the footer.
 
-        If this fails, the file is cut after the last complete record.
+        If a write fails, the file is cut off after the last complete record.
         """
         self.closed = True
         self._reserved.release()
@@ -318,7 +323,7 @@ class LogWriter:
         Args:
             reason: reason why the run ended.
             dropped: number of records that the controller could not send to the recorder.
-            facts: facts about the run that become known at its end, by name.
+            facts: facts about the run that are known only at its end, by the name of the fact.
         """
         self.flush()
         if not self.closed:

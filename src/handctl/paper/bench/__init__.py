@@ -1,1 +1,1 @@
-"""Experiments of the paper, repeated with the simulated hand."""
+"""Experiments of the paper about the hand `jamia`, repeated with a simulated hand."""

@@ -1,4 +1,7 @@
-"""Simulated test bench. The real controller runs in lockstep, over a simulated bus."""
+"""Test bench in the simulator, for the experiments of the paper.
+
+The real controller runs in lockstep with a simulated hand, over a simulated bus.
+"""
 
 from dataclasses import dataclass, field
 from functools import cache
@@ -21,11 +24,11 @@ RATE_HZ = 500.0
 
 @dataclass
 class BenchRecording:
-    """Measurements of a run on the bench, and phases of its task, for every tick.
+    """Measurements in every tick of a run on the simulated test bench, and the phases of the task.
 
     Attributes:
         t_ns: time of each tick [ns].
-        phase: phase of the task at each tick.
+        phase: phase of the task in each tick.
         tension: (ticks, N) readings of the load cells [N].
         travel: (ticks, N) readings of the motor encoders [rad].
     """
@@ -43,7 +46,7 @@ class BenchRecording:
         self.travel.append(out.telemetry.motor_position)
 
     def in_phase(self, name: str) -> Vector:
-        """Return a mask (ticks,) that is True for the ticks of a phase."""
+        """Return a mask (ticks,) that is True in the ticks of the given phase."""
         return np.array([phase == name for phase in self.phase])
 
 
@@ -54,7 +57,7 @@ def run_bench_task(
 
     Args:
         hand_file: name of a packaged hand, or path of a hand file.
-        scene: scene of the simulator.
+        scene: scene for the simulator.
         task: task of the controller.
         truth: file to which the simulator writes the ground truth, or None.
         seed: seed of the simulated noise.
@@ -75,6 +78,6 @@ def run_bench_task(
 def _hand_model(hand_file: str) -> HandModel:
     """Return the model of a hand, with the gains designed for it.
 
-    The result is cached, because a design takes about a second.
+    The result is cached, because the design of the gains takes about a second.
     """
     return HandModel.from_hand(load_hand(hand_file), Gains(), RATE_HZ)

@@ -1,6 +1,7 @@
-"""Experiments of the paper as jobs for worker processes.
+"""Experiments of the paper, described as jobs for worker processes.
 
-A job and its result consist of plain values. Therefore they can be sent to another process.
+A job and the result of a job consist of plain values. Therefore they can be sent to another
+process.
 """
 
 import json
@@ -18,11 +19,12 @@ JobRunner = Callable[[Sequence[ExperimentJob]], list[ExperimentResult]]
 
 
 def run_job(job: ExperimentJob, folder: Path) -> ExperimentResult:
-    """Run the experiment of a job, and return its result.
+    """Run the experiment that a job describes, and return the result.
 
     Args:
-        job: name of the experiment under `do`, and its arguments, see `run_experiments`.
-        folder: folder for the files of the job.
+        job: table with the name of the experiment under `do`, and with the arguments of the
+            experiment, see `run_experiments`.
+        folder: folder for the files that the experiment writes.
     """
     match job["do"]:
         case "pull":
@@ -35,7 +37,7 @@ def run_job(job: ExperimentJob, folder: Path) -> ExperimentResult:
 
 
 def job_description(job: ExperimentJob) -> str:
-    """Return a description of a job for progress reports."""
+    """Return a description of a job for reports of progress."""
     match job["do"]:
         case "pull":
             return f"pulling a blocked finger to {force_displacement.MAX_PULL_N:g} N"
@@ -50,15 +52,15 @@ def job_count() -> int:
 
 
 def run_experiments(workers: JobRunner) -> dict[str, Any]:
-    """Run all experiments, and return the results.
+    """Run all experiments of the paper, and return the results.
 
     Returns:
         A table with the results of `force_displacement.measure_tendons` under `force_displacement`,
         and a list under `payload` with one result for each diameter and axis.
     """
     searches = [{"do": "search", "diameter_mm": diameter} for diameter in payload.DIAMETERS_MM]
-    # The load jobs need the tensions that the search jobs find. Therefore the search jobs run
-    # first.
+    # The jobs that load the hand need the tensions that the search jobs find. Therefore the search
+    # jobs run first.
     pulled, *grips = workers([{"do": "pull"}, *searches])
     loads = [
         {"do": "load", "diameter_mm": diameter, "axis": axis, "found": grip}
@@ -73,7 +75,7 @@ SIGNIFICANT_DIGITS = 6
 
 
 def rounded_results(results: Any) -> Any:
-    """Return results in which every float is rounded to `SIGNIFICANT_DIGITS` significant digits."""
+    """Return the results with every float rounded to `SIGNIFICANT_DIGITS` significant digits."""
     if isinstance(results, float):
         return float(f"{results:.{SIGNIFICANT_DIGITS}g}")
     if isinstance(results, Mapping):
@@ -89,7 +91,7 @@ def load_results(path: Path) -> dict[str, Any]:
     """Read the results of `run_experiments` from a file.
 
     Raises:
-        ConfigError: The file cannot be read, or does not contain all experiments.
+        ConfigError: the file cannot be read, or does not contain the results of all experiments.
     """
     cases = {
         (diameter, axis) for diameter in payload.DIAMETERS_MM for axis in payload.LOAD_DIRECTIONS

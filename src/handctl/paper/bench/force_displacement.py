@@ -1,4 +1,4 @@
-"""Measurement for Figure 5: force over displacement of a tendon that pulls a blocked finger.
+"""Measurement for Figure 5 of the paper: force over displacement of a tendon that pulls a blocked finger.
 
 The encoder of the motor measures the displacement, and the load cell measures the force.
 """
@@ -50,12 +50,13 @@ class TendonCurve:
     """Measured force-displacement curve of a tendon.
 
     Attributes:
-        knee_nominal: tension at which the simulated tendon has its knee [N].
-        displacement: (samples,) displacement at the spool [mm]. Zero is the point where the
-            extended linear part reaches the force 0.
+        knee_nominal: tension at which the simulated tendon becomes softer (the knee of its curve)
+            [N].
+        displacement: (samples,) displacement of the tendon at the spool [mm]. The displacement is
+            zero where the extension of the linear part reaches the force 0.
         force: (samples,) reading of the load cell [N].
-        stiffness: stiffness of the linear part [N/m].
-        knee: tension at the measured knee [N], or None if the curve is linear to its end.
+        stiffness: stiffness in the linear part of the curve [N/m].
+        knee: tension at the measured knee [N], or None if the whole curve is linear.
         knee_sigma: standard deviation of the measured knee [N].
     """
 
@@ -68,9 +69,9 @@ class TendonCurve:
 
 
 def blocked_hand(knees: tuple[float, ...]) -> Hand:
-    """Return the bench hand with clamped joints.
+    """Return the hand of the test bench, with all joints clamped.
 
-    The first tendons of this hand have the given knees.
+    In this hand, the first tendons have the given tensions at the knee of their curves [N].
     """
     content = copy.deepcopy(load_hand(HAND_NAME).content)
     for digit in content["digit"]:
@@ -109,7 +110,7 @@ def measure_tendons(folder: Path) -> dict[str, Any]:
 
 
 def _pull_task(tension: dict[str, float]) -> Task:
-    """Return the task that pulls the tendons of digits to given tensions [N]."""
+    """Return the task that pulls the tendons of some digits to given tensions [N]."""
     phases = (
         {
             "kind": "close",
@@ -130,7 +131,7 @@ def _pull_task(tension: dict[str, float]) -> Task:
 
 
 def curve_of_tendon(measured: Mapping[str, Any], noise: float) -> TendonCurve:
-    """Return the force-displacement curve of a measurement, with its stiffness and its knee.
+    """Return the force-displacement curve of a measurement, with the stiffness and the knee of the curve.
 
     Args:
         measured: result of `measure_tendons` for one tendon.
@@ -157,14 +158,15 @@ def curve_of_tendon(measured: Mapping[str, Any], noise: float) -> TendonCurve:
 
 
 def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, float]:
-    """Return the tension at the knee from a least-squares fit, and its standard deviation [N]."""
+    """Fit a curve with a knee by least squares, and return the tension at the knee and its standard deviation [N]."""
 
     def knee_curve(x: Array, knee: float, ratio: float, width: float) -> Array:
         tendon = TendonElasticity(slope, ratio * slope, knee, width, 0.0)
         return np.array([tendon.elastic_tension(value) for value in x.tolist()])
 
     bounds = ([100.0, 0.05, 1e-5], [300.0, 0.95, 2e-3])
-    # Every fourth sample is enough. More samples cost time, and make the knee hardly more exact.
+    # The fit uses only every fourth sample. With more samples, the fit takes longer, and the knee
+    # hardly becomes more accurate.
     parameters, covariance = curve_fit(
         knee_curve, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds
     )
@@ -178,7 +180,7 @@ def curves_of_tendons(measured: Mapping[str, Any]) -> list[TendonCurve]:
 
 
 def knee_items(measured: Mapping[str, Any]) -> list[ErrataItem]:
-    """Return items that compare the measured knees with the knees that the paper states."""
+    """Return items that compare the measured knees of the curves with the knees that the paper states."""
     rows = []
     verdict = verdict_of_contradiction([str(knee) for knee in src.KNEE_TENSIONS_N], None)
     for place, tendon in zip(("Sec. 5", "Abstract"), curves_of_tendons(measured), strict=True):

@@ -1,7 +1,7 @@
-"""Measurement of the payload of the hand in the simulator.
+"""Measurement of the payload of a hand in the simulator.
 
-The hand grips a cylinder with 6 N per finger. Then a force along one axis loads the cylinder until
-it slips.
+The hand grips a cylinder with 6 N per finger. Then a force along one axis pulls the cylinder, and
+grows until the cylinder slips.
 """
 
 from collections.abc import Mapping, Sequence
@@ -92,8 +92,8 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     normals = np.array(
         [_mean_normals(truth, _phase_end_ns(recording, phase["name"])) for phase in phases]
     )
-    # Interpolation needs strictly increasing forces. Each force is raised by 1e-6 N per phase, so
-    # that equal forces differ.
+    # The interpolation needs forces that strictly increase. From phase to phase, 1e-6 N more is
+    # added to each force, so that equal forces become different.
     normals = np.maximum.accumulate(normals + 1e-6 * np.arange(len(phases))[:, None])
     start_s = recording.t_ns[recording.phase.index(phases[0]["name"])] / 1e9
     target_normals = np.full(len(names), float(src.FINGER_GRIP_FORCE_N))
@@ -109,7 +109,7 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
 
 
 def _tension_for_normals(stairs: Array, target_normals: Array) -> dict[str, float]:
-    """Return the tension of each digit with which the fingers press with given normal forces [N].
+    """Return the tension of each digit at which the fingers press with the given normal forces [N].
 
     The tensions are interpolated between the steps of the search (steps, digits).
     """
@@ -125,7 +125,7 @@ def _tension_for_normals(stairs: Array, target_normals: Array) -> dict[str, floa
 def load_until_slip(
     folder: Path, diameter_mm: float, axis: str, grip: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Grip the cylinder, load it until it slips, and return the result as plain values."""
+    """Grip the cylinder, load it with a force until it slips, and return the result as plain values."""
     tension = grip["tension_N"]
     hold = _hold_phase("load", tension, GRIP_SETTLING_S + LOAD_DURATION_S)
     start = grip["began_s"] + GRIP_SETTLING_S
@@ -134,11 +134,11 @@ def load_until_slip(
     end = int(np.searchsorted(truth.t_ns, _phase_end_ns(recording, "load")))
     normals = _mean_normals(truth, int(truth.t_ns[first]))
     slip, ended = _find_slip(truth, first, end)
-    # Along z, the weight of the object acts in the direction of the load.
+    # Along the axis z, the weight of the object acts in the same direction as the load.
     weight = CYLINDER_MASS_KG * float(src.GRAVITY_M_PER_S2) if axis == "z" else 0.0
     load = float(truth.column_at("load", truth.t_ns[slip : slip + 1])[0]) + weight
-    # The sum of the digits' contact forces along x, which points out of the palm, rests on the
-    # palm.
+    # The axis x points out of the palm. So the palm carries the sum of the digits' contact forces
+    # along x.
     palm = sum(
         float(truth.column_at(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0])
         for name in tension
@@ -156,7 +156,7 @@ def load_until_slip(
 
 
 def _hold_phase(name: str, tension: Mapping[str, float], duration: float) -> dict[str, Any]:
-    """Return a phase of a task that holds given tensions."""
+    """Return a task phase in which the digits hold given tensions."""
     return {
         "kind": "hold",
         "name": name,
@@ -223,23 +223,26 @@ def _find_slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
         "moved": np.flatnonzero(moved > SLIP_DISTANCE_M),
         "creep": np.flatnonzero(speed > SLIP_SPEED_M_PER_S) + window,
     }
-    # A speed belongs to the end of the window over which it is measured.
+    # A speed is assigned to the end of the time window over which it is measured.
     slips = [(int(rows[0]), ended) for ended, rows in crossings.items() if len(rows)]
     row, ended = min(slips, default=(len(moved) - 1, "held"))
     return first + row, ended
 
 
 def friction_bound_kg(result: Mapping[str, Any]) -> float:
-    """Return the largest payload that Coulomb friction permits [kg].
+    """Return the largest mass that the hand can hold according to Coulomb friction [kg].
 
-    The limit follows from the measured normal forces of the digits and the palm.
+    The mass follows from the measured normal forces of the digits and the palm on the object.
     """
     normal = sum(result["normal_N"].values()) + result["palm_N"]
     return float(src.FRICTION_COEFFICIENT) * float(normal) / float(src.GRAVITY_M_PER_S2)
 
 
 def payload_items(results: Sequence[Mapping[str, Any]]) -> list[ErrataItem]:
-    """Return one item for each load case. A load case is a diameter and an axis."""
+    """Return one item of the errata for each load case.
+
+    A load case is a combination of a diameter and an axis.
+    """
     rows = []
     for result in results:
         axis = result["axis"]
@@ -264,7 +267,7 @@ def payload_items(results: Sequence[Mapping[str, Any]]) -> list[ErrataItem]:
 
 
 def payload_table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:
-    """Return a table that compares measured payloads with the paper's formula and the limits of friction.
+    """Return a table that compares measured payloads with the formula of the paper and with the limits of friction.
 
     The first row contains the titles of the columns.
     """

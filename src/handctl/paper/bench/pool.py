@@ -26,7 +26,8 @@ def worker_pool(size: int, report: ReportFunction) -> Iterator[JobRunner]:
         report: function that is called at the start and at the end of each job.
     """
     command = [sys.executable, "-m", WORKER_MODULE]
-    # In a separate session, workers do not receive Ctrl-C from the terminal.
+    # Because the workers have a process session of their own, they do not receive Ctrl-C from the
+    # terminal.
     children = [
         subprocess.Popen(
             command,
@@ -51,7 +52,7 @@ def _distribute_jobs(
 ) -> list[ExperimentResult]:
     """Distribute jobs among workers, and return the results in the order of the jobs.
 
-    Each worker gets its next job when it has returned a result.
+    When a worker has returned a result, it gets the next job.
     """
     results: dict[int, ExperimentResult] = {}
     waiting = iter(enumerate(jobs))
@@ -87,10 +88,10 @@ def _send_next_job(
 
 
 def _read_result(child: WorkerProcess) -> ExperimentResult:
-    """Return the result that a worker has sent.
+    """Return the result of an experiment that a worker has sent.
 
     Raises:
-        HandctlError: The experiment failed, or the worker process ended without a result.
+        HandctlError: the experiment failed, or the worker process ended without a result.
     """
     line = _checked_pipe(child.stdout).readline()
     if not line:

@@ -14,10 +14,12 @@ from handctl.paper.bench.experiments import run_job
 
 
 def main() -> None:
-    """Run jobs until the input ends. If an experiment fails, the result is the error message.
+    """Read jobs and run them until the input ends.
 
-    The worker ignores Ctrl-C, because the process that sends the jobs handles it. That process
-    sends SIGTERM to the worker, which then removes its folder and ends.
+    If an experiment fails, the error message is written in place of the result.
+
+    The worker ignores Ctrl-C, because the process that sends the jobs handles Ctrl-C. The sending
+    process then sends SIGTERM to the worker, which deletes its folder and ends.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))

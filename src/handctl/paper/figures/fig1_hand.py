@@ -1,4 +1,4 @@
-"""Fig. 1: the hand in three dimensions, drawn from its hand file."""
+"""Fig. 1 of the paper: the hand in three dimensions, drawn from the hand file."""
 
 from itertools import pairwise
 from typing import Any
@@ -33,7 +33,7 @@ VIEW_ANGLES_DEG = (24.0, -58.0)
 def draw_hand_figure(figure: Any) -> None:
     """Draw the palm, and then the digits.
 
-    All digits are in one collection, so that near faces hide far faces.
+    All digits belong to one collection of faces, so that near faces hide far faces.
     """
     from matplotlib.patheffects import withStroke
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped,unused-ignore]
@@ -75,7 +75,7 @@ def draw_hand_figure(figure: Any) -> None:
 
 
 def _set_axes(axes: Any) -> None:
-    """Set the limits, labels and title of the axes."""
+    """Set the limits, the labels and the title of the axes."""
     axes.set(
         xlabel="x, out of the palm [mm]",
         ylabel="y, thumb to fingers [mm]",
@@ -105,7 +105,7 @@ def _palm_faces() -> list[Array]:
     mounts = np.array([digit.mount_position_m for digit in src.paper_hand().digit])
     low = 1000.0 * (mounts.min(axis=0) - PALM_MARGIN_M)
     high = 1000.0 * (mounts.max(axis=0) + PALM_MARGIN_M)
-    # The box lies behind the plane in which the digits are mounted.
+    # The box lies behind the plane on which the digits are mounted.
     low[0] = -1000.0 * PALM_THICKNESS_M
     high[0] = 0.0
     faces = []
@@ -128,8 +128,8 @@ def _capsule_faces(start: Array, end: Array, radius: float) -> list[Array]:
     side /= np.linalg.norm(side)
     up = np.cross(along, side)
     quarter = np.linspace(0.0, np.pi / 2, FACES_ALONG)
-    # The first rings of corners are along the straight part of the bar, the others around its round
-    # end.
+    # The first rings of corners are along the straight part of the bar. The other rings are around
+    # the round end.
     rings = [(start + (end - start) * fraction, radius) for fraction in np.linspace(0.0, 0.9, 5)]
     rings += [(end + along * radius * np.sin(a), radius * np.cos(a)) for a in quarter]
     turn = np.linspace(0.0, 2.0 * np.pi, FACES_AROUND + 1)
@@ -151,7 +151,8 @@ def _shaded_colour(face: Array, colour: str) -> tuple[float, float, float]:
 
     normal = np.cross(face[2] - face[0], face[3] - face[1])
     length = float(np.linalg.norm(normal))
-    # The ambient light is 0.55. The rest depends on the angle between face and light.
+    # The brightness of a face is at least 0.55, which is the ambient light. The rest of the
+    # brightness depends on the angle between the face and the light.
     bright = (
         0.55
         + 0.45

@@ -1,4 +1,4 @@
-"""Fig. 2: kinematic model of a finger, with links, hinges, relative and absolute angles."""
+"""Fig. 2 of the paper: kinematic model of a finger, with links, hinges, relative and absolute angles."""
 
 from typing import Any
 
@@ -15,7 +15,10 @@ ARC_RADII_MM = (9.0, 6.0, 5.0)
 
 
 def draw_model_figure(figure: Any) -> None:
-    """Draw a bent finger. At each joint, show the angles that sections 4 and 7 of the paper use."""
+    """Draw a finger with bent joints.
+
+    At each joint, draw the angles that sections 4 and 7 of the paper use.
+    """
     axes = figure.add_subplot()
     q = np.radians(POSE_ANGLES_DEG)
     theta = np.cumsum(q)
@@ -52,7 +55,7 @@ def draw_model_figure(figure: Any) -> None:
 
 
 def _draw_ray(axes: Any, start: Any, angle: float, length: float, colour: str) -> None:
-    """Draw the dashed line from which an angle is measured."""
+    """Draw the dashed line from which a joint angle is measured."""
     end = start + length * np.array([np.cos(angle), np.sin(angle)])
     axes.plot(*np.column_stack((start, end)), "--", color=colour, linewidth=1.0, zorder=2)
 
@@ -60,7 +63,7 @@ def _draw_ray(axes: Any, start: Any, angle: float, length: float, colour: str) -
 def _draw_arc(
     axes: Any, centre: Any, between: tuple[float, float], radius: float, colour: str, label: str
 ) -> None:
-    """Draw the arc of an angle, with the name of the angle outside the middle of the arc."""
+    """Draw the arc of an angle, and the name of the angle next to the middle of the arc."""
     angles = np.linspace(*between, 40)
     axes.plot(
         *(centre[:, None] + radius * np.array([np.cos(angles), np.sin(angles)])),

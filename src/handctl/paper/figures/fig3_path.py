@@ -1,7 +1,7 @@
 """Fig. 3: workspace of the tips of finger and thumb.
 
-The figure shows the curve of Eq. 1-2, the limits of the hand, and the area that the tips would
-reach with independent joints.
+The figure shows the curve of Eq. 1-2, the limits of the hand, and the area that the tips could
+reach if all joints moved independently.
 """
 
 from typing import Any
@@ -24,7 +24,7 @@ POSES_DEG = (0.0, 30.0, 60.0, 90.0)
 
 
 def draw_path_figure(figure: Any) -> None:
-    """Draw the workspaces of finger and thumb next to each other, on the same scale."""
+    """Draw the reachable positions of finger and thumb side by side, on the same scale."""
     left, right = figure.subplots(1, 2, width_ratios=(110, 58), sharey=True)
     _draw_digit(left, "index", "Finger: Eq. 1-2", (-46, 64))
     _draw_digit(right, "thumb", "Thumb: the same with 15 and 10 mm", (-24, 34))
@@ -33,7 +33,7 @@ def draw_path_figure(figure: Any) -> None:
 
 
 def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
-    """Draw a digit in some poses, its curve, and its area."""
+    """Draw a digit in some poses, the curve of its tip, and the area that the tip could reach."""
     model = kinematics.paper_digit(name)
     _draw_area(axes, kinematics.reachable_tips(name, SAMPLE_COUNTS[name]), x, HEIGHT_RANGE_MM)
     low, high = coordinate_limits(model)
@@ -75,9 +75,10 @@ def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> Non
 
 
 def _draw_area(axes: Any, tips: Array, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Draw the cells that contain a sampled position of the tip, and fill the gaps between these cells."""
+    """Fill the cells that contain a sampled position of the fingertip, and also the gaps between these cells."""
     bins = [np.arange(low, high + AREA_CELL_MM, AREA_CELL_MM) for low, high in (x, y)]
-    # Without this filling, empty cells between two samples would look like holes in the workspace.
+    # Otherwise, empty cells between two samples would look like positions that the tip cannot
+    # reach.
     hit = binary_closing(np.histogram2d(tips[:, 0], tips[:, 1], bins=bins)[0] > 0, iterations=3)
     smooth = gaussian_filter(hit.astype(float), 1.5).T
     middles = [(edges[:-1] + edges[1:]) / 2.0 for edges in bins]

@@ -1,4 +1,4 @@
-"""Fig. 4 and 6: moments at the joints of a straight digit, from a force at its tip and from its tendon."""
+"""Fig. 4 and 6 of the paper: moments that a force on the tip and the tendon cause at the joints of a straight digit."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ def draw_statics_figure(figure: Any) -> None:
 
 
 def _draw_digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
-    """Draw the moments that the tip force requires at the joints of a digit, and those that the tendon produces."""
+    """Draw the moments that balance the tip force at a digit's joints, and the moments of the tendon."""
     levers = [float(lever) for lever in src.levers_mm(digit)]
     positions = [levers[0] - lever for lever in levers]
     constant = levers[0]
@@ -64,7 +64,7 @@ def _draw_digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
 
 
 def _draw_outline(axes: Any, nodes: list[float]) -> None:
-    """Draw the digit below the axis, with the force at its tip."""
+    """Draw the digit below the axis, with the force at the tip of the digit."""
     axes.plot(
         nodes, [-12.5] * len(nodes), color=GREY, linewidth=6, solid_capstyle="round", alpha=0.45
     )

@@ -1,4 +1,4 @@
-"""Fig. 7: components of the torque that closes a digit, and T_1 by Eq. 10 as printed and as corrected."""
+"""Fig. 7 of the paper: parts of the torque that closes a digit, and T_1 by Eq. 10, both as printed and corrected."""
 
 from typing import Any
 
@@ -23,7 +23,7 @@ LINK_PARTS = TORQUE_PARTS[:3]
 def draw_torque_figure(figure: Any) -> None:
     """Draw the torques of finger and thumb at three speeds.
 
-    A second plot below each enlarges the components of the links.
+    Below each plot, a second plot shows the torques of the links on a larger scale.
     """
     rows = figure.subplots(
         4, len(CLOSING_DURATIONS_S), sharey="row", height_ratios=(1.15, 1, 1.15, 1)
@@ -72,7 +72,7 @@ def draw_torque_figure(figure: Any) -> None:
 
 def _add_tension_axis(axes: Any, lever: float, labelled: bool) -> None:
     """Add an axis that shows the torque as a tension of the tendon."""
-    # Torques in mN m become N m, and divided by the lever become N.
+    # The torques are converted from mN m to N m. Division by the lever then gives tensions in N.
     factor = 1e-3 / lever
     side = axes.secondary_yaxis(
         "right", functions=(lambda torque: torque * factor, lambda force: force / factor)
@@ -84,9 +84,10 @@ def _add_tension_axis(axes: Any, lever: float, labelled: bool) -> None:
 
 
 def draw_eq10_figure(figure: Any) -> None:
-    """Draw T_1 by Eq. 10 as printed and as corrected.
+    """Draw T_1 as Eq. 10 gives it, both as printed and as corrected.
 
-    One plot has the scale of the printed equation, the other plot that of the corrected equation.
+    The scale of one plot suits the printed equation. The scale of the other plot suits the
+    corrected equation.
     """
     times, printed, right = first_torque(CLOSING_DURATIONS_S[1])
     wide, close = figure.subplots(1, 2)

@@ -1,4 +1,4 @@
-"""All figures: names, sizes, and the functions that draw them."""
+"""All figures of the page about the paper: names, sizes, and the functions that draw them."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -22,7 +22,7 @@ DrawFunction = Callable[[Any], None]
 def figure_contents(
     results: Mapping[str, Any] | None,
 ) -> dict[str, tuple[tuple[float, float], DrawFunction]]:
-    """Return the size [inch] and the drawing function of each figure.
+    """Return the size [inch] and the drawing function of each figure, by the name of the figure.
 
     Without results of experiments, the figures of measurements are left out.
     """
@@ -55,11 +55,11 @@ def draw_all_figures(folder: Path, results: Mapping[str, Any] | None) -> dict[st
 
     Args:
         folder: folder to write to, created if it does not exist.
-        results: results of `experiments.run_experiments`. If they are None, the figures of
+        results: results of `experiments.run_experiments`. If they are None, the figures about
             measurements are left out.
 
     Returns:
-        Path of the SVG file of each figure.
+        Path of the SVG file of each figure, by the name of the figure.
     """
     folder.mkdir(parents=True, exist_ok=True)
     return {

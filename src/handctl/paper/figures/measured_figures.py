@@ -1,4 +1,4 @@
-"""Fig. 5 and a figure of the payload.
+"""Fig. 5 of the paper, and a figure of the payload.
 
 Both show measurements on the simulated bench, and mark the values of the paper.
 """
@@ -80,7 +80,8 @@ def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
     )
     axes.set(xlim=(0, end), ylim=(0, top), title="Tendon of a blocked finger, pulled over the bus")
     axes.legend(loc="lower right", fontsize=8.5, markerscale=4)
-    # Stress is proportional to tension. Therefore one factor gives the second axis.
+    # Stress is proportional to tension. Therefore the second axis differs from the first one only
+    # by a factor.
     factor = src.wire_stress_mpa(1.0, wire)
     stress = axes.secondary_yaxis(
         "right", functions=(lambda force: force * factor, lambda mpa: mpa / factor)
@@ -105,7 +106,7 @@ def draw_payloads(figure: Any, results: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _draw_bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
-    """Draw the payload of each load case."""
+    """Draw the payload of each load case as a bar."""
     width = 0.26
     for k, diameter in enumerate(payload.DIAMETERS_MM):
         rows = {result["axis"]: result for result in results if result["diameter_mm"] == diameter}
@@ -142,7 +143,7 @@ def _draw_bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _draw_lines(axes: Any) -> None:
-    """Draw lines at the payload of the paper, and at the payload with friction on both sides of the object."""
+    """Draw a line at the payload in the paper, and a line at the payload with friction on both sides."""
     both = 2.0 * float(src.payload_kg(src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N))
     edge = len(payload.LOAD_DIRECTIONS) - 0.6
     for value, colour, text in (
@@ -154,13 +155,14 @@ def _draw_lines(axes: Any) -> None:
 
 
 def _draw_traces(axes: Any, axis: str, results: Sequence[Mapping[str, Any]]) -> None:
-    """Draw the motion of the object over the load along an axis."""
+    """Draw how far the object has moved, over the load along an axis."""
     gravity = float(src.GRAVITY_M_PER_S2)
     for result, colour in zip(results, AXIS_COLOURS, strict=True):
         axes.plot(
             result["trace_mm"], np.array(result["trace_N"]) / gravity, color=colour, linewidth=1.3
         )
-        # This is the first sample of the trace with at least the load at which the object slipped.
+        # This is the first sample at which the load is at least the load at which the object
+        # slipped.
         row = int(np.searchsorted(result["trace_N"], result["load_N"]))
         position = result["trace_mm"][min(row, len(result["trace_mm"]) - 1)]
         axes.plot(

@@ -1,4 +1,4 @@
-"""Style of all figures of the paper: their colours and sizes, and how they are saved."""
+"""Style of all figures of the paper: colours, sizes, and the way in which figures are saved."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -36,12 +36,12 @@ FIGURE_DPI = 160
 def write_figure(
     folder: Path, name: str, size: tuple[float, float], content: Callable[[Any], None]
 ) -> Path:
-    """Draw a figure, and write it as PNG and SVG files.
+    """Draw a figure, and write it as a PNG file and an SVG file.
 
     Args:
-        folder: folder to write to.
+        folder: folder for both files.
         name: name of the figure, as in `page.FIGURE_CAPTIONS`.
-        size: width and height [inch].
+        size: width and height of the figure [inch].
         content: function that draws on the figure.
 
     Returns:

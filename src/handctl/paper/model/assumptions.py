@@ -1,4 +1,7 @@
-"""Assumptions that the model of the paper makes without stating them, each with its numerical effect."""
+"""Assumptions that the model of the paper makes without stating them.
+
+For each assumption, the effect on the numbers is given.
+"""
 
 from fractions import Fraction
 
@@ -24,7 +27,7 @@ Source: Birglen, Laliberte & Gosselin (2008).
 
 
 def assumption_items() -> list[ErrataItem]:
-    """Return the items about the assumptions of the paper."""
+    """Return the items of the errata about the assumptions of the paper."""
     return [
         *_check_one_tendon(),
         *_check_coupling(),
@@ -36,7 +39,7 @@ def assumption_items() -> list[ErrataItem]:
 
 
 def _check_one_tendon() -> list[ErrataItem]:
-    """Check whether T r_p = M can be true at every joint of the straight finger."""
+    """Check whether T r_p = M can be true at every joint of a straight finger at the same time."""
     levers = src.levers_mm(src.paper_finger())
     given = src.tension_per_newton(src.paper_finger()) * src.PULLEY_RADIUS_MM
     rows = []
@@ -57,13 +60,13 @@ def _check_one_tendon() -> list[ErrataItem]:
 
 
 def _check_coupling() -> list[ErrataItem]:
-    """Check whether section 5 agrees with the equal joint angles of section 4.
+    """Check whether section 5 of the paper is consistent with the equal joint angles of section 4.
 
     With equal angles, the work of the tendon must equal the work of the tip force.
     """
     levers = src.levers_mm(src.paper_finger())
-    # If the joint angles are equal, virtual work gives T times 3 r_p = F times the sum of the
-    # levers. T is the tension, F the force at the tip.
+    # If all joint angles are equal, the principle of virtual work gives T times 3 r_p = F times the
+    # sum of the levers. Here T is the tension, and F is the force at the tip.
     tension = sum(levers, Fraction(0)) / (len(levers) * src.PULLEY_RADIUS_MM)
     force = src.FINGER_GRIP_FORCE_N * tension
     torque = src.FINGER_GRIP_FORCE_N * tension * src.SPOOL_RADIUS_MM / 1000
@@ -87,7 +90,7 @@ def _check_coupling() -> list[ErrataItem]:
 
 
 def _check_balance() -> list[ErrataItem]:
-    """Check whether three fingers with 6 N each and the thumb with 10 N are in balance."""
+    """Check whether three fingers with 6 N each and a thumb with 10 N are in balance."""
     fingers = src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N
     tension = fingers * src.tension_per_newton(src.paper_thumb())
     torque = tension * src.SPOOL_RADIUS_MM / 1000
@@ -123,7 +126,7 @@ def _payload_of_both_sides() -> list[ErrataItem]:
 
 
 def _check_bending() -> ErrataItem:
-    """Check the ratio of pulley diameter to wire diameter, which determines how much the wire is bent."""
+    """Check the ratio of pulley diameter to wire diameter, which determines how sharply the wire is bent."""
     diameter = src.wire_diameter_mm(
         src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger())
     )
@@ -137,20 +140,20 @@ def _check_bending() -> ErrataItem:
 
 
 def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_ANGLES_DEG) -> Array:
-    """Return the normal forces (3,) at the middle of the links that balance a tendon on equal pulleys [N]."""
+    """Return the normal forces (3,) at the middles of the three links that balance a tendon on equal pulleys [N]."""
     lengths = np.array(paper_digit("index").lengths)
     absolute = np.cumsum(np.radians(angles_deg))
     levers = np.zeros((3, 3))
     for joint in range(3):
         for link in range(joint, 3):
-            # This is the lever about `joint` of a normal force at the middle of `link`.
+            # This is the lever with which a normal force at the middle of `link` acts on `joint`.
             inner = lengths[joint:link] @ np.cos(absolute[link] - absolute[joint:link])
             levers[joint, link] = inner + lengths[link] / 2.0
     return np.linalg.solve(levers, np.full(3, tension * float(src.PULLEY_RADIUS_MM) / 1000.0))
 
 
 def _check_lift_off() -> ErrataItem:
-    """Check whether all links of a finger press on the object around which the finger wraps."""
+    """Check whether all links of a finger press on an object around which the finger wraps."""
     forces = contact_forces(110.0)
     return ErrataItem(
         "grip.middle_link", "Sec. 5", "one tendon, equal pulleys, three phalanges on the object", float(forces[1]), "N",

@@ -1,8 +1,8 @@
-"""Equations 1 to 12 of the paper, term by term: the printed term, its possible readings, and the correct term.
+"""Equations 1 to 12 of the paper, term by term: the printed term, its readings, and the correct term.
 
-The correct terms (`correct`) follow from Lagrange's equations, and the tests derive them with
-sympy. A term has several `readings` if its print is ambiguous, because an operator is missing or a
-bracket is never closed.
+The correct terms (`correct`) follow from Lagrange's equations. The tests derive them with sympy. If
+the printed form of a term is ambiguous, because an operator is missing or a bracket is never
+closed, the term has several `readings`.
 """
 
 from dataclasses import dataclass
@@ -12,18 +12,18 @@ from handctl.paper.model.expression import Expression
 
 @dataclass(frozen=True, slots=True)
 class EquationTerm:
-    """Term of an equation, or a group of terms that belong together.
+    """Term of an equation in the paper, or a group of terms that belong together.
 
     Attributes:
-        id: identifier of the item about this term.
+        id: identifier of the errata item about this term.
         where: equation that contains the term.
         printed: the term, as it is printed in the paper.
         readings: possible meanings of the printed term. If only one meaning of an undefined symbol
             is possible, the symbol is read in this way.
-        correct: correct term.
+        correct: correct form of the term.
         why: explanation of the error in the printed term.
-        mirror_id: identifier of another term with the same coefficient. The coefficients must be
-            equal because the mass matrix is symmetric.
+        mirror_id: identifier of another term with the same coefficient. Both coefficients must be
+            equal, because the mass matrix is symmetric.
     """
 
     id: str
@@ -43,7 +43,10 @@ def _equation_term(
     why: str = "",
     mirror: str = "",
 ) -> EquationTerm:
-    """Return a term. The identifier of a term contains the number of its equation."""
+    """Return the data of one term of an equation.
+
+    The identifier of the term contains the number of the equation.
+    """
     texts = (readings,) if isinstance(readings, str) else readings
     number = id.removeprefix("eq").partition(".")[0]
     reason = why or "As derived."

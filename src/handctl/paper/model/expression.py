@@ -27,8 +27,8 @@ class Expression:
     """Formula that consists of names, numbers, `+ - * / **`, `sin`, `cos` and `pi`.
 
     Attributes:
-        text: formula in Python's notation. `th1`, `dth1` and `ddth1` are an angle and its first and
-            second derivative by time.
+        text: formula in Python's notation. The names `th1`, `dth1` and `ddth1` stand for an angle
+            and for its first and second derivative with respect to time.
     """
 
     text: str
@@ -45,23 +45,25 @@ class Expression:
         return frozenset(names - FUNCTION_BY_NAME.keys() - {"pi"})
 
     def evaluate(self, values: Mapping[str, Any]) -> Any:
-        """Return the value of the formula. For arrays, it is calculated element by element.
+        """Return the value of the formula for given values of its names.
+
+        If the values are arrays, the formula is evaluated element by element.
 
         Raises:
-            KeyError: A name has no value.
+            KeyError: no value is given for a name.
         """
         return _value_of(self.tree, values)
 
     def dimension(self, dimensions: Mapping[str, Dimension]) -> Dimension:
-        """Return the dimension of the formula.
+        """Return the physical dimension of the formula.
 
         Raises:
-            DimensionError: The formula has no consistent dimension.
+            DimensionError: the formula has no consistent dimension.
         """
         return _dimension_of(self.tree, dimensions)
 
     def as_typeset_text(self) -> str:
-        """Return the formula as typeset text without product signs, for example θ̇₁²."""
+        """Return the formula as text with mathematical symbols and without multiplication signs, for example θ̇₁²."""
         return _pretty_text(self.tree)[0]
 
 
@@ -97,7 +99,7 @@ _OPERATION_BY_NODE: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
 
 
 def _dimension_of(node: ast.expr, dimensions: Mapping[str, Dimension]) -> Dimension:
-    """Return the dimension of a node."""
+    """Return the physical dimension of a node of the syntax tree."""
     match node:
         case ast.Constant() | ast.Name(id="pi"):
             return DIMENSIONLESS
@@ -110,7 +112,7 @@ def _dimension_of(node: ast.expr, dimensions: Mapping[str, Dimension]) -> Dimens
                 raise DimensionError(f"{ast.unparse(node)}: not an angle")
             return DIMENSIONLESS
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)):
-            # In a power, the exponents of the units are multiplied by the exponent of the power.
+            # For a power, the exponents of the units are multiplied by the exponent of the power.
             kg, m, s = _dimension_of(left, dimensions)
             return (kg * power, m * power, s * power)
         case ast.BinOp(left=left, op=op, right=right):
@@ -123,14 +125,15 @@ def _dimension_of(node: ast.expr, dimensions: Mapping[str, Dimension]) -> Dimens
 def _combined_dimension(
     node: ast.expr, op: ast.operator, first: Dimension, second: Dimension
 ) -> Dimension:
-    """Return the dimension of a sum, product or quotient."""
+    """Return the physical dimension of a sum, product or quotient."""
     if isinstance(op, ast.Add | ast.Sub):
         if first != second:
             raise DimensionError(
                 f"{ast.unparse(node)}: {dimension_text(first)} and {dimension_text(second)}"
             )
         return first
-    # In a product, the exponents of the units are added. In a quotient, they are subtracted.
+    # For a product, the exponents of the units are added. For a quotient, the exponents of the
+    # units are subtracted.
     sign = -1 if isinstance(op, ast.Div) else 1
     return (first[0] + sign * second[0], first[1] + sign * second[1], first[2] + sign * second[2])
 
@@ -154,7 +157,7 @@ _POWER_PRECEDENCE = 3
 
 
 def _pretty_text(node: ast.expr) -> tuple[str, int]:
-    """Return a node of the syntax tree as text, and the precedence of its operator."""
+    """Return a node of the syntax tree as text, and the precedence of the operator in this node."""
     match node:
         case ast.Constant(value=value):
             return f"{value:g}" if isinstance(value, int | float) else str(value), _POWER_PRECEDENCE
@@ -171,7 +174,8 @@ def _pretty_text(node: ast.expr) -> tuple[str, int]:
             return _in_brackets(left, _POWER_PRECEDENCE) + str(power).translate(
                 _SUPERSCRIPT_TABLE
             ), _POWER_PRECEDENCE
-        # A minus sign of the first factor moves to the front of the whole product.
+        # If the first factor of a product has a minus sign, this sign is written before the whole
+        # product.
         case ast.BinOp(op=ast.Mult() | ast.Div()) if (positive := _without_minus(node)) is not node:
             return "−" + _pretty_text(positive)[0], _SUM_PRECEDENCE
         case ast.BinOp(left=left, op=ast.Div(), right=right):
@@ -195,9 +199,9 @@ def _pretty_text(node: ast.expr) -> tuple[str, int]:
 
 
 def _without_minus(node: ast.expr) -> ast.expr:
-    """Return a product without the minus sign of its first factor.
+    """Return a product without the minus sign that its first factor may have.
 
-    A node that has no such sign is returned unchanged.
+    If there is no minus sign, the node is returned unchanged.
     """
     match node:
         case ast.UnaryOp(op=ast.USub(), operand=inner):
@@ -209,13 +213,19 @@ def _without_minus(node: ast.expr) -> ast.expr:
 
 
 def _in_brackets(node: ast.expr, min_strength: int) -> str:
-    """Return a node of the syntax tree as text, in brackets if its precedence is lower than required."""
+    """Return a node of the syntax tree as text.
+
+    If its precedence is lower than required, add brackets.
+    """
     text, strength = _pretty_text(node)
     return text if strength >= min_strength else f"({text})"
 
 
 def pretty_name(name: str) -> str:
-    """Return a name in mathematical notation. For example, ddth1 becomes θ̈₁, and L1 becomes L₁."""
+    """Return a name in the notation of mathematics.
+
+    For example, ddth1 becomes θ̈₁, and L1 becomes L₁.
+    """
     match = re.fullmatch(r"(d{0,2})th(\d)", name)
     if match:
         dots = ("θ", "θ̇", "θ̈")[len(match[1])]

@@ -1,4 +1,4 @@
-"""Section 4 of the paper: check of Eq. 1 and 2, the meaning of their angles, and the workspace of a digit."""
+"""Section 4 of the paper: checks of Eq. 1 and 2 and of their angles, and the reach of a fingertip."""
 
 from collections.abc import Callable
 
@@ -25,12 +25,12 @@ def paper_digit(name: str) -> DigitModel:
 
 
 def points_in_plane(model: DigitModel, q: Array) -> Array:
-    """Return the positions of joints and tip in the plane of the digit, (n + 1, 2) [m]."""
+    """Return the positions of the joints and the tip in the plane of a digit, (n + 1, 2) [m]."""
     return from_palm_frame(model, joint_points(model, q))[:, :2]
 
 
 def kinematics_items() -> list[ErrataItem]:
-    """Return the items about kinematics: Eq. 1-2, the meaning of their angles, and inverse kinematics."""
+    """Return the errata items about kinematics: Eq. 1-2, the meaning of their angles, and the inverse kinematics."""
     return [
         _check_hinges(),
         *_check_general_position(),
@@ -42,7 +42,7 @@ def kinematics_items() -> list[ErrataItem]:
 
 
 def fingertip_path(name: str, angles: Array) -> Array:
-    """Return the positions of a fingertip, (angles, 2) [mm], while all joints have the same angle."""
+    """Return the positions of a fingertip (angles, 2) when all joints of the digit have the same angle [mm]."""
     model = paper_digit(name)
     return 1000.0 * np.array(
         [points_in_plane(model, np.full(model.joint_count, angle))[-1] for angle in angles]
@@ -50,13 +50,13 @@ def fingertip_path(name: str, angles: Array) -> Array:
 
 
 def reachable_tips(name: str, per_joint: int) -> Array:
-    """Return tip positions (points, 2) that a digit would reach within its limits with independent joints [mm]."""
+    """Return the tip positions (points, 2) that a digit could reach if its joints moved independently [mm]."""
     model = paper_digit(name)
     axes = [
         np.linspace(low, high, per_joint)
         for low, high in zip(model.joint_min, model.joint_max, strict=True)
     ]
-    # The absolute angles of the links are cumulative sums of the joint angles.
+    # The absolute angle of a link is the sum of the joint angles up to this link.
     absolute = np.cumsum(
         np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes)), axis=1
     )
@@ -65,7 +65,7 @@ def reachable_tips(name: str, per_joint: int) -> Array:
 
 
 def _check_paths() -> list[ErrataItem]:
-    """Check whether Eq. 1 and 2 give the path of the tip."""
+    """Check whether Eq. 1 and 2 give the path of the fingertip."""
     tips = fingertip_path("index", SAMPLED_ANGLES_RAD)
     thumb = " + ".join(
         f"{length} cos {'' if i == 0 else i + 1}θ"
@@ -100,7 +100,7 @@ def _check_paths() -> list[ErrataItem]:
 
 
 def _lengths_text(name: str) -> list[str]:
-    """Return the link lengths of a digit as text [mm]."""
+    """Return the lengths of a digit's links as text [mm]."""
     return [
         str(length)
         for length in src.exact_millimetres(src.paper_hand().digit_named(name).link_length_m)
@@ -108,9 +108,9 @@ def _lengths_text(name: str) -> list[str]:
 
 
 def _check_general_position() -> list[ErrataItem]:
-    """Check the tip position that section 4 states, at random angles.
+    """Check the position of the fingertip that section 4 states, at random joint angles.
 
-    This position is L1 cos q1 + L2 cos(q1 + q2) + .., and the same with sines.
+    Section 4 states the position as L1 cos q1 + L2 cos(q1 + q2) + .., and the same with sines.
     """
     model = paper_digit("index")
     random = np.random.default_rng(1)
@@ -134,7 +134,7 @@ def _check_general_position() -> list[ErrataItem]:
 
 
 def _check_hinges() -> ErrataItem:
-    """Check whether the chain of hinges in Fig. 2 stays in a plane and keeps the lengths of its links."""
+    """Check whether the chain of hinges in Fig. 2 stays in one plane, and whether the links keep their lengths."""
     model = paper_digit("index")
     random = np.random.default_rng(3)
     worst = 0.0
@@ -173,7 +173,7 @@ def _check_kind_of_angle() -> ErrataItem:
 
 
 def _check_absolute_angles() -> ErrataItem:
-    """Check whether the heights in Eq. 6 are correct with absolute angles, as section 7 states."""
+    """Check whether the heights in Eq. 6 are correct for absolute angles, as section 7 states."""
     model = paper_digit("index")
     q = np.array([0.3, 0.5, 0.7])
     height = 1000.0 * float(np.array(model.lengths) @ np.sin(np.cumsum(q)))
@@ -188,7 +188,8 @@ def _check_absolute_angles() -> ErrataItem:
 def _check_inverse() -> ErrataItem:
     """Check the inverse kinematics, which the paper does not print.
 
-    With the angles of each solution, forward kinematics must return the position of the tip.
+    If the joint angles of a solution are put into the forward kinematics, the result must be the
+    given position of the tip.
     """
     model = paper_digit("index")
     random = np.random.default_rng(2)

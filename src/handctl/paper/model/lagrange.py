@@ -1,4 +1,4 @@
-"""Equations 3 to 12 of the paper: each printed term is compared with the correct term at random states.
+"""Equations 3 to 12 of the paper: at random states, each printed term is compared with the correct term.
 
 The correct terms follow from Lagrange's equations.
 
@@ -51,9 +51,9 @@ StateSamples = Mapping[str, Any]
 
 @cache
 def random_states() -> StateSamples:
-    """Return random parameters, angles, rates and accelerations of order 1, (STATES,) values of each.
+    """Return random parameters, angles, rates and accelerations of order 1, with (STATES,) values of each.
 
-    The random values are the same in every run.
+    These random values are the same in every run.
     """
     random = np.random.default_rng(7)
     values: dict[str, Array] = {}
@@ -68,7 +68,7 @@ def random_states() -> StateSamples:
 
 
 def finger_states(digit: DigitModel) -> StateSamples:
-    """Return random motions, with the lengths, masses and inertias of the given digit."""
+    """Return random motions for the lengths, masses and inertias of the given digit."""
     states = dict(random_states())
     for i in range(3):
         states |= {f"I{i + 1}": digit.inertias[i, 2, 2], f"m{i + 1}": digit.masses[i]}
@@ -77,12 +77,12 @@ def finger_states(digit: DigitModel) -> StateSamples:
 
 
 def relative_deviation(value: Any, correct: Any) -> float:
-    """Return the largest difference between values and correct values, relative to the largest correct value."""
+    """Return the largest difference between values and correct values, divided by the largest correct value."""
     return float(np.max(np.abs(value - correct)) / np.max(np.abs(correct)))
 
 
 def lagrange_torques(states: StateSamples) -> list[Array]:
-    """Return the torques T_i that follow from the correct energies by Eq. 7 to 9, (3, STATES) [N m].
+    """Return the torques T_i (3, STATES) that follow from the correct energies by Eq. 7 to 9 [N m].
 
     T_i = d/dt(∂L/∂θ̇_i) − ∂L/∂θ_i.
     """
@@ -90,23 +90,24 @@ def lagrange_torques(states: StateSamples) -> list[Array]:
 
 
 def _energy_of_terms(terms: Sequence[EquationTerm], states: StateSamples) -> Any:
-    """Return the energy as the sum of its correct terms."""
+    """Return the energy that is the sum of the correct forms of some terms."""
     return sum(term.correct.evaluate(states) for term in terms)
 
 
 def _momentum_rate(states: StateSamples, i: int) -> Array:
-    """Return the derivative by time of ∂K/∂θ̇_i.
+    """Return the derivative of ∂K/∂θ̇_i with respect to time.
 
-    The kinetic energy K is quadratic in the rates. Therefore its difference over a step of size 1
-    is exact.
+    The kinetic energy K is quadratic in the rates. Therefore a difference quotient of K with a step
+    of size 1 is exact.
     """
     moved = dict(states)
     for j in (1, 2, 3):
-        # In a total derivative by time, angles change with their rates, and rates with their
-        # accelerations.
+        # In a total derivative with respect to time, an angle changes with its rate, and a rate
+        # changes with its acceleration.
         moved[f"th{j}"] = states[f"th{j}"] + 1j * COMPLEX_STEP * states[f"dth{j}"]
         moved[f"dth{j}"] = states[f"dth{j}"] + 1j * COMPLEX_STEP * states[f"ddth{j}"]
-    # Because K is quadratic in the rates, (K(r + 1) - K(r - 1)) / 2 is exactly its derivative by r.
+    # Because K is quadratic in a rate r, (K(r + 1) - K(r - 1)) / 2 is exactly the derivative of K
+    # with respect to r.
     rate = f"dth{i}"
     above, below = (
         _energy_of_terms(equations.KINETIC_TERMS, {**moved, rate: moved[rate] + unit})
@@ -116,7 +117,7 @@ def _momentum_rate(states: StateSamples, i: int) -> Array:
 
 
 def _lagrangian_slope(states: StateSamples, i: int) -> Array:
-    """Return ∂L/∂θ_i, where L is the Lagrangian of the correct energies."""
+    """Return ∂L/∂θ_i, where L is the Lagrangian with the correct energies."""
     moved = {**states, f"th{i}": states[f"th{i}"] + 1j * COMPLEX_STEP}
     lagrangian = _energy_of_terms(equations.KINETIC_TERMS, moved) - _energy_of_terms(
         equations.POTENTIAL_TERMS, moved
@@ -125,7 +126,7 @@ def _lagrangian_slope(states: StateSamples, i: int) -> Array:
 
 
 def term_items() -> list[ErrataItem]:
-    """Return one item for each term of Eq. 3 to 6 and 10 to 12."""
+    """Return one errata item for each term of Eq. 3 to 6 and 10 to 12."""
     return [
         _term_item(term)
         for term in (
@@ -137,14 +138,14 @@ def term_items() -> list[ErrataItem]:
 
 
 def _term_item(term: EquationTerm) -> ErrataItem:
-    """Return the item that compares a printed term with the correct term."""
+    """Return the errata item that compares a printed term with the correct term."""
     states = random_states()
     correct = term.correct.evaluate(random_states())
     deviations = [
         relative_deviation(reading.evaluate(states), correct) for reading in term.readings
     ]
     verdict = verdict_of_readings([value < RELATIVE_TOLERANCE for value in deviations])
-    # A reader can check by hand whether dimensions are wrong and whether a symmetry is missing.
+    # A reader can see wrong dimensions and a missing symmetry without a computer.
     faults = (
         []
         if verdict == ErrataVerdict.EQUAL
@@ -157,7 +158,7 @@ def _term_item(term: EquationTerm) -> ErrataItem:
 
 
 def _dimension_evidence(term: EquationTerm) -> str:
-    """Return the text "dimensions" if a reading of a term has wrong dimensions, else an empty text."""
+    """Return the text "dimensions" if some reading of a term has wrong dimensions, and otherwise an empty text."""
     for reading in term.readings:
         try:
             if reading.dimension(SYMBOL_DIMENSIONS) != ENERGY_DIMENSION:
@@ -168,7 +169,7 @@ def _dimension_evidence(term: EquationTerm) -> str:
 
 
 def _symmetry_evidence(term: EquationTerm) -> str:
-    """Return a text if the printed coefficients of a term and its mirror term differ, else an empty text."""
+    """Return a text if the printed coefficients of a term and its mirror term differ, or an empty text."""
     if not term.mirror_id:
         return ""
     mirror = next(
@@ -185,7 +186,7 @@ def _symmetry_evidence(term: EquationTerm) -> str:
 
 
 def equation_items() -> list[ErrataItem]:
-    """Return the items for Eq. 7 to 9, and for Eq. 10 to 12 as a whole.
+    """Return the errata items for Eq. 7 to 9, and for Eq. 10 to 12 as a whole.
 
     These equations are compared with handctl's equations of motion.
     """
@@ -225,7 +226,7 @@ def equation_items() -> list[ErrataItem]:
 def _check_joint_torque(
     digit: DigitModel, states: StateSamples, model: Sequence[Array]
 ) -> ErrataItem:
-    """Check whether T_i is the torque at joint i.
+    """Check whether T_i in the paper is the torque at joint i.
 
     In fact, a motor at the joint must produce the torque tau = S^T T.
     """
@@ -242,17 +243,17 @@ def _check_joint_torque(
 
 
 def _agreement_text(off: float) -> str:
-    """Return a text that says how well two values agree.
+    """Return a text that says how closely two values agree.
 
-    Digits that may differ from machine to machine are left out.
+    Decimal digits that may differ between machines are left out.
     """
     return "to rounding" if off < RELATIVE_TOLERANCE else f"to {off:.1g}"
 
 
 def paper_finger() -> DigitModel:
     """Return a finger of the packaged hand, changed to satisfy the assumptions of Eq. 3 to 12."""
-    # In Eq. 3 to 12, joints have no armature inertia, and the weight acts along -y of the finger's
-    # plane.
+    # In Eq. 3 to 12, the joints have no armature inertia, and the weight acts along -y in the plane
+    # of the finger.
     digit = DigitModel.from_hand(load_hand("jamia"), "index")
     digit = digit.with_gravity(digit.mount_rotation @ np.array([0.0, -9.81, 0.0]))
     table = digit.table.copy()
@@ -261,20 +262,20 @@ def paper_finger() -> DigitModel:
 
 
 def joint_torques(digit: DigitModel, states: StateSamples) -> Array:
-    """Return the joint torques that the inverse dynamics of handctl gives, (STATES, 3) [N m]."""
+    """Return the joint torques (STATES, 3) from the inverse dynamics of handctl [N m]."""
     q, dq, ddq = (_relative_from_absolute(states, "d" * order + "th") for order in (0, 1, 2))
     rows = zip(q.tolist(), dq.tolist(), ddq.tolist(), strict=True)
     return np.array([inverse_dynamics(digit, *row) for row in rows])
 
 
 def model_torques(digit: DigitModel, states: StateSamples) -> list[Array]:
-    """Convert the joint torques tau of handctl to torques for absolute angles: T = S^-T tau, (STATES,) each [N m]."""
+    """Convert joint torques tau of handctl to torques for absolute angles: T = S^-T tau, (STATES,) each [N m]."""
     tau = joint_torques(digit, states)
     return [tau[:, 0] - tau[:, 1], tau[:, 1] - tau[:, 2], tau[:, 2]]
 
 
 def _relative_from_absolute(states: StateSamples, name: str) -> Array:
-    """Return relative joint angles or their derivatives (STATES, 3), calculated from the absolute angles."""
+    """Return relative joint angles, or their derivatives, (STATES, 3), calculated from the absolute angles."""
     return np.diff(np.column_stack([states[f"{name}{i}"] for i in (1, 2, 3)]), axis=1, prepend=0.0)
 
 

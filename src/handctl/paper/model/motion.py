@@ -26,14 +26,15 @@ TORQUE_PARTS = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
 
 @dataclass(frozen=True, slots=True)
 class ClosingTorques:
-    """Torques that close a digit along a minimum-jerk path, with equal joint angles.
+    """Torques that close a digit along a minimum-jerk path, while all joint angles are equal.
 
     Attributes:
         digit: name of the digit.
         duration_s: duration of the motion [s].
         times: (samples,) times of the samples [s].
-        torque_by_cause: torque at the single coordinate of the digit, by cause, (samples,) each [N m].
-        lever_m: moment arm of the tendon for this coordinate, which is the sum of the pulley radii
+        torque_by_cause: (samples,) torque at the single coordinate of the digit for each cause, by
+            the name of the cause [N m].
+        lever_m: moment arm of the tendon for this coordinate, which is the sum of all pulley radii
             [m].
     """
 
@@ -44,7 +45,7 @@ class ClosingTorques:
     lever_m: float
 
     def peak_tension(self, part: str) -> float:
-        """Return the largest tension that one cause of the torque requires [N]."""
+        """Return the largest tension that is necessary because of one cause of the torque [N]."""
         return float(np.abs(self.torque_by_cause[part]).max()) / self.lever_m
 
 
@@ -66,7 +67,8 @@ def closing_torques(name: str, duration: float) -> ClosingTorques:
     digit = upright_digit(name)
     times = np.linspace(0.0, duration, SAMPLE_COUNT)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_JOINT_ANGLE_DEG]), duration)
-    # The digit has one coordinate. Therefore every torque is projected on the coupling.
+    # The digit has a single coordinate. Therefore the joint torques are projected on the coupling
+    # of the joints.
     rotor = float(reflected_inertia(digit)[0, 0])
     coupling = digit.coupling[:, 0]
     rows = []
@@ -87,21 +89,21 @@ def closing_torques(name: str, duration: float) -> ClosingTorques:
 
 
 def first_torque(duration: float) -> tuple[Array, Array, Array]:
-    """Return times [s], and the torque T_1 of a closing finger by Eq. 10, as printed and as corrected [N m]."""
+    """Return the times [s], and the torque T_1 of a closing finger by Eq. 10, as printed and as corrected [N m]."""
     digit = upright_digit("index")
     times = np.linspace(0.0, duration, SAMPLE_COUNT)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_JOINT_ANGLE_DEG]), duration)
     moves = np.array([[value[0] for value in path.motion_at(float(t))] for t in times])
     states = dict(finger_states(digit))
     for order in range(3):
-        # With equal joint angles, the absolute angles are multiples of the first angle.
+        # If all joint angles are equal, the absolute angles are multiples of the first angle.
         states |= {"d" * order + f"th{i}": i * moves[:, order] for i in (1, 2, 3)}
     right = sum(term.correct.evaluate(states) for term in equations.TORQUE_TERMS_1)
     return times, np.asarray(printed_sum(equations.TORQUE_TERMS_1, states)), np.asarray(right)
 
 
 def motion_items() -> list[ErrataItem]:
-    """Return the items about the torque in a motion.
+    """Return the errata items about the torque during a motion.
 
     The items concern Eq. 10 for a straight finger, the completeness of Eq. 3 to 12, and the torque
     that section 8 mentions.
@@ -110,9 +112,9 @@ def motion_items() -> list[ErrataItem]:
 
 
 def _check_static_torque() -> ErrataItem:
-    """Check whether T_1 of Eq. 10 is the torque at joint 1 that holds the straight finger.
+    """Check whether T_1 of Eq. 10 is the torque that holds a straight finger at joint 1.
 
-    This torque is the sum of T_1 to T_3 of Eq. 10 to 12, and not T_1 alone.
+    In fact, this torque is the sum of T_1 to T_3 in Eq. 10 to 12.
     """
     _, printed, right = first_torque(CLOSING_DURATIONS_S[1])
     digit = upright_digit("index")
@@ -128,7 +130,7 @@ def _check_static_torque() -> ErrataItem:
 def _check_completeness() -> ErrataItem:
     """Check whether Eq. 3 to 12 give the complete torque of a motion.
 
-    The paper does not mention springs or the inertia of the actuator.
+    The paper mentions neither springs nor the inertia of the actuator.
     """
     fast = closing_torques("index", CLOSING_DURATIONS_S[-1])
     links = sum(fast.torque_by_cause[part] for part in TORQUE_PARTS[:3])
@@ -147,9 +149,9 @@ def _check_completeness() -> ErrataItem:
 
 
 def _check_torque_value() -> ErrataItem:
-    """Check whether the paper states a value of the torque, as section 8 says.
+    """Check whether the paper states a value of the torque, as section 8 of the paper claims.
 
-    Eq. 10 to 12 contain only symbols.
+    Eq. 10 to 12 contain symbols and no numbers.
     """
     fast = closing_torques("index", CLOSING_DURATIONS_S[-1])
     peak = 1000.0 * float(

@@ -19,7 +19,7 @@ STATICS_TAG = ("statics",)
 
 
 def statics_items() -> list[ErrataItem]:
-    """Return the items about all numbers and formulas of the statics."""
+    """Return the errata items about all numbers and formulas of the statics."""
     return [
         *_check_moments(),
         *_check_labels(),
@@ -41,9 +41,11 @@ def number_item(
     reason: str,
     symbol: str = "",
 ) -> ErrataItem:
-    """Return an item about a printed number. The verdict follows from its digits.
+    """Return an errata item about a printed number.
 
-    `symbol` is printed behind the number.
+    The verdict follows from the printed decimal digits.
+
+    In the paper, `symbol` is printed after the number.
     """
     verdict = verdict_of_number(printed, exact)
     return ErrataItem(
@@ -100,9 +102,9 @@ Joints are counted from the palm, beginning with 0.
 
 
 def _check_labels() -> list[ErrataItem]:
-    """Check the labels that the paper gives to the moments.
+    """Check the labels of the moments in the paper.
 
-    A label that names several joints states that the moments at these joints are equal.
+    If one label names several joints, it states that the moments at these joints are equal.
     """
     rows = []
     for id, where, printed, digit, joint, named in FIGURE_LABELS:
@@ -132,7 +134,7 @@ SYMBOL_DIMENSIONS: dict[str, Dimension] = {
 
 
 def _check_formulas() -> list[ErrataItem]:
-    """Check the formulas in section 5 by their dimensions, and by comparison with the statics of the hand."""
+    """Check the formulas in section 5: their dimensions, and their agreement with the statics of the hand."""
     hand = src.paper_hand()
     tendons = src.paper_hand().digit_tendons["index"]
     arms = hand.moment_arms[tendons, hand.digit_joints["index"]][0].tolist()
@@ -189,8 +191,8 @@ def _check_finger() -> list[ErrataItem]:
     tension_item = number_item(
         "sec5.tension", "Sec. 5", "18.33", tension, "N per N",
         f"55/3. At 6 N: {float(6 * tension):g} N.", " F")  # fmt: skip
-    # The paper calculates the torque from the rounded tension. Therefore the torque contains the
-    # rounding error.
+    # The paper calculates the torque from the tension after rounding it. Therefore the torque in
+    # the paper contains a rounding error.
     carried = Fraction("18.33") * src.SPOOL_RADIUS_MM / 1000
     verdict = verdict_of_derived_number("0.09165", torque, carried, tension_item.verdict)
     torque_item = ErrataItem(
@@ -263,7 +265,7 @@ def _check_area() -> ErrataItem:
 
 
 def _check_knee() -> list[ErrataItem]:
-    """Check the statements about the knee of the force-displacement curve."""
+    """Check the statements of the paper about the knee of the force-displacement curve."""
     diameter = src.wire_diameter_mm(
         src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger())
     )
@@ -314,10 +316,10 @@ def _check_thumb() -> list[ErrataItem]:
 
 
 def _missing_radius() -> ErrataItem:
-    """Calculate the pulley radius that the paper does not print, from the printed tension 8.33 F."""
+    """Calculate the pulley radius, which the paper does not state, from the printed tension 8.33 F."""
     printed = "r_p = mm"
-    # The numbers that round to 8.33 correspond to an interval of radii. This interval contains
-    # exactly one whole number of millimetres.
+    # All numbers that are rounded to 8.33 correspond to an interval of pulley radii. This interval
+    # contains exactly one whole number of millimetres.
     low, high = sorted(
         src.levers_mm(src.paper_thumb())[0] / edge for edge in rounding_interval("8.33")
     )

@@ -1,4 +1,4 @@
-"""Statements in the text of the paper that can be checked by counting or calculating."""
+"""Statements in the text of the paper that can be checked by counting or by calculation."""
 
 import re
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ SYMBOL_WORDS = {
 
 
 def text_items() -> list[ErrataItem]:
-    """Return the items about counts and about statements in the text."""
+    """Return the errata items about counts, and about statements in the text of the paper."""
     return [
         *_check_degrees_of_freedom(),
         _check_palm_joint(),
@@ -70,9 +70,9 @@ def _check_degrees_of_freedom() -> list[ErrataItem]:
 
 
 def _check_palm_joint() -> ErrataItem:
-    """Check the statement of section 3 that the joint in the palm link is fixed.
+    """Check the statement in section 3 of the paper that the joint in the palm link is fixed.
 
-    This joint may mean the first joint of a finger, or the palm itself.
+    The words can mean the first joint of a finger, or the palm itself.
     """
     joints = len(src.paper_finger().joints)
     angles = {
@@ -91,7 +91,7 @@ def _check_palm_joint() -> ErrataItem:
 
 
 def _check_number_of_fingers() -> ErrataItem:
-    """Check the number of fingers that section 8 states."""
+    """Check the number of fingers that section 8 of the paper states."""
     digits = len(src.paper_hand().digit)
     return ErrataItem("sec8.fingers", "Sec. 8", "it is designed with two fingers", digits, "",
         verdict_of_number("2", digits),
@@ -110,7 +110,7 @@ def _depends_on(term: Sequence[EquationTerm], name: str) -> bool:
 
 
 def _check_phalanges() -> ErrataItem:
-    """Check whether the energies of the links are independent, as if the links were separate fingers."""
+    """Check whether the energy of each link is independent of the other links, as in separate fingers."""
     # In a single finger, the energy of link 2 depends on the rate of link 1, and the energy of link
     # 3 on the rate of link 2.
     apart = not _depends_on(equations.KINETIC_TERMS_2, "dth1") and not _depends_on(
@@ -124,7 +124,7 @@ def _check_phalanges() -> ErrataItem:
 
 
 def _find_undefined_symbols() -> ErrataItem:
-    """Find symbols in the printed equations that the paper does not define."""
+    """Find the symbols in the printed equations that the paper does not define."""
     defined = {name[0] + "₀₁₂₃"[int(name[1])] for name in SYMBOL_DIMENSIONS if len(name) == 2} | {
         "g"
     }
@@ -147,7 +147,7 @@ def _printed_symbols() -> set[str]:
 
 
 def _check_lengths() -> ErrataItem:
-    """Check the list of lengths in section 7."""
+    """Check the list of lengths in section 7 of the paper."""
     listed = {"L₁", "L₂", "L₃", "p₃"}
     needed = {f"L{'₀₁₂₃'[i]}" for i in (1, 2, 3)}
     return ErrataItem(
@@ -157,7 +157,7 @@ def _check_lengths() -> ErrataItem:
 
 
 def _check_axis_of_inertia() -> ErrataItem:
-    """Compare the kinetic energy of a bar that turns in its x-y plane with the moments of inertia about y and z."""
+    """Compare the kinetic energy of a bar that turns in the x-y plane with its moments of inertia about y and z."""
     length = 30.0
     height = 8.0
     width = 10.0
@@ -184,7 +184,7 @@ def _check_axis_of_inertia() -> ErrataItem:
 
 
 def _check_control_law() -> ErrataItem:
-    """Check whether the printed equations contain symbols of a control law."""
+    """Check whether any symbol of a control law occurs in the printed equations."""
     meanings = {SYMBOL_WORDS.get(symbol[0], "") for symbol in _printed_symbols()} | {
         "angle",
         "torque",

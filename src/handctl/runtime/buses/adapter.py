@@ -19,9 +19,9 @@ class UsbAdapter(NamedTuple):
     """CAN adapter of a network interface.
 
     Attributes:
-        driver: name of the Linux driver of the adapter, empty if unknown.
-        usb_speed_mbit_s: speed of the USB device [Mbit/s], 0 for an adapter without USB.
-        serial: serial number of the USB device, empty if the device has none.
+        driver: name of the adapter's Linux driver, or an empty text if it is unknown.
+        usb_speed_mbit_s: speed of the USB device [Mbit/s], or 0 for an adapter without USB.
+        serial: serial number of the USB device, or an empty text if there is none.
     """
 
     driver: str = ""
@@ -38,7 +38,7 @@ class UsbAdapter(NamedTuple):
 
 
 def read_adapter(name: str, network: Path = NETWORK_FOLDER) -> UsbAdapter | None:
-    """Return the adapter of an interface, or None for a virtual or missing interface.
+    """Return the adapter of a network interface, or None if the interface is virtual or missing.
 
     Args:
         name: name of the interface.
@@ -48,7 +48,8 @@ def read_adapter(name: str, network: Path = NETWORK_FOLDER) -> UsbAdapter | None
     if not device.exists():
         return None
     driver = device / "driver"
-    # For a USB adapter, this path is the USB interface, and its parent folder is the USB device.
+    # For a USB adapter, this path leads to the USB interface, and the parent folder is the USB
+    # device.
     usb = device.resolve().parent
     speed = _read_text(usb / "speed")
     return UsbAdapter(

@@ -1,8 +1,8 @@
-"""Offset from the wall clock to CLOCK_MONOTONIC.
+"""Offset between the wall clock and the clock CLOCK_MONOTONIC.
 
-With this offset, the reception times of CAN frames are converted.
+This offset converts the reception times of CAN frames.
 
-The Linux kernel stamps received frames with the wall clock, and a run uses CLOCK_MONOTONIC.
+The Linux kernel stamps received frames with the time of the wall clock. A run uses CLOCK_MONOTONIC.
 
 Both clocks run at the same rate. The offset changes only when the wall clock is set. A bus requests
 a new measurement when a frame has an impossible time stamp. In user-mode Linux, each clock reading
@@ -41,7 +41,7 @@ class ClockOffset:
         self._uses_left = 0
 
     def _measure(self) -> None:
-        """Measure the offset.
+        """Measure the offset between the clocks.
 
         The fastest of several readings is used, because the operating system may interrupt the
         others.

@@ -15,40 +15,43 @@ The function is linear, with a positive slope.
 
 
 class Bus(Protocol):
-    """CAN bus whose methods never block. Events on the wire never raise an error."""
+    """CAN bus whose methods never block. Events on the wire never make a method raise an error."""
 
     @property
     def name(self) -> str:
-        """Specification of the bus, such as ``local:demo``.
+        """Return the specification of the bus, such as ``local:demo``.
 
-        Events of the bus carry this text as ``where``.
+        Events of the bus contain this text in their field ``where``.
         """
         ...
 
     def drain(self) -> Frames:
-        """Return the frames received since the last call, oldest first.
+        """Return the frames that were received since the last call, the oldest first.
 
-        Each frame has the index of its bus and its time of reception.
+        Each frame contains the index of the bus and the time of reception.
         """
         ...
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch of frames.
 
-        Return how many of them, counted from the first, the bus has accepted. The other frames are
-        dropped, because a command must not be sent late.
+        Return how many frames the bus has accepted, counted from the first one. The other frames
+        are dropped, because a command must not be sent too late.
 
         Args:
             frames: frames to send. A ``Frames`` object, as the control loop uses, is sent directly.
                 Other sequences are converted first.
 
         Raises:
-            ValueError: a payload is longer than its kind of frame can carry.
+            ValueError: a payload is longer than a frame of its kind can carry.
         """
         ...
 
     def take_events(self) -> list[BusEvent]:
-        """Return the events of the bus since the last call. The module ``events`` explains them."""
+        """Return the events of the bus that have occurred since the last call.
+
+        The module ``events`` explains these events.
+        """
         ...
 
     def fileno(self) -> int:
@@ -61,7 +64,7 @@ class Bus(Protocol):
 
 
 def check_payload_size(frame: Frame) -> None:
-    """Raise an error if a payload is too long for its kind of frame.
+    """Raise an error if the payload of a frame is too long for its kind of frame.
 
     Raises:
         ValueError: the payload is longer than 8 bytes in a classical frame, or longer than 64 bytes

@@ -76,19 +76,19 @@ transmit bit of OVERFLOW_MASK. Source: Linux ``can/error.h``.
 
 
 class BusEvents:
-    """Events of one bus since the last ``take_events``: their counts, and the lasting states."""
+    """Events of one bus since the last call of ``take_events``, with their counts, and the lasting states."""
 
     def __init__(self, where: str) -> None:
-        """Start without events. Each event will give ``where`` as the name of the bus."""
+        """Start without events. Each event will contain ``where`` as the name of the bus."""
         self.where = where
         self._counts: dict[tuple[str, str], int] = {}
         self._lasting: set[str] = set()
 
     def add_event(self, kind: str, number: int = 1, detail: str = "") -> None:
-        """Add occurrences of an event to its count.
+        """Add a number of occurrences to the count of an event.
 
         Args:
-            kind: kind of the event, see the list in the module.
+            kind: kind of the event, as listed in the docstring of the module.
             number: number of occurrences.
             detail: text to append to ``where`` of the event. Events with different details are
                 counted separately.
@@ -101,20 +101,20 @@ class BusEvents:
 
         Args:
             code: errno of the failure, or None for an unknown errno.
-            otherwise: kind of event to count if the errno is unknown or not in ``ERRNO_KINDS``.
+            otherwise: kind of event to count if the errno is not known or not in ``ERRNO_KINDS``.
             number: number of frames in the failed operation.
         """
         kind = ERRNO_KINDS.get(code or 0, otherwise)
         if ERRNO_KINDS.get(code or 0) == "enodev":
             self.set_lasting_state(kind, True)
             return
-        if kind == "enetdown":  # while an interface is down, it has no error states
+        if kind == "enetdown":  # an interface that is down has no error states
             self.set_lasting_state("bus_off", False)
             self.set_lasting_state("error_passive", False)
         self.add_event(kind, number)
 
     def set_lasting_state(self, kind: str, present: bool) -> None:
-        """Set or end a lasting state of the bus.
+        """Begin or end a lasting state of the bus.
 
         Each call of ``take_events`` reports every lasting state.
         """

@@ -1,4 +1,4 @@
-"""Shell commands that set up a CAN interface for a hand, and a check of the interface's bit rates.
+"""Shell commands that set up a CAN interface for a hand, and a check of the bit rates of an interface.
 
 The module ``link`` reads the state of an interface.
 """
@@ -30,10 +30,10 @@ def set_up_commands(
 ) -> tuple[CommandWords, ...]:
     """Return the shell commands that set up an interface for a hand.
 
-    These commands need root rights.
+    Only root can run these commands.
 
     Args:
-        channel: name of the interface. A name that begins with ``vcan`` is a virtual interface.
+        channel: name of the interface. If the name begins with ``vcan``, the interface is virtual.
         bitrate: bit rate in the hand file [bit/s].
         data_bitrate: bit rate of the data phase in the hand file [bit/s], or None for a classical
             bus.
@@ -61,9 +61,9 @@ def set_up_text(channel: str, bitrate: int, data_bitrate: int | None, exists: bo
 
 
 def wrong_rate_text(channel: str, bitrate: int, data_bitrate: int | None) -> str:
-    """Return a message about a wrong bit rate of an interface.
+    """Return a message if an interface has a wrong bit rate.
 
-    The message is empty if all rates are right or unknown.
+    If all bit rates are right or unknown, the message is empty.
 
     Args:
         channel: name of the interface.
@@ -81,9 +81,9 @@ def wrong_rate_text(channel: str, bitrate: int, data_bitrate: int | None) -> str
 def rate_difference(
     channel: str, link: CanLinkState, bitrate: int, data_bitrate: int | None
 ) -> str:
-    """Return a message about a wrong bit rate in ``link``.
+    """Return a message if a bit rate in ``link`` is wrong.
 
-    The message is empty if the rates are right or unknown.
+    If the bit rates are right or unknown, the message is empty.
     """
     if link.bitrate is None:
         return ""

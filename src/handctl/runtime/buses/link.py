@@ -19,14 +19,15 @@ class CanLinkState(NamedTuple):
 
     Attributes:
         is_up: True if the interface is up.
-        kind: kind of the interface, such as ``can`` or ``vcan``.
+        kind: kind of the interface, for example ``can`` or ``vcan``.
         tx_queue_frames: length of the transmit queue (txqueuelen) [frames].
-        is_fd: True if the interface carries CAN FD.
-        bitrate: nominal bit rate [bit/s]. None for an interface without bit timing, such as vcan.
-        data_bitrate: bit rate of the data phase of CAN FD [bit/s]. None for an interface without a
-            data phase.
-        controller_state: state of the CAN controller, such as ``ERROR-ACTIVE``. Empty for an interface without
-            a CAN controller.
+        is_fd: True if the interface can carry CAN FD frames.
+        bitrate: nominal bit rate [bit/s], or None for an interface without bit timing, such as
+            vcan.
+        data_bitrate: bit rate of the data phase of CAN FD [bit/s], or None for an interface without
+            a data phase.
+        controller_state: state of the CAN controller, such as ``ERROR-ACTIVE``, or an empty text
+            without a CAN controller.
         tx_error_counter: transmit error counter of the CAN controller.
         rx_error_counter: receive error counter of the CAN controller.
         restart_ms: delay after which the interface restarts from bus-off [ms]. It is 0 if a person

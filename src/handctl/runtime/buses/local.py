@@ -1,7 +1,7 @@
 """The local bus ``local:NAME``: a Unix stream socket to the hub.
 
-The hub is the part of a simulator that serves the bus. Each CAN frame is one record on the socket.
-A batch of frames needs a single system call.
+The hub is the part of the simulator that serves the bus. Each CAN frame is one record on the
+socket. A batch of frames is sent or read with a single system call.
 
     can_id 32 | length 8 | flags 8 | dropped 16 | data 64 x 8
 
@@ -53,7 +53,7 @@ def connect_to_hub(name: str) -> socket.socket:
     """Connect to the hub that serves ``local:NAME``, and return the socket.
 
     Raises:
-        NoSimulatorError: no hub serves this bus.
+        NoSimulatorError: no process serves this bus.
         BusError: the hub belongs to another user.
     """
     path = local_bus_path(name)
@@ -74,7 +74,7 @@ def connect_to_hub(name: str) -> socket.socket:
 
 
 class LocalBus:
-    """Client of a local bus. This class has the interface ``contract.Bus``.
+    """Client of a local bus. The interface ``contract.Bus`` describes its methods.
 
     Attributes:
         name: specification of the bus.
@@ -88,17 +88,17 @@ class LocalBus:
         stamp: TimeConversion,
         max_records: int = MAX_RECORDS_PER_READ,
     ) -> None:
-        """Connect to the hub.
+        """Connect to the hub of the bus.
 
         Args:
             channel: name of the bus.
-            index: index of the bus in the hand's list.
-            stamp: function that converts a CLOCK_MONOTONIC time to the run's time [ns].
+            index: index of the bus in the list of the hand's buses.
+            stamp: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
             max_records: largest number of records per read. If it is 1, the socket stays readable
                 as long as a frame waits to be read.
 
         Raises:
-            BusError: no hub of this name is running.
+            BusError: no process serves a bus of this name.
         """
         self._socket = connect_to_hub(channel)
         self.name = f"local:{channel}"
@@ -139,7 +139,7 @@ class LocalBus:
     def _read(self, buffer: memoryview) -> int:
         """Read from the socket into a buffer.
 
-        Return the number of bytes, which is 0 if no data have arrived.
+        Return the number of bytes, or 0 if no data have arrived.
         """
         if self._closed:
             return 0
@@ -149,7 +149,7 @@ class LocalBus:
             return 0
         except OSError:
             size = 0
-        if size == 0:  # the stream has ended, because the hub has closed it
+        if size == 0:  # the stream has ended, because the hub has closed the connection
             self._report_lost_hub()
         return size
 
@@ -184,7 +184,7 @@ class LocalBus:
     def receive_one(self) -> Frame | None:
         """Return the next frame as an object, or None if no frame has arrived.
 
-        This method is for programs that process one message at a time.
+        This method is for programs that process one frame at a time.
         """
         if self.early_frames:
             frame = self.early_frames[0]
@@ -206,7 +206,7 @@ class LocalBus:
     def _count_dropped(self, lost: int) -> None:
         """Count the frames dropped by the hub since the last record.
 
-        ``lost`` is the hub's counter, modulo 65536.
+        Here, ``lost`` is the counter of the hub, modulo 65536.
         """
         if lost != self._dropped:
             self._events.add_event("dropped", (lost - self._dropped) & 0xFFFF)
@@ -220,26 +220,27 @@ class LocalBus:
             self._events.add_error_frame(can_id, data)
 
     def _frames_that_fit(self, frames: Sequence[Frame]) -> Sequence[Frame]:
-        """Return as many of the first frames as fit in the queue.
+        """Return as many frames, counted from the first, as the queue has room for.
 
-        The other frames count as refused.
+        All other frames count as refused.
         """
         if len(frames) > self._free_queue_places():
-            self.early_frames = self.drain()  # a queue report may have arrived since the last read
+            # The hub may have reported a change of its queue since the last read.
+            self.early_frames = self.drain()
         free = self._free_queue_places()
         if len(frames) > free:
             self._events.add_event("enobufs", len(frames) - free)
         return frames[:free]
 
     def _free_queue_places(self) -> int:
-        """Return the number of frames that still fit in the queue of the simulated wire."""
+        """Return the number of frames for which the queue of the simulated wire still has room."""
         waiting = (
             self._sent_count - self._transmitted_count & 0xFFFFFFFF
         )  # the hub counts frames modulo 2**32
         return max(0, self._queue_frames - waiting)
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """Send a batch and return the number of accepted frames, see ``contract.Bus``."""
+        """Send a batch of frames, and return the number of accepted frames, see ``contract.Bus``."""
         if self._queue_frames:
             frames = self._frames_that_fit(frames)
         records = self._pack_records(frames)
@@ -278,9 +279,9 @@ class LocalBus:
         return self._out[: CANFD_FRAME_BYTES * len(frames)]
 
     def _keep_partial_record(self, waiting: bytes | memoryview, sent: int, frames: int) -> int:
-        """If a record was sent only in part, store its rest for the next call.
+        """Store the rest of a record that was sent only in part, for the next call.
 
-        Drop the records after it.
+        All records after this record are dropped.
 
         Args:
             waiting: unsent part of the previous batch, followed by this batch.
@@ -291,7 +292,8 @@ class LocalBus:
             the number of accepted frames. A partly sent frame counts as accepted.
         """
         before = len(self._unsent_bytes)
-        accepted = max(0, -((before - sent) // CANFD_FRAME_BYTES))  # division, rounded up
+        # Division of two integers, rounded up.
+        accepted = max(0, -((before - sent) // CANFD_FRAME_BYTES))
         self._unsent_bytes = bytes(waiting[sent : before + accepted * CANFD_FRAME_BYTES])
         if frames > accepted:
             self._events.add_event("enobufs", frames - accepted)

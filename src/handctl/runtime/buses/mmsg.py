@@ -105,7 +105,7 @@ The kernel omits the loss counter until the first loss. A missing counter counts
 
 
 class DatagramSlots:
-    """Buffers of equal size for datagrams, and the kernel headers that point at these buffers.
+    """Buffers of equal size for datagrams, and the kernel headers that point to these buffers.
 
     Attributes:
         count: number of slots.
@@ -158,14 +158,14 @@ class DatagramSlots:
     def common_size(self, count: int, known_losses: int) -> int:
         """Return the common size of the first ``count`` datagrams [bytes], or 0 if each must be read separately.
 
-        The result is not 0 if all datagrams have the same length and a time stamp, and none has a
-        new value of the loss counter. After the first loss, the kernel adds the counter to every
-        datagram. The kernel usually writes the same bytes into the headers in every tick. Therefore
-        the result for the last bytes is cached.
+        The result is not 0 if all these datagrams have the same length and a time stamp, and none
+        has a new value of the loss counter. After the first lost datagram, the kernel adds the loss
+        counter to every datagram. In every tick, the kernel usually writes the same bytes into the
+        headers. Therefore the result for the last bytes is kept in a cache.
 
         Args:
             count: number of received datagrams.
-            known_losses: latest value of the loss counter that the caller has read.
+            known_losses: latest value of the loss counter that the caller knows.
         """
         raw = bytes(self._view[: count * _HEADER_STRUCT.size])
         if raw != self._last_headers:
@@ -180,7 +180,7 @@ class DatagramSlots:
         return self._last_size
 
     def datagrams(self, count: int) -> list[Datagram]:
-        """Return size, time stamp, and loss counter for each of the first ``count`` datagrams."""
+        """Return the size, the time stamp and the loss counter of each of the first ``count`` datagrams."""
         sizes = _HEADER_STRUCT.iter_unpack(self._view[: count * _HEADER_STRUCT.size])
         control = CONTROL_MESSAGES_STRUCT.iter_unpack(
             self.control[: count * CONTROL_MESSAGES_STRUCT.size]
@@ -208,7 +208,7 @@ class DatagramSlots:
     def reception_stamps(self, count: int) -> NDArray[np.int64]:
         """Return the CLOCK_REALTIME stamps of the first ``count`` datagrams [ns].
 
-        All of them must have a stamp.
+        All of these datagrams must have a time stamp.
         """
         times: NDArray[np.int64] = self._seconds[:count] * NS_PER_SECOND
         times += self._nanoseconds[:count]
@@ -217,7 +217,7 @@ class DatagramSlots:
     def set_lengths(self, lengths: NDArray[np.uint64]) -> None:
         """Set how many bytes of each slot are sent.
 
-        ``lengths`` has one number for each of the first slots.
+        ``lengths`` contains one number for each of the first slots.
         """
         self._sizes[: len(lengths)] = lengths
 
@@ -227,10 +227,10 @@ def receive_datagrams(fd: int, slots: DatagramSlots) -> int:
 
     Return the number of received datagrams.
 
-    Call ``DatagramSlots.reset_headers`` before the slots receive again.
+    Before the slots can receive again, the caller must call ``DatagramSlots.reset_headers``.
 
     Raises:
-        OSError: ``recvmmsg`` failed. If no datagram waits, no error is raised.
+        OSError: ``recvmmsg`` failed. If no datagram is waiting, no error is raised.
     """
     count: int = _libc.recvmmsg(fd, slots.headers, slots.count, socket.MSG_DONTWAIT, None)
     if count >= 0:

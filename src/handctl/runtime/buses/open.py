@@ -27,9 +27,9 @@ def real_buses(specs: Sequence[str]) -> list[str]:
 
 
 def _keep_monotonic_time(t_ns: int) -> int:
-    """Return a CLOCK_MONOTONIC time unchanged.
+    """Return a CLOCK_MONOTONIC time without a change.
 
-    This conversion is for programs that have no run, and no run's time.
+    This function is for programs without a run, which have no time of a run.
     """
     return t_ns
 
@@ -37,7 +37,7 @@ def _keep_monotonic_time(t_ns: int) -> int:
 def check_bus_spec(spec: str) -> None:
     """Raise an error if a bus specification is invalid.
 
-    Callers use this check before they open a bus.
+    Callers call this function before they open a bus.
 
     Raises:
         ConfigError: the kind or the channel is missing, or the name of a local bus contains a slash
@@ -66,12 +66,12 @@ def open_bus(
         index: index of the bus in the hand's list, copied into every frame.
         bitrate: nominal bit rate [bit/s].
         data_bitrate: bit rate of the data phase of CAN FD [bit/s], or None for a classical bus.
-        stamp: function that converts a CLOCK_MONOTONIC time to the run's time [ns].
+        stamp: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
 
     Raises:
         ConfigError: ``spec`` is not a valid bus specification.
-        BusError: the bus cannot be opened. The message contains a command or advice that corrects
-            the problem.
+        BusError: the bus cannot be opened. The error message contains a command or an advice that
+            corrects the problem.
     """
     check_bus_spec(spec)
     kind, _, channel = spec.partition(":")

@@ -1,8 +1,8 @@
 """CAN buses of all interfaces supported by python-can.
 
-Examples: ``virtual:x``, ``slcan:/dev/ttyACM0@115200``, ``pcan:PCAN_USBBUS1``. The time stamps of
-python-can have another zero in each interface. Therefore each frame gets the time at which the host
-read it.
+Examples: ``virtual:x``, ``slcan:/dev/ttyACM0@115200``, ``pcan:PCAN_USBBUS1``. In each interface of
+python-can, time stamps start at a different zero. Therefore a frame gets the time at which the host
+has read it.
 """
 
 import time
@@ -27,7 +27,7 @@ IDENTIFIER_MASK = 0x1FFFFFFF
 
 
 def frame_of_message(message: can.Message, index: int, t_ns: int) -> Frame:
-    """Return a python-can message as a frame.
+    """Convert a python-can message to a frame.
 
     Args:
         message: classical or CAN FD message. Remote requests are allowed.
@@ -49,7 +49,7 @@ def frame_of_message(message: can.Message, index: int, t_ns: int) -> Frame:
 
 
 def message_of_frame(frame: Frame, timestamp: float = 0.0) -> can.Message:
-    """Return a frame as a python-can message.
+    """Convert a frame to a python-can message.
 
     Args:
         frame: classical or CAN FD frame. Remote requests are allowed.
@@ -79,7 +79,7 @@ def open_python_can(
         interface: name of the interface in python-can.
         channel: name of the channel in python-can.
         bitrate: nominal bit rate [bit/s].
-        data_bitrate: bit rate of the data phase of CAN FD [bit/s]. None for a classical bus.
+        data_bitrate: bit rate of the data phase of CAN FD [bit/s], or None for a classical bus.
 
     Raises:
         BusError: python-can has no such interface, or cannot open it.
@@ -102,7 +102,7 @@ def open_python_can(
 
 
 class PythonCanBus:
-    """A bus of python-can. This class has the interface ``contract.Bus``."""
+    """A bus of python-can. The interface ``contract.Bus`` describes its methods."""
 
     def __init__(
         self,
@@ -113,15 +113,15 @@ class PythonCanBus:
         data_bitrate: int | None,
         stamp: TimeConversion,
     ) -> None:
-        """Open the interface.
+        """Open the CAN interface with python-can.
 
         Args:
             interface: name of the interface in python-can.
             channel: name of the channel in python-can.
-            index: index of the bus in the hand's list.
+            index: index of the bus in the list of the hand's buses.
             bitrate: nominal bit rate [bit/s].
-            data_bitrate: bit rate of the data phase of CAN FD [bit/s]. None for a classical bus.
-            stamp: function that converts a CLOCK_MONOTONIC time to the run's time [ns].
+            data_bitrate: bit rate of the data phase of CAN FD [bit/s], or None for a classical bus.
+            stamp: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
 
         Raises:
             BusError: python-can has no such interface, or cannot open it.
@@ -161,11 +161,11 @@ class PythonCanBus:
             self._events.add_error_frame(message.arbitration_id, bytes(message.data))
         elif (
             message.is_rx
-        ):  # the interfaces gs_usb and cantact also return the frames that this host sent
+        ):  # the interfaces gs_usb and cantact also return the frames that this host has sent
             frames.append(frame_of_message(message, self._index, self._stamp(time.monotonic_ns())))
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """Send a batch and return the number of accepted frames, see ``contract.Bus``."""
+        """Send a batch of frames, and return the number of accepted frames, see ``contract.Bus``."""
         for number, frame in enumerate(frames):
             check_payload_size(frame)
             try:
@@ -192,9 +192,10 @@ class PythonCanBus:
 
 
 def _errno_of(error: Exception) -> int | None:
-    """Return the errno of a python-can error, or None if there is none.
+    """Return the errno that belongs to an error of python-can, or None if there is none.
 
-    The errno may be in the error itself, in its ``error_code``, or in its cause.
+    The errno may be in the error itself, in the attribute ``error_code``, or in the cause of the
+    error.
     """
     code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
     if code is None and isinstance(error.__cause__, OSError):

@@ -1,7 +1,7 @@
 """CAN bus of the Linux kernel (SocketCAN) on a raw socket, for classical frames and CAN FD.
 
-A batch of frames needs a single system call. The kernel adds the time of reception to each received
-frame.
+A batch of frames is sent or read with a single system call. The kernel adds the time of reception
+to each received frame.
 """
 
 import fcntl
@@ -64,7 +64,10 @@ short for them.
 
 
 class SocketCanBus:
-    """Raw CAN socket. This class has the interface ``contract.Bus``."""
+    """CAN bus on a raw CAN socket of Linux.
+
+    The interface ``contract.Bus`` describes its methods.
+    """
 
     def __init__(self, link: socket.socket, name: str, index: int, stamp: TimeConversion) -> None:
         """Set up an open socket for use as a bus.
@@ -72,8 +75,8 @@ class SocketCanBus:
         Args:
             link: raw CAN socket, or a datagram socket that carries the same structs.
             name: specification of the bus.
-            index: index of the bus in the hand's list.
-            stamp: function that converts a CLOCK_MONOTONIC time to the run's time [ns].
+            index: index of the bus in the list of the hand's buses.
+            stamp: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
         """
         _set_socket_options(link)
         self.name = name
@@ -106,11 +109,11 @@ class SocketCanBus:
         return join_frames(parts)
 
     def _convert_datagrams(self, count: int) -> Frames:
-        """Return the received datagrams as frames.
+        """Convert the received datagrams to frames.
 
-        Usually all datagrams are of one kind (classical or CAN FD), their time stamps are close to
-        each other, and no frame was lost before them. Such datagrams are converted as one batch.
-        Otherwise each datagram is converted separately.
+        Usually all datagrams are of the same kind (classical or CAN FD), their time stamps are
+        close to each other, and no frame was lost before them. Such datagrams are converted as one
+        batch. Otherwise each datagram is converted separately.
         """
         size = self._in.common_size(count, self._dropped)
         frames = self._take_batch(count, FDF if size == CANFD_FRAME_BYTES else 0) if size else None
@@ -120,7 +123,7 @@ class SocketCanBus:
         return frames
 
     def _take_batch(self, count: int, fd_flag: int) -> Frames | None:
-        """Return the frames of a batch of one kind.
+        """Return the frames of a batch whose datagrams are all of the same kind.
 
         If the batch contains an error frame or a doubtful time stamp, return None. The caller then
         converts each frame separately.
@@ -142,7 +145,7 @@ class SocketCanBus:
         start = stamp(first)
         if (
             stamp(last) - start == last - first
-        ):  # between these stamps, the run's time is neither scaled nor paused
+        ):  # between these time stamps, the time of the run is neither scaled nor paused
             times += start - first
         else:
             times = np.array([stamp(t_ns) for t_ns in each])
@@ -163,7 +166,8 @@ class SocketCanBus:
         frames, _ = self._structs.read(count, 0, self._index)
         is_data = np.ones(count, bool)
         for i, ((size, realtime, dropped), frame) in enumerate(zip(datagrams, frames, strict=True)):
-            if dropped != self._dropped and dropped:  # 0 means that the kernel reported no count
+            # The value 0 means that the kernel has reported no count.
+            if dropped != self._dropped and dropped:
                 self._events.add_event("dropped", (dropped - self._dropped) & 0xFFFFFFFF)
                 self._dropped = dropped
             if frame.can_id & ERROR_FLAG:
@@ -173,7 +177,8 @@ class SocketCanBus:
             frames.records["flags"][i] = frame.flags | FDF if size == CANFD_FRAME_BYTES else 0
             t_ns = realtime + offset
             if not earliest <= t_ns <= now:
-                t_ns = now  # the time stamp is missing, or the wall clock was set meanwhile
+                # The time stamp is missing, or the wall clock has been set in the meantime.
+                t_ns = now
             stamps.append(stamp(t_ns))
             self._latest = max(self._latest, t_ns)
         records = frames.records[is_data]
@@ -181,7 +186,7 @@ class SocketCanBus:
         return Frames(records)
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """Send a batch and return the number of accepted frames, see ``contract.Bus``."""
+        """Send a batch of frames, and return the number of accepted frames, see ``contract.Bus``."""
         frames = frames_as_records(frames)
         accepted = 0
         for first in range(0, len(frames), MAX_FRAMES_PER_CALL):
@@ -212,12 +217,12 @@ class SocketCanBus:
 
 
 def _set_socket_options(link: socket.socket) -> None:
-    """Set the buffer sizes of a socket, and switch on its receive time stamps and its counter of lost frames."""
+    """Set the buffer sizes of a socket, and switch on its time stamps of reception and its counter of lost frames."""
     link.setblocking(False)
     link.setsockopt(socket.SOL_SOCKET, mmsg.SO_TIMESTAMPNS, 1)
     link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RXQ_OVFL, 1)
     link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-    try:  # only root may request a larger buffer than net.core.rmem_max
+    try:  # only root may request a buffer that is larger than net.core.rmem_max
         link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES)
     except PermissionError:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
@@ -226,15 +231,15 @@ def _set_socket_options(link: socket.socket) -> None:
 def open_socketcan(
     channel: str, index: int, bitrate: int, data_bitrate: int | None, stamp: TimeConversion
 ) -> SocketCanBus:
-    """Open a CAN interface of the kernel.
+    """Open a CAN interface of the Linux kernel.
 
     Args:
-        channel: name of the interface. The interface must be up.
-        index: index of the bus in the hand's list.
+        channel: name of the interface. The interface must already be up.
+        index: index of the bus in the list of the hand's buses.
         bitrate: required nominal bit rate [bit/s].
         data_bitrate: required bit rate of the data phase of CAN FD [bit/s]. None for a classical
             bus.
-        stamp: function that converts a CLOCK_MONOTONIC time to the run's time [ns].
+        stamp: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
 
     Raises:
         BusError: the kernel has no SocketCAN, or the interface is missing or down, is not in CAN FD
@@ -268,9 +273,9 @@ def open_socketcan(
 
 
 def _interface_problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
-    """Return a message about the problem of an existing interface.
+    """Return a message if an existing interface cannot be used.
 
-    The message is empty if the interface can be used.
+    If the interface can be used, the message is empty.
     """
     if not _read_interface_number(link, channel, SIOCGIFFLAGS) & IFF_UP:
         return "the interface is down"

@@ -28,9 +28,9 @@ class LockstepSimulator(Protocol):
     """Interface of a simulator in lockstep."""
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Advance the simulator by one period.
+        """Advance the simulator by one control period.
 
-        Return its answers to the frames that the host sent at t_ns.
+        Return the answers of the simulator to the frames that the host has sent at t_ns.
         """
         ...
 
@@ -40,7 +40,7 @@ class LockstepSimulator(Protocol):
 
 
 def _exchange_objects(peer: LockstepSimulator, t_ns: int, records: RecordArray) -> RecordArray:
-    """Exchange records with a simulator that has no ``exchange``.
+    """Exchange records with a simulator that does not have the method ``exchange``.
 
     The records are converted to frame objects and back.
     """
@@ -50,7 +50,7 @@ def _exchange_objects(peer: LockstepSimulator, t_ns: int, records: RecordArray) 
 
 
 def load_simulator_object(entry: str, user: str) -> Callable[..., Any]:
-    """Return a class or function of the simulator by its name ``module:name``.
+    """Return the class or function of the simulator that has the name ``module:name``.
 
     Args:
         entry: name of the class or function, ``module:name``.
@@ -96,11 +96,14 @@ class LockstepClock:
         frames_from_simulator: answers of the simulator that ``LockstepBus.drain`` has not returned
             yet.
         k: number of the present tick.
-        offset_ns: time of the simulator at t = 0 of this run [ns].
+        offset_ns: time of the simulator when the time of this run is 0 [ns].
     """
 
     def __init__(self, peer: LockstepSimulator, period_ns: int) -> None:
-        """Start at tick 0, at time 0 of the simulator. ``period_ns`` is the control period [ns]."""
+        """Start at tick 0 and at the time 0 of the simulator.
+
+        The argument ``period_ns`` is the control period [ns].
+        """
         self.simulator = peer
         self.period_ns = period_ns
         self._exchange: Callable[[int, RecordArray], RecordArray]
@@ -113,8 +116,8 @@ class LockstepClock:
     def restart(self) -> None:
         """Begin another run, one tick after the last frames of the previous run were sent.
 
-        The simulator receives these frames, because they disable the drives. The answers of the
-        simulator are discarded, because no bus is open between two runs.
+        The simulator still receives these frames, because they disable the drives. The answers of
+        the simulator are discarded, because no bus is open between two runs.
         """
         if self.frames_to_simulator:
             self.wait(self.k + 1)
@@ -151,7 +154,7 @@ class LockstepClock:
 
 
 class LockstepBus:
-    """All buses of a hand in lockstep, as a single object.
+    """All buses of a hand in lockstep, represented by a single object.
 
     Each frame contains the index of its bus.
     """
@@ -167,8 +170,8 @@ class LockstepBus:
         """Return the answers of the simulator. Error frames become events."""
         frames = join_frames(self.clock.frames_from_simulator)
         self.clock.frames_from_simulator = []
-        # One OR over all identifiers shows whether any frame is an error frame. Usually there is
-        # none, and no frame has to be examined on its own.
+        # The bitwise OR of all identifiers shows whether any frame is an error frame. Usually there
+        # is no error frame. In this case, the frames need not be examined one by one.
         if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR_FLAG:
             return frames
         frames, errors = without_errors(frames.records)
@@ -178,7 +181,7 @@ class LockstepBus:
         return frames
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """Queue frames for the next step of the simulator, and return their number."""
+        """Keep frames for the next step of the simulator, and return their number."""
         self.clock.frames_to_simulator.append(frames_as_records(frames))
         return len(frames)
 
@@ -187,4 +190,4 @@ class LockstepBus:
         return [event for events in self._events.values() for event in events.take_events()]
 
     def close(self) -> None:
-        """Do nothing. The owner of the simulator closes it."""
+        """Do nothing. The owner of the simulator closes the simulator."""

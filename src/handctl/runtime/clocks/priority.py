@@ -1,6 +1,6 @@
-"""Real-time priority and locked memory for the control process.
+"""Real-time priority and locked memory for the process of the controller.
 
-Idle processors can be kept awake.
+The module can also keep idle processors awake.
 """
 
 import os
@@ -17,10 +17,11 @@ ZERO_LATENCY_BYTES = bytes(4)
 
 @dataclass(frozen=True, slots=True)
 class GrantedPriority:
-    """Permissions that the operating system has granted: real-time scheduling, locked memory, awake processors.
+    """Permissions that the operating system has granted: real-time priority, locked memory, and awake processors.
 
     Attributes:
-        realtime: True if the system granted SCHED_FIFO, the real-time priority.
+        realtime: True if the system has granted SCHED_FIFO, the scheduling class with real-time
+            priority.
         memory_locked: True if the memory of the process is locked against paging.
         processors_awake: True if idle processors stay awake while the ticks run.
     """
@@ -37,21 +38,22 @@ class GrantedPriority:
 
 
 def request_priority(level: int = 60) -> GrantedPriority:
-    """Request SCHED_FIFO and locked memory.
+    """Request the scheduling class SCHED_FIFO and locked memory.
 
-    The result tells which of them the system refused. No error is raised.
+    The result says which of both the system has refused. If the system refuses them, no error is
+    raised.
     """
-    # The memory is locked before SCHED_FIFO is requested. Locking fills hundreds of MB. Under
-    # SCHED_FIFO, no other process would get the core during this time.
+    # The memory is locked before SCHED_FIFO is requested. Locking the memory fills hundreds of MB.
+    # Under SCHED_FIFO, no other process on the same core could run during this time.
     locked = _lock_memory()
     return GrantedPriority(_enter_fifo(level), locked)
 
 
 def prepare_priority() -> GrantedPriority:
-    """Lock the memory, and test if the system will grant SCHED_FIFO to :func:`realtime_priority`.
+    """Lock the memory, and test whether the system will grant SCHED_FIFO to :func:`realtime_priority`.
 
-    The start of a control loop takes a quarter of a second. During this time it has no real-time
-    priority, so that other processes can use the core.
+    The start of a control loop takes a quarter of a second. During this time, the process has no
+    real-time priority, so that other processes can use the core.
     """
     locked = _lock_memory()
     with realtime_priority() as granted, awake_processors() as awake:
@@ -62,7 +64,7 @@ def prepare_priority() -> GrantedPriority:
 def realtime_priority(level: int = 60) -> Iterator[bool]:
     """Run a ``with`` block under SCHED_FIFO on awake processors.
 
-    Yield True if the system granted SCHED_FIFO.
+    Yield True if the system has granted SCHED_FIFO.
     """
     try:
         with awake_processors():
@@ -129,9 +131,9 @@ MCL_FUTURE = 2
 
 
 def _lock_memory() -> bool:
-    """Lock the present and future pages of this process in memory.
+    """Lock all present and future memory pages of this process.
 
-    Return True if the system permits it.
+    Return True if the system allows this.
     """
     if not sys.platform.startswith("linux"):
         return False

@@ -1,6 +1,7 @@
 """Real time of a run.
 
-Ticks have absolute deadlines on CLOCK_MONOTONIC. The time of the run may be scaled.
+Each tick has an absolute deadline on CLOCK_MONOTONIC. The time of the run may be slower or faster
+than wall time.
 
 The virtual time of lockstep is in the module ``lockstep``.
 """
@@ -21,7 +22,7 @@ class TickClock(Protocol):
     """Clock of the control loop. All its times are the run's time, unless a text says wall time."""
 
     def start(self) -> None:
-        """Start the run's time. The next tick is tick 0."""
+        """Start the time of the run. The next tick is tick 0."""
         ...
 
     def wait(self, k: int) -> int:
@@ -33,7 +34,7 @@ class TickClock(Protocol):
         ...
 
     def clock_facts(self) -> dict[str, str]:
-        """Return facts about the clock, by name.
+        """Return facts about the clock, by the name of the fact.
 
         The recorder writes these facts at the end of the log.
         """
@@ -42,17 +43,19 @@ class TickClock(Protocol):
 
 @dataclass
 class RealClock:
-    """Clock on CLOCK_MONOTONIC. The deadline of tick k is the start plus k periods.
+    """Clock of a run in real time, based on CLOCK_MONOTONIC.
 
-    With scale 0.1, one second of the run takes ten seconds.
+    The deadline of tick k is the start of the run plus k periods.
+
+    With a time scale of 0.1, one second of the run takes ten seconds of wall time.
 
     Attributes:
-        period_ns: control period [ns of the run's time].
-        time_scale: the run's time divided by wall time.
-        busy_wait: True to read the clock in a loop before each deadline. This is useful only with
-            real-time priority.
+        period_ns: control period [ns of the time of the run].
+        time_scale: seconds of the run per second of wall time.
+        busy_wait: True to read the clock repeatedly before each deadline, without sleeping. This is
+            useful only with real-time priority.
         start_ns: reading of the clock at tick 0 [ns of wall time].
-        pauses: number of pauses so far. Only the shared clock can pause.
+        pauses: number of pauses of the clock so far. Only the shared clock can pause.
         paused_ns: total duration of these pauses [ns of wall time].
     """
 
@@ -64,14 +67,14 @@ class RealClock:
     paused_ns: int = 0
 
     def start(self) -> None:
-        """Start the run's time. The deadline of tick 0 follows after one period."""
+        """Start the time of the run. The deadline of tick 0 is one period later."""
         self.start_ns = self._read_ns() + int(self.period_ns / self.time_scale)
 
     def wait(self, k: int) -> int:
         """Wait for the deadline of tick k, and return the time since the deadline [ns], see ``TickClock``."""
         return int(
             self._wait_until(self._deadline_ns(k)) * self.time_scale
-        )  # convert wall time to the run's time
+        )  # convert wall time to the time of the run
 
     def now_ns(self) -> int:
         """Return the time since the start of the run [ns]."""
@@ -82,7 +85,7 @@ class RealClock:
         return {}
 
     def run_time_of(self, monotonic_ns: int) -> int:
-        """Convert a CLOCK_MONOTONIC time stamp to the run's time [ns]."""
+        """Convert a CLOCK_MONOTONIC time stamp to the time of the run [ns]."""
         return int((monotonic_ns - self.start_ns) * self.time_scale)
 
     def _read_ns(self) -> int:
@@ -90,7 +93,7 @@ class RealClock:
         return time.monotonic_ns()
 
     def _deadline_ns(self, k: int) -> int:
-        """Return the deadline of tick k as a reading of the clock [ns of wall time]."""
+        """Return the deadline of tick k, as a reading of the clock [ns of wall time]."""
         return self.start_ns + int(k * self.period_ns / self.time_scale)
 
     def _wait_until(self, deadline: int) -> int:
@@ -100,7 +103,7 @@ class RealClock:
             time.sleep(early / 1e9)
         while (
             now := self._read_ns()
-        ) < deadline:  # sleep may return early, so the loop checks the clock again
+        ) < deadline:  # sleep may return too early, so the loop reads the clock again
             if not self.busy_wait:
                 time.sleep((deadline - now) / 1e9)
         return now - deadline

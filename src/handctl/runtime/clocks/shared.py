@@ -7,9 +7,9 @@ either process for many milliseconds. With real hardware, it can only stop the c
 late tick is a fault. In a simulation, such a stop tells nothing about the hand or the controller.
 Therefore the shared clock pauses in two cases:
 
-- The controller wakes up late. The clock continues from a short time after the deadline.
-- The simulator has not yet answered the frames of the previous tick. The clock stands still until
-  the answers are there.
+- The controller wakes up too late. The clock then continues from a time shortly after the deadline.
+- The simulator has not yet answered the frames of the previous tick. The clock then stands still
+  until the answers have arrived.
 
 The time in both processes is CLOCK_MONOTONIC minus the sum of all pauses. The gate is the time at
 which the clock pauses, shortly after the next deadline. The controller moves the gate in every
@@ -66,7 +66,7 @@ The simulator advances in steps of a millisecond.
 
 
 class ClockFile:
-    """The mapped file of a shared clock.
+    """The file of a shared clock, mapped into memory.
 
     Attributes:
         numbers: the integers of the file.
@@ -76,7 +76,7 @@ class ClockFile:
         """Map the file of a simulator's shared clock into memory.
 
         Raises:
-            FileNotFoundError: the simulator offers no shared clock.
+            FileNotFoundError: the simulator does not offer a shared clock.
             ValueError: the file has another size or version.
         """
         descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
@@ -89,7 +89,10 @@ class ClockFile:
             raise ValueError(f"{path}: version {self.numbers[0]}; expected {CLOCK_FILE_VERSION}")
 
     def close(self) -> None:
-        """Open the gate and unmap the file. The simulator then continues without the controller."""
+        """Open the gate, and unmap the file.
+
+        The simulator then continues without the controller.
+        """
         self.numbers[GATE_INDEX] = OPEN_GATE_NS
         self.numbers.release()
         self._map.close()
@@ -97,12 +100,12 @@ class ClockFile:
 
 @dataclass
 class SharedClock(RealClock):
-    """Clock of a controller that shares its time with its simulator.
+    """Clock of a controller that shares the time with a simulator.
 
     The shared clock is a kind of ``RealClock``.
 
     Attributes:
-        file: mapped clock file of the simulator.
+        file: clock file of the simulator, mapped into memory.
     """
 
     file: ClockFile = field(kw_only=True)
@@ -115,7 +118,7 @@ class SharedClock(RealClock):
         self._move_gate(0)
 
     def wait(self, k: int) -> int:
-        """Wait for the deadline of tick k and for the simulator.
+        """Wait for the deadline of tick k, and for the answers of the simulator.
 
         Return the time since the deadline [ns].
         """
@@ -136,9 +139,9 @@ class SharedClock(RealClock):
         return {"clock_pauses": str(self.pauses), "clock_paused_ms": f"{self.paused_ns / 1e6:.1f}"}
 
     def run_time_of(self, monotonic_ns: int) -> int:
-        """Convert a CLOCK_MONOTONIC time stamp to the run's time [ns].
+        """Convert a CLOCK_MONOTONIC time stamp to the time of the run [ns].
 
-        The result is right for time stamps after the last pause but one.
+        The result is right only for time stamps after the last pause but one.
         """
         end_ns, pause_ns = self._last_pause
         since_pause = self._numbers[PAUSED_INDEX] - min(max(end_ns - monotonic_ns, 0), pause_ns)
@@ -160,15 +163,16 @@ class SharedClock(RealClock):
     def _stop_at_gate(self) -> None:
         """Add a pause if the clock has passed the gate. The clock then reads the time of the gate.
 
-        The simulator has never read a time after the gate. Therefore it sees no jump back in time.
+        The simulator has never seen a time after the gate. Therefore the simulator sees no jump
+        back in time.
         """
         self._numbers[PAUSED_INDEX] += max(0, self._read_ns() - self._numbers[GATE_INDEX])
 
     def _wait_for_simulator(self, deadline: int) -> None:
         """Stop the clock at the gate until the simulator has answered the frames of the previous tick.
 
-        After ``MAX_SIMULATOR_WAIT_NS`` without an answer, the clock continues. In later ticks it no
-        longer waits, until the simulator has answered again.
+        After ``MAX_SIMULATOR_WAIT_NS`` without an answer, the clock continues. In later ticks, the
+        clock does not wait for the simulator until it has answered again.
         """
         numbers = self._numbers
         if numbers[ANSWERED_INDEX] == self._abandoned_answer:
@@ -182,7 +186,7 @@ class SharedClock(RealClock):
                 return
 
     def _is_answered(self, deadline: int) -> bool:
-        """Return True if the simulator has answered all frames, and lags by at most ``MAX_SIMULATOR_LAG_NS``."""
+        """Return True if the simulator has answered all frames, and is at most ``MAX_SIMULATOR_LAG_NS`` behind."""
         numbers = self._numbers
         behind_ns = int(MAX_SIMULATOR_LAG_NS / self.time_scale)
         return bool(

@@ -1,6 +1,6 @@
 """Detection of a suspend of the machine.
 
-During a suspend, CLOCK_BOOTTIME continues and CLOCK_MONOTONIC stands still.
+During a suspend, the clock CLOCK_BOOTTIME continues, and CLOCK_MONOTONIC stands still.
 """
 
 import time
@@ -27,14 +27,14 @@ def read_boot_clock_ns() -> int:
 
 
 class SuspendWatch:
-    """Detector of suspends. Each call of ``take_events`` compares the two clocks."""
+    """Detector of suspends of the machine. Each call of ``take_events`` compares the two clocks."""
 
     def __init__(
         self,
         boot: Callable[[], int] = read_boot_clock_ns,
         monotonic: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Read the clocks once.
+        """Read both clocks for the first time.
 
         Args:
             boot: clock that continues during a suspend [ns].
@@ -45,7 +45,7 @@ class SuspendWatch:
         self._difference_ns = self._clock_difference()
 
     def _clock_difference(self) -> int | None:
-        """Return the difference of the two clocks [ns], or None if the reading was interrupted."""
+        """Return the difference of both clocks [ns], or None if the reading of the clocks was interrupted."""
         before = self._monotonic()
         boot = self._boot()
         return boot - before if self._monotonic() - before < MAX_READING_NS else None

@@ -1,8 +1,8 @@
-"""Readings of the drives, load cells and joint encoders of a hand, while no drive produces torque.
+"""Readings of the drives, load cells and joint encoders of a hand, while no drive makes torque.
 
-Every drive is polled as in the mode READY of a run. The drive is configured, its settings are read
-back, and its feedback is requested. No function here requests ENABLE. ``DriveTarget.POLL`` disables
-a drive that is enabled.
+Every drive is polled as in the mode READY of a run: the drive is configured, its settings are read
+back, and its feedback is requested. No function in this module requests the state ENABLE. If a
+drive is enabled, ``DriveTarget.POLL`` disables the drive.
 """
 
 import math
@@ -29,8 +29,9 @@ class SensorReading(NamedTuple):
     """Reading of a load cell [N] or of a joint encoder [rad].
 
     Attributes:
-        value: latest value that the node has sent, without a tare, or NaN before the first frame.
-        t_ns: time at which this value was received [ns], or -1 before the first frame.
+        value: latest value that the node has sent, with no tare subtracted, or NaN before the first
+            frame.
+        t_ns: time at which the latest value was received [ns], or -1 before the first frame.
     """
 
     value: float = math.nan
@@ -44,7 +45,7 @@ class SensorReading(NamedTuple):
 
 
 def is_saturated(tension: float, cell_range: tuple[float, float]) -> bool:
-    """Return True if a reading of a load cell [N] is at an end of its range [N], as a broken wire causes."""
+    """Return True if the reading of a load cell [N] is at an end of its range [N], as with a broken wire."""
     return not cell_range[0] < tension < cell_range[1] and not math.isnan(tension)
 
 
@@ -54,14 +55,14 @@ class BusWatch:
 
     Attributes:
         drives: drives of the hand.
-        sensors: the sensor node. Such a node may have no frames.
+        sensors: sensor node of the hand. A hand without sensors has a sensor node without frames.
         buses: open buses, in the order of the hand file.
-        clock: a started clock. All nodes are polled once in each of its periods.
+        clock: clock that has been started. In each period of the clock, all nodes are polled once.
         period_ns: period of the clock [ns].
         states: state of each drive.
-        amplifiers: state of each measuring amplifier.
-        tensions: reading of each load cell, by index of the tendon.
-        angles: reading of each joint encoder, by index of the joint.
+        amplifiers: state of each load-cell amplifier.
+        tensions: reading of each load cell, by the index of the tendon.
+        angles: reading of each joint encoder, by the index of the joint.
         k: number of the next tick.
     """
 
@@ -77,7 +78,7 @@ class BusWatch:
     k: int = 0
 
     def __post_init__(self) -> None:
-        """Set each drive to its initial state, with no readings so far."""
+        """Set each drive to its initial state, without readings."""
         self.states = [drive.initial_state() for drive in self.drives]
         node = self.sensors
         self.amplifiers = [amplifier.initial_state() for amplifier in node.amplifiers]
@@ -94,7 +95,7 @@ class BusWatch:
     ) -> str:
         """Listen for a time [s], and return the identifier of the first frame from another host.
 
-        The text is empty if no other host sends frames.
+        If no other host has sent a frame, the text is empty.
         """
         own = {(drive.bus, can_id) for drive in self.drives for can_id in drive.host_ids}
         own |= {(self.sensors.bus, can_id) for can_id in self.sensors.host_ids}
@@ -108,7 +109,7 @@ class BusWatch:
     def run_tick(self) -> None:
         """Wait for the next tick, process all received frames, and send the requests of the tick.
 
-        Ticks that a late host has missed are skipped, and not executed later.
+        If the host is late and misses ticks, they are skipped and not made up for.
         """
         self.k += self.clock.wait(self.k) // self.period_ns
         for bus in self.buses:
@@ -128,7 +129,7 @@ class BusWatch:
         self.k += 1
 
     def send_release(self) -> None:
-        """Send the frames that tell the drives that the host will send no more frames."""
+        """Send the frames which tell the drives that the host will send no more frames."""
         pairs = zip(self.drives, self.states, strict=True)
         self._send([frame for drive, state in pairs for frame in drive.release_frames(state)])
 
@@ -144,13 +145,13 @@ class BusWatch:
     def ages_s(self, now_ns: int) -> list[float]:
         """Return the age of each drive's latest feedback [s].
 
-        The age is infinite for a drive that has sent no feedback.
+        For a drive that has sent no feedback, the age is infinite.
         """
         times = [state.feedback_t_ns for state in self.states]
         return [(now_ns - t_ns) * 1e-9 if t_ns >= 0 else math.inf for t_ns in times]
 
     def _receive(self, frame: Frame) -> None:
-        """Pass a received frame to the measuring amplifiers, and then to the sensor readings or to the drives."""
+        """Pass a received frame to the load-cell amplifiers, and then to the sensor readings or to the drives."""
         group = self._group.get(frame.can_id, -1) if frame.bus == self.sensors.bus else -1
         for i, amplifier in enumerate(self.sensors.amplifiers):
             self.amplifiers[i] = amplifier.receive(self.amplifiers[i], frame)
@@ -158,7 +159,7 @@ class BusWatch:
                 group in self.sensors.group_ranges[i]
                 and self.amplifiers[i].phase != DrivePhase.READY
             ):
-                return  # until the amplifier is set up, the unit of its readings is unknown
+                return  # until the amplifier has been set up, the unit of its readings is unknown
         if group < 0:
             for n, drive in enumerate(self.drives):
                 self.states[n] = drive.receive(self.states[n], frame)
@@ -168,8 +169,8 @@ class BusWatch:
         table = self._tables[group]
         kinds = [signal.quantity for signal in table.message.signals]
         decoded = zip(kinds, table.unpack(frame.data), strict=True)
-        # An overloaded amplifier may send NaN. The reading is then set to the low end of the range,
-        # so that it counts as saturated.
+        # If the load is too large, an amplifier may send NaN. The reading is then set to the low
+        # end of the range, so that it counts as saturated.
         low = self.sensors.cell_range[0]
         values = [
             low if math.isnan(value) else value

@@ -1,11 +1,11 @@
 """Identity of a CANopen drive (vendor, product, name, ...).
 
-The objects of the drive are read one by one with the ``canopen`` library.
+The library ``canopen`` reads the objects of the drive one by one.
 
 This module is not used while a controller runs.
 
-The library opens the bus through python-can, and starts threads. When ``identify_nodes`` returns,
-the bus is closed and the threads have ended.
+The library opens the bus with python-can, and starts threads. After ``identify_nodes`` has
+returned, the bus is closed and the threads have ended.
 """
 
 import logging
@@ -38,7 +38,7 @@ ANSWER_TIMEOUT_S = 0.3
 class CanopenIdentity(NamedTuple):
     """Numbers and texts that a node has reported, by the names in ``NUMBER_OBJECTS`` and ``TEXT_OBJECTS``.
 
-    Objects that the node lacks are left out.
+    An object that the node does not have is left out.
     """
 
     numbers: dict[str, int]
@@ -46,7 +46,7 @@ class CanopenIdentity(NamedTuple):
 
 
 def identify_nodes(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, CanopenIdentity]:
-    """Read the identity of each node with SDO uploads.
+    """Read the identity of each node by SDO uploads.
 
     Args:
         spec: ``INTERFACE:CHANNEL`` of the bus. The bus must be closed in this process.
@@ -62,7 +62,7 @@ def identify_nodes(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, C
     before = logger.level
     logger.setLevel(
         logging.CRITICAL
-    )  # without this line, the library would log an error for each object that a drive lacks
+    )  # otherwise the library would log an error for each object that a drive does not have
     try:
         network.connect()
         return {number: _read_identity(network, number) for number in nodes}
@@ -89,7 +89,7 @@ def _read_identity(network: canopen.Network, number: int) -> CanopenIdentity:
 def _upload_object(node: canopen.RemoteNode, index: int, sub: int) -> bytes:
     """Return the content of an object.
 
-    The content is empty if the drive refuses the request or does not answer.
+    If the drive refuses the request or does not answer, the content is empty.
     """
     try:
         return bytes(node.sdo.upload(index, sub))

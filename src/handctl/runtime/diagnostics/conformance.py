@@ -37,7 +37,7 @@ REPORTED_FRACTION = 0.3
 
 
 class CheckVerdict(Enum):
-    """Result of a conformance check."""
+    """Result of a conformance check of a drive."""
 
     PASSED = "passed"
     FAILED = "failed"
@@ -70,7 +70,7 @@ class DeviceUnderTest(NamedTuple):
     """Drive under test, with the limits of the test.
 
     Attributes:
-        rig: the drive on its bus.
+        rig: test rig with the drive and its bus.
         torque_limit_N_m: largest torque of the test [N m].
         watchdog_s: timeout of the drive's watchdog [s].
     """
@@ -91,7 +91,7 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
     """Run all checks in order, and yield each result.
 
     If a check leaves the drive in an unusable state, the remaining checks are left out. Two checks
-    turn the shaft. If the first of them fails, the second is left out.
+    turn the shaft. If the first of these two checks fails, the second is left out.
     """
     usable = True
     reversed_turn = False
@@ -111,10 +111,10 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
 def _omitted_check(
     device: DeviceUnderTest, name: str, requirement: RequirementCheck
 ) -> ConformanceCheck:
-    """Return the result of a check that is not run, because an earlier check has failed.
+    """Return the result of a check that is left out because an earlier check has failed.
 
-    The check of the disable command fails if the drive is still enabled, because an earlier check
-    has already sent that command.
+    If the drive is still enabled, the check of the disable command counts as failed, because an
+    earlier check has already sent this command.
     """
     if requirement is _check_disables and device.rig.state.phase == DrivePhase.ENABLED:
         return ConformanceCheck(
@@ -157,7 +157,7 @@ def _failure_of(device: DeviceUnderTest, checked: DriveProperty, seen: str) -> E
 
 
 def _enable_drive(rig: DriveRig) -> None:
-    """Enable the drive. Raises CheckFailed if the drive does not report that it is enabled."""
+    """Enable the drive. If the drive does not report that it is enabled, raise CheckFailed."""
     if not rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 2.0):
         raise CheckFailed(
             rig.state.error_text or "does not report that it is enabled within 2 s of the command"
@@ -190,9 +190,9 @@ def _check_single_answers(device: DeviceUnderTest) -> str:
 
 
 def _feedback_frames(rig: DriveRig, target: DriveTarget) -> tuple[int, float]:
-    """Run COUNTED_TICKS ticks, and return the number of feedback frames received in them, and their time [s].
+    """Run COUNTED_TICKS ticks, and return the number of feedback frames received, and the duration of the ticks [s].
 
-    The time contains missed ticks.
+    The duration includes ticks that were missed.
     """
     before = rig.state.feedback_count
     start_ns = rig.t_ns
@@ -202,7 +202,7 @@ def _feedback_frames(rig: DriveRig, target: DriveTarget) -> tuple[int, float]:
 
 
 def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
-    """Check that a drive in the phase READY produces no torque, even if it receives torque commands."""
+    """Check that a drive in the phase READY makes no torque, even if the host sends torque commands."""
     rig = device.rig
     before = rig.state.feedback_count
     rig.run_for(DriveTarget.POLL, 0.3)
@@ -221,7 +221,7 @@ def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
 def _check_ignores_torque(device: DeviceUnderTest) -> str:
     """Send torque commands up to the limit to a disabled drive.
 
-    Raises CheckFailed if the drive follows them.
+    If the drive follows these commands, raise CheckFailed.
     """
     rig = device.rig
     if not rig.drive.torque_frames(0.0):
@@ -241,8 +241,8 @@ def _check_ignores_torque(device: DeviceUnderTest) -> str:
             raise CheckFailed(
                 f"follows torque commands while disabled: {torque:+.3f} N m turned it by {moved:+.3f} rad"
             )
-    # A drive may store the last command, and follow it as soon as it is enabled. Therefore the last
-    # command is zero.
+    # A drive may store the last command, and follow it when it is enabled later. Therefore the last
+    # command is a torque of zero.
     rig.run_tick(DriveTarget.POLL, extra=rig.drive.torque_frames(0.0))
     mean = sum(reported[len(reported) // 2 :]) / (len(reported) - len(reported) // 2)
     if abs(mean) > REPORTED_FRACTION * device.torque_limit_N_m:
@@ -258,7 +258,7 @@ def _check_enables(device: DeviceUnderTest) -> str:
 
 
 def _check_feedback(device: DeviceUnderTest) -> str:
-    """Check that an enabled drive sends fresh feedback in nearly every tick."""
+    """Check that an enabled drive sends new feedback in nearly every tick."""
     rig = device.rig
     _enable_drive(rig)
     start = rig.state.feedback_count
@@ -266,7 +266,7 @@ def _check_feedback(device: DeviceUnderTest) -> str:
     ages = []
     for _ in range(ticks):
         state = rig.run_tick(DriveTarget.ENABLE)
-        # After a tick, the time of the rig is already that of the next one.
+        # After a tick, the time of the rig is already the time of the next tick.
         ages.append(rig.t_ns - PERIOD_NS - state.feedback_t_ns)
     ages.sort()
     count = rig.state.feedback_count - start
@@ -278,7 +278,7 @@ def _check_feedback(device: DeviceUnderTest) -> str:
 
 
 def _rotation_check(sign: int) -> RequirementCheck:
-    """Return a check that a torque of the given sign turns the shaft in the direction of the torque."""
+    """Return a check whether a torque of the given sign turns the shaft in the direction of this torque."""
 
     def check_rotation(device: DeviceUnderTest) -> str:
         rig = device.rig
@@ -308,7 +308,7 @@ def _rotation_check(sign: int) -> RequirementCheck:
 def _explain_no_motion(device: DeviceUnderTest, sign: int, torque: float) -> Exception:
     """Explain why a shaft did not turn at the torque limit.
 
-    The explanation depends on the torque that the drive reports [N m].
+    The explanation depends on the torque that the drive has reported [N m].
     """
     reported = sign * torque
     limit = f"{sign * device.torque_limit_N_m:+.3f} N m"
@@ -320,7 +320,7 @@ def _explain_no_motion(device: DeviceUnderTest, sign: int, torque: float) -> Exc
 
 
 def _check_torque_limit(device: DeviceUnderTest) -> str:
-    """Check that handctl refuses a torque above the limit and a torque that is not finite, and sends neither."""
+    """Check that handctl refuses to send a torque that is above the limit or not finite."""
     rig = device.rig
     _enable_drive(rig)
     for torque in (
@@ -347,8 +347,8 @@ def _check_disables(device: DeviceUnderTest) -> str:
     if rig.state.phase == DrivePhase.FAULT:
         raise CheckFailed(f"reports a fault after the disable command: {rig.state.error_text}")
     took = f"after {(rig.t_ns - start) / 1e6:.0f} ms"
-    # Some drives do not report whether they are enabled. Such a drive gets torque commands, which
-    # show whether it has ignored the disable command.
+    # Some drives do not report whether they are enabled. Such a drive gets torque commands after
+    # the disable command. They show whether the drive has ignored the disable command.
     rig.run_for(DriveTarget.DISABLE, 0.05)
     return f"{took}; {_check_ignores_torque(device)}"
 
@@ -395,15 +395,15 @@ def _check_readable(device: DeviceUnderTest) -> str:
 
 
 def release_drive(rig: DriveRig, watchdog_s: float, restoring: Drive | None = None) -> bool:
-    """Disable the drive, clear its errors, and send the frames that end a run.
+    """Disable the drive, clear the errors of the drive, and send the frames that end a run.
 
-    Returns True if the drive reports that it is off.
+    Return True if the drive reports that it is disabled.
 
     After these frames, the next program can use the drive. The drive also knows that its host has
     ended, and reports no lost host.
 
     Args:
-        rig: rig with a drive in any state.
+        rig: test rig with a drive in any state.
         watchdog_s: timeout of the drive's watchdog [s].
         restoring: description of the drive with the settings to restore. If it is None, the drive
             keeps its present settings.

@@ -48,7 +48,7 @@ class JogGoal(NamedTuple):
         target: target in this mode: torque [N m], velocity [rad/s], or position relative to the
             start [rad].
         duration_s: duration of the motion [s].
-        limits: largest speed and acceleration of the shaft.
+        limits: largest speed and largest acceleration of the shaft.
         max_torque_N_m: torque limit of the drive [N m].
         max_travel_rad: largest permitted distance of the shaft from its start [rad].
     """
@@ -62,14 +62,15 @@ class JogGoal(NamedTuple):
 
 
 class JogResult(NamedTuple):
-    """Result of a motion, as the drive reported it.
+    """Result of a jog, as the drive has reported it.
 
     Attributes:
-        failure: reason of an early stop, in one line. The text is empty for a complete motion.
+        failure: reason why the motion stopped early, in one line. The text is empty if the motion
+            was complete.
         moved_rad: angle of the shaft at the end, relative to its start [rad].
         max_speed_rad_s: largest measured speed [rad/s].
         max_torque_N_m: largest reported torque [N m], or NaN if the drive reports no torque.
-        final_speed_rad_s: speed at the end, shortly before the drive is disabled [rad/s].
+        final_speed_rad_s: measured speed shortly before the drive is disabled at the end [rad/s].
     """
 
     failure: str
@@ -130,22 +131,22 @@ class _JogExecution:
     def hold_command(self, state: DriveState) -> float:
         """Return the command that keeps the shaft still.
 
-        By mode, it is the last position, zero velocity or zero torque.
+        It is the last position, zero velocity or zero torque, whichever belongs to the mode.
         """
         if not self._position_mode:
             return 0.0
         return self._command if state.phase == DrivePhase.ENABLED else state.position
 
     def enable_at_rest(self) -> str:
-        """Enable the drive at rest.
+        """Enable the drive while the shaft is at rest.
 
-        Returns the problem in words, or an empty text if the drive is enabled.
+        Return the problem in words, or an empty text if the drive is enabled.
         """
         rig = self._rig
         if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
             return rig.reason_not_ready()
-        # The start position is read after the drive is ready. A position that the drive sent before
-        # it got its settings may have another scale.
+        # The start position is read only after the drive is ready. Before the drive has got its
+        # settings, the positions that it sends may have another scale.
         rig.run_for(DriveTarget.POLL, HOLD_TIME_S)
         self._start = rig.state.position
         if not math.isfinite(self._start):
@@ -164,14 +165,15 @@ class _JogExecution:
         return ""
 
     def execute_motion(self) -> str:
-        """Move for the duration of the goal.
+        """Move the shaft for the duration of the goal.
 
-        Returns the reason for an early stop, empty if there was none.
+        Return the reason why the motion stopped early, or an empty text.
         """
         start_ns = self._command_t_ns = self._rig.t_ns - PERIOD_NS
         t_s = 0.0
         while t_s < self._goal.duration_s:
-            # The last command is that of the end of the motion, even if ticks were missed before.
+            # Even if ticks were missed before, the last command is the one that belongs to the end
+            # of the motion.
             t_s = min((self._rig.t_ns - start_ns) / 1e9, self._goal.duration_s)
             if problem := self._run_tick(self._command_at(t_s)):
                 return problem
@@ -219,7 +221,7 @@ class _JogExecution:
     def _run_tick(self, command: float) -> str:
         """Send a command, and check the drive's answer against the limits.
 
-        Returns the reason to stop, or an empty text.
+        Return the reason why the motion must stop, or an empty text.
         """
         self._command = command
         self._command_t_ns = self._rig.t_ns
@@ -228,8 +230,8 @@ class _JogExecution:
             return f"the host missed {self._rig.missed_ticks} ticks in a row, expected at most {MAX_MISSED_TICKS}"
         if state.phase != DrivePhase.ENABLED:
             return state.error_text or f"went to {state.phase.name}"
-        # The time of the rig is already that of the next tick. Therefore this age is one period
-        # larger than it was in the tick.
+        # The time of the rig is already the time of the next tick. Therefore the age computed here
+        # is one period larger than the age was in the tick.
         if self._rig.t_ns - state.feedback_t_ns > SILENCE_TIMEOUT_NS:
             return f"no feedback for {SILENCE_TIMEOUT_NS / 1e6:.0f} ms"
         return self._violated_limit(state)

@@ -39,12 +39,12 @@ class DriveRig:
         drive: immutable description of the drive.
         state: state of the drive after the last tick.
         k: number of the next tick.
-        missed_ticks: number of ticks that were skipped directly before the last tick, because the
+        missed_ticks: number of ticks that were skipped directly before the last tick because the
             host was late.
         drive_events: all events of the bus so far.
-        inertia: measured inertia of the shaft [kg m2]. NaN before the measurement.
+        inertia: measured inertia of the shaft [kg m2], or NaN before the measurement.
         idle_command: function that takes the state of the drive, and returns the command that does
-            not move the shaft. In position mode, this command is the present position.
+            not move the shaft. In position mode, for example, this command is the present position.
     """
 
     def __init__(self, drive: Drive, bus: Bus, clock: TickClock) -> None:
@@ -55,8 +55,8 @@ class DriveRig:
             bus: open bus of the drive.
             clock: clock with period PERIOD_NS, not started yet.
         """
-        # This call compiles the code before the first tick. Otherwise the watchdog of the drive
-        # would expire during that tick.
+        # This call makes numba compile the code before the first tick. Otherwise the compilation
+        # would delay the first tick, and the watchdog of the drive would expire.
         compile_kernels()
         self.drive = drive
         self._bus = bus
@@ -71,7 +71,10 @@ class DriveRig:
         clock.start()
 
     def replace_drive(self, drive: Drive) -> None:
-        """Continue with another description of the same drive, starting from its initial state."""
+        """Continue with another description of the same drive.
+
+        The state of the drive is again the initial state.
+        """
         self.drive = drive
         self.state = drive.initial_state()
 
@@ -82,20 +85,20 @@ class DriveRig:
 
     @property
     def velocity_rad_s(self) -> float:
-        """Return the velocity of the shaft, computed from its last positions [rad/s].
+        """Return the velocity of the shaft, computed from the latest positions [rad/s].
 
-        The velocity is NaN while there are too few positions.
+        While there are too few positions, the result is NaN.
         """
         (first_ns, first), *_, (last_ns, last) = self._positions
-        # After missed ticks, the positions are further apart than ticks.
+        # After missed ticks, the time between two positions is longer than a tick.
         return (last - first) / (max(last_ns - first_ns, VELOCITY_TICKS * PERIOD_NS) * 1e-9)
 
     def run_tick(
         self, target: DriveTarget, command: float | None = None, extra: Sequence[Frame] = ()
     ) -> DriveState:
-        """Run one tick and return the state after it.
+        """Run one tick, and return the state of the drive after it.
 
-        If the host is late by whole periods, the missed ticks are skipped, and not executed later.
+        If the host is late by whole periods, the missed ticks are skipped and not made up for.
 
         Args:
             target: requested state of the drive.
@@ -122,7 +125,7 @@ class DriveRig:
     def run_until(
         self, target: DriveTarget, reached: Callable[[DriveState], bool], for_s: float
     ) -> bool:
-        """Run ticks with the idle command until ``reached`` is true for the state of the drive.
+        """Run ticks with the idle command until ``reached`` returns True for the state of the drive.
 
         Returns False if this does not happen within the time ``for_s`` [s]. Only executed ticks count
         as time. Otherwise a late host would leave the drive too few ticks for its answers.
@@ -132,16 +135,16 @@ class DriveRig:
         )
 
     def run_for(self, target: DriveTarget, for_s: float) -> None:
-        """Run ticks with the idle command for a time [s]."""
+        """Run ticks with the idle command for a given time [s]."""
         self.run_until(target, lambda state: False, for_s)
 
     def reason_not_ready(self) -> str:
-        """Return in words why the drive has not reached READY: its error, its silence, or its phase."""
+        """Return in words why the drive has not reached the phase READY: an error, missing answers, or its phase."""
         if self.state.error_text:
             return self.state.error_text
         if self.state.phase != DrivePhase.SILENT:
             return f"stays in {self.state.phase.name}"
-        # Bits 29 to 31 of an identifier are flags of SocketCAN.
+        # In an identifier of SocketCAN, the bits 29 to 31 are flags.
         ids = sorted(self.drive.node_ids)
         shown = ", ".join(f"0x{number & 0x1FFFFFFF:03X}" for number in ids[:MAX_SHOWN_IDS])
         others = f" or {len(ids) - MAX_SHOWN_IDS} others" if len(ids) > MAX_SHOWN_IDS else ""
@@ -153,15 +156,18 @@ class DriveRig:
         self.run_tick(DriveTarget.POLL, extra=frames)
 
     def cut_torque(self) -> None:
-        """Run a tick that sends the frames that remove the torque of the drive, and no others."""
+        """Run a tick that sends only the frames that remove the torque of the drive."""
         self.run_tick(DriveTarget.LISTEN, extra=self.drive.cut_frames())
 
     def send_release(self) -> None:
-        """Run a tick that sends the frames for the regular end of a run, and no others."""
+        """Run a tick that sends only the frames for the regular end of a run."""
         self.run_tick(DriveTarget.LISTEN, extra=self.drive.release_frames(self.state))
 
     def bring_to_ready(self) -> bool:
-        """Bring the drive to READY from any phase. Returns True if the drive has reached READY."""
+        """Bring the drive into the phase READY from any other phase.
+
+        Return True if the drive has reached the phase READY.
+        """
         self.run_until(DriveTarget.DISABLE, lambda state: state.phase != DrivePhase.ENABLED, 1.0)
         if self.state.phase == DrivePhase.FAULT:
             self.clear_faults()
@@ -170,11 +176,11 @@ class DriveRig:
         )
 
     def confirm_off(self, watchdog_s: float) -> bool:
-        """Disable the drive, and return True if the drive reports that it is off.
+        """Disable the drive, and return True if the drive reports that it is disabled.
 
         A drive that was never heard is not off: another host may have enabled it. If the drive does
-        not obey, the host sends no frames until the watchdog of the drive has expired. Then it
-        disables the drive again.
+        not obey, the host sends no frames until the watchdog of the drive has expired. After that, the
+        host disables the drive again.
         """
         for silence in (0.0, 3.0 * watchdog_s + 0.2):
             self.run_for(DriveTarget.LISTEN, silence)

@@ -8,8 +8,8 @@ from handctl.runtime.buses.interface import RESTART_MS, TX_QUEUE_FRAMES, set_up_
 from handctl.runtime.buses.link import CanLinkState
 from handctl.runtime.buses.socketcan import MIN_QUEUE_FRAMES
 
-# Rules for udev. With them, a setting is made again after each restart of the machine. Source: man
-# 7 udev.
+# Rules for udev. With such a rule, the setting is made again after each restart of the machine.
+# Source: man 7 udev.
 UDEV_QUEUE_RULE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queue_len}}="{1}"'
 UDEV_NAME_RULE = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="THE ADAPTER\'S", NAME="{0}"'
 UDEV_SERIAL_RULE = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="{1}", NAME="{0}"'
@@ -36,8 +36,8 @@ class LinkFinding(NamedTuple):
     """One finding about an interface.
 
     Attributes:
-        observation: text of the finding.
-        good: True if nothing needs to be corrected.
+        observation: text that describes the observation.
+        good: True if the finding is no problem.
         fix: command or advice that corrects the problem.
         fatal: True if the bus cannot be used.
     """
@@ -116,7 +116,7 @@ def adapter_findings(
 
     Args:
         name: name of the interface.
-        adapter: CAN adapter of the interface. None for a virtual interface.
+        adapter: CAN adapter of the interface, or None for a virtual interface.
         kind: kind of the interface, such as ``slcan``.
         others: names of the other CAN interfaces with a USB adapter.
     """
@@ -149,7 +149,7 @@ def adapter_findings(
 
 
 def _rate_finding(what: str, has: int | None, required: int, fix: str) -> LinkFinding:
-    """Compare the bit rate of an interface with the required bit rate [bit/s], and return the finding."""
+    """Compare a bit rate of an interface with the required bit rate [bit/s], and return the finding."""
     return LinkFinding(
         f"{what} {has or 'not set'}, the hand needs {required}", has == required, fix
     )

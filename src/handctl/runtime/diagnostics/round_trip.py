@@ -1,4 +1,4 @@
-"""Round-trip time of a node: time from the sending of a request to the reception of its answer.
+"""Round-trip time of a node: the time from the sending of a request to the arrival of the answer.
 
 The request has no effect on the node.
 """
@@ -41,7 +41,7 @@ class RoundTrip(NamedTuple):
 
     @property
     def is_number_shared(self) -> bool:
-        """Return True if most requests had more than one answer.
+        """Return True if more than one answer arrived for most requests.
 
         Then two drives have the same node number.
         """
@@ -51,7 +51,7 @@ class RoundTrip(NamedTuple):
 def measure_round_trips(bus: Bus, node: DiscoveredNode, times: int = REQUEST_COUNT) -> RoundTrip:
     """Measure the round-trip time of a node.
 
-    Each request is sent after the answer to the previous request.
+    Each request is sent after the answer to the previous request has arrived.
     """
     trips = [_measure_round_trip(bus, node) for _ in range(times)]
     took = sorted(first for first, _ in trips if first is not None)
@@ -62,12 +62,14 @@ def measure_round_trips(bus: Bus, node: DiscoveredNode, times: int = REQUEST_COU
 
 
 def _measure_round_trip(bus: Bus, node: DiscoveredNode) -> tuple[float | None, bool]:
-    """Send a request. Return the time until the answer [s], and True if a second answer follows.
+    """Send a request to a node.
 
-    The time is None if no answer arrives.
+    Return the time until the answer arrives [s], and True if a second answer follows.
+
+    If no answer arrives, the time is None.
     """
     discovery = DISCOVERY_BY_PROTOCOL[node.protocol]
-    bus.drain()  # a late answer to the previous request must not count as the answer to this one
+    bus.drain()  # a late answer to the previous request must not count as an answer to this request
     start = time.perf_counter()
     bus.send((discovery.ping(node),))
     first = None
@@ -82,5 +84,5 @@ def _measure_round_trip(bus: Bus, node: DiscoveredNode) -> tuple[float | None, b
             break
         time.sleep(
             0.0001 if passed < 0.01 else 0.002
-        )  # the first pauses are short for accuracy, later pauses are longer to save CPU time
+        )  # the first pauses are short for accuracy, and later pauses are longer to save processor time
     return first, answers > 1

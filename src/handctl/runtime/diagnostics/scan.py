@@ -49,8 +49,8 @@ class BusScan(NamedTuple):
         found_nodes: discovered drives and other nodes, by protocol and number.
         foreign_frames: frames received from another host. If there are any, the scan has sent no
             requests.
-        omitted_requests: requests that were not sent, because a drive on the bus would have obeyed
-            them as commands.
+        omitted_requests: requests that the scan has not sent, because a drive on the bus would have
+            obeyed them as commands.
         bus_events: events of the bus during the scan.
         frame_count: number of received frames.
     """
@@ -83,7 +83,7 @@ def scan_bus(
 
     Args:
         bus: open bus.
-        force: True to send requests even if another host seems to be active.
+        force: True to send requests even if another host seems to be active on the bus.
         report: function that is called with a text about each step of the scan.
         listen: function to collect frames during a time, see ``ListenFunction``.
     """
@@ -114,7 +114,7 @@ def requests_without_answers() -> tuple[Frame, ...]:
 def _round_requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[Frame]:
     """Return the requests of all protocols for a round of the scan.
 
-    A drive of another protocol on the bus might obey a request as a command. Such requests are left
+    A drive with another protocol might obey a request as a command. Requests of this kind are left
     out, and appended to ``omitted``.
     """
     requests: list[Frame] = []
@@ -136,8 +136,8 @@ def _commands_of_others(name: str, seen: list[Frame]) -> list[frozenset[int]]:
 def _foreign_frames(seen: list[Frame]) -> tuple[Frame, ...]:
     """Return the received frames from another host.
 
-    In the rules of one protocol, a frame may look like a frame of another host, although it belongs
-    to a discovered drive of another protocol. Such frames are left out.
+    By the rules of one protocol, a frame may look like a frame from another host, although a drive
+    with another protocol has sent it. Such frames are not part of the result.
     """
     foreign: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
@@ -151,7 +151,7 @@ def _foreign_frames(seen: list[Frame]) -> tuple[Frame, ...]:
 def _send_with_retries(bus: Bus, frame: Frame, seen: list[Frame], listen: ListenFunction) -> bool:
     """Send a frame, and receive frames in the pause after it.
 
-    Returns False if the interface has refused the frame ``MAX_SEND_TRIES`` times.
+    If the interface has refused the frame ``MAX_SEND_TRIES`` times, return False.
     """
     for _ in range(MAX_SEND_TRIES):
         if bus.send((frame,)):

@@ -1,8 +1,9 @@
-"""Torque-step test: a shaft is turned a little and brought to rest, with torques below a limit.
+"""Torque-step test: the shaft of a drive is turned a little and brought to rest, with torques below a limit.
 
-The test also measures the inertia of the shaft. A shaft without a load, with an inertia of 1e-4 kg
-m2, accelerates fast. The measured velocity is about 30 ms old. A brake with a fixed gain would make
-such a shaft oscillate. Therefore the gain depends on the inertia.
+The test also measures the inertia of the shaft. A shaft without a load may have an inertia of only
+1e-4 kg m2, and then accelerates fast. The measured velocity of the shaft is about 30 ms old. If the
+gain of the brake were fixed, such a shaft would oscillate. Therefore the gain of the brake depends
+on the inertia.
 """
 
 import math
@@ -35,10 +36,10 @@ class TorqueStep(NamedTuple):
 
     Attributes:
         moved_rad: angle by which the shaft turned in the direction of the torque [rad]. The angle
-            by which it would have coasted without torque is subtracted.
+            by which the shaft would have coasted without the torque is subtracted.
         commanded_torque_N_m: last commanded torque [N m].
         reported_torque_N_m: torque reported by the drive at the end of the ramp [N m].
-        enabled: True if the drive was enabled until the end.
+        enabled: True if the drive was enabled until the end of the test.
     """
 
     moved_rad: float
@@ -48,9 +49,9 @@ class TorqueStep(NamedTuple):
 
 
 def apply_torque_step(rig: DriveRig, sign: int, torque_limit: float) -> TorqueStep:
-    """Raise the torque until the shaft has moved by MIN_MOTION_RAD or the limit is reached.
+    """Raise the torque until the shaft has moved by MIN_MOTION_RAD, or until the torque reaches its limit.
 
-    Then let it coast.
+    Then let the shaft coast.
 
     Args:
         rig: rig with an enabled drive.
@@ -67,7 +68,7 @@ def apply_torque_step(rig: DriveRig, sign: int, torque_limit: float) -> TorqueSt
         last_torque = torque
         torque = sign * torque_limit * (i + 1) / ticks
         rig.run_tick(DriveTarget.ENABLE, torque)
-        # The drive holds its last torque during the ticks that the host has missed.
+        # During the ticks that the host has missed, the drive keeps its last torque.
         impulse += (last_torque * rig.missed_ticks + torque) * PERIOD_S
         if rig.state.phase != DrivePhase.ENABLED:
             return TorqueStep(moved, torque, rig.state.torque, False)
@@ -85,7 +86,7 @@ def apply_torque_step(rig: DriveRig, sign: int, torque_limit: float) -> TorqueSt
     gained = rig.velocity_rad_s - (coasting if math.isfinite(coasting) else 0.0)
     if (
         impulse * gained > 0.0
-    ):  # the inertia is the angular impulse [N m s] divided by the change of velocity
+    ):  # the inertia is the integral of the torque over time [N m s], divided by the change of velocity
         rig.inertia = impulse / gained
     return TorqueStep(moved, torque, reported, True)
 
@@ -93,7 +94,7 @@ def apply_torque_step(rig: DriveRig, sign: int, torque_limit: float) -> TorqueSt
 def brake_shaft(rig: DriveRig, torque_limit: float) -> bool:
     """Brake the shaft, and return True if the shaft is at rest.
 
-    If the inertia has not been measured, the function waits until friction has stopped the shaft.
+    If the inertia has not been measured, wait until friction has stopped the shaft.
 
     Args:
         rig: rig with an enabled drive.

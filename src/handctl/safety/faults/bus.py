@@ -32,7 +32,7 @@ MAX_UNKNOWN_FRAMES_PER_S = 50.0
 NO_ACKNOWLEDGE_KINDS = ("no acknowledge", "bus error", "protocol")
 """Texts of the error frames that an interface reports if no node on the bus acknowledges."""
 
-# Texts of the fault catalogue for faults that a drive protocol does not show directly.
+# Texts of the fault catalogue for faults that the messages of a drive protocol do not report.
 _COUNTER_VISIBILITY = (
     f"{WEAKER_SIGN}: load cells by their counter (CiA 404 amplifiers: only by the time of arrival), drives by N14, "
     "because their replies have no counter"

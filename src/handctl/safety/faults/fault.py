@@ -1,14 +1,16 @@
 """Types for faults and for rows of the fault catalogue, and functions to declare them.
 
-A row of the fault catalogue describes a possible failure. A fault is a row, or a stage of a row,
-that is checked in every tick. Each row and each fault is declared once, in the module of its kind:
-``bus``, ``node``, ``tendon``, ``host``. The tables in the documents, the deadlines in the fault
-campaign, the event texts and the reactions are all derived from the declarations.
+A row of the fault catalogue describes a possible failure. A fault is a row of the catalogue, or a
+stage of a row, that the controller checks in every tick. Each row and each fault is declared once,
+in the module of its kind: ``bus``, ``node``, ``tendon``, ``host``. The tables in the documents, the
+deadlines in the fault campaign, the event texts and the reactions are all derived from the
+declarations.
 
-A fault whose declaration has ``per`` (the kinds of its instances) is detected by compiled code in
-``core.detectors``. The declaration of such a fault returns the index of the detector's result:
-``evidence[N07, motor]``. A fault whose declaration has ``reports`` is reported by a bus, the host
-or the recorder.
+The declaration of a fault may have the argument ``per``, which lists the parts that the fault can
+affect, such as motors or tendons. Compiled code in ``core.detectors`` detects such a fault. The
+declaration of such a fault returns the row of the fault in the detectors' table of results, which
+is used as in ``evidence[N07, motor]``. The declaration of a fault may instead have the argument
+``reports``. A bus, the host or the recorder reports such a fault.
 """
 
 from dataclasses import dataclass
@@ -51,20 +53,20 @@ class CatalogueRow(NamedTuple):
     Attributes:
         id: identifier of the row.
         title: name of the failure.
-        where: part of handctl that checks the row.
+        where: the part of handctl that checks the row of the catalogue.
         mit: visibility with the MIT protocol: detected, "replaced: SIGN" or "lost: REASON".
         odrive: visibility with ODrive.
         cia402: visibility with CiA 402.
         ticks: the part of the longest reaction time that is counted in ticks. ``ms`` is added to
-            it.
+            this part.
         ms: the part of the longest reaction time that does not depend on the tick [ms]. ``ticks``
-            is added to it.
+            is added to this part.
         odrive_ms: additional reaction time with an ODrive [ms], because the heartbeat of an ODrive
             has a period of 100 ms.
         required: reaction time that the project's fault catalogue requires with an ideal drive
             [ticks of 5 ms]. The value is 0 if the catalogue gives no time, for example for a fault
             before any torque.
-        why: reason if ``ticks`` is larger than ``required``. It is empty otherwise.
+        why: the reason if ``ticks`` is larger than ``required``, or an empty text.
         tested: ``campaign``, or the name of the test that covers the fault.
         moteus: visibility with moteus. The text is empty if it equals ``mit``, because both
             protocols answer each command once.
@@ -90,12 +92,15 @@ class CatalogueRow(NamedTuple):
     counted_from: str = ""
 
     def visibility(self, protocol: str) -> str:
-        """Return the visibility of the failure with a drive protocol, which is one of ``GUARDED_PROTOCOLS``."""
+        """Return how a drive protocol shows the failure.
+
+        The protocol is one of ``GUARDED_PROTOCOLS``.
+        """
         visibility: str = getattr(self, protocol)
         return visibility or self.mit
 
     def latest_ms(self, rate_hz: float) -> float:
-        """Return the longest reaction time at a control rate [ms].
+        """Return the longest time from the failure to the reaction at a control rate [ms].
 
         This time does not include ``odrive_ms``.
         """
@@ -104,13 +109,13 @@ class CatalogueRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Fault: a row of the catalogue, or a stage of a row, that is checked in every tick.
+    """Fault: a row of the catalogue, or a stage of a row, that the controller checks in every tick.
 
     Attributes:
         id: identifier of the row, followed by a letter if the row has stages.
-        title: name for an operator.
+        title: name of the fault for an operator.
         detection: condition of the fault.
-        action: reaction.
+        action: reaction to the fault.
         clears: the way in which the fault ends, ``ENDED_BY_OPERATOR`` or ``ENDED_BY_ITSELF``.
         cause: usual causes, for the operator, in whole sentences.
         remedy: instruction for the operator in one line, in whole sentences.
@@ -225,8 +230,9 @@ def declare_fault(
         needs_joint_encoders,
     )
     DECLARED_FAULTS.append(declared)
-    # The table of the detectors' results has one row for each kind of instance. For the second
-    # kind, detectors add 1 to the index of the first kind.
+    # A fault may affect several kinds of parts, such as tendons and joints. In the table of the
+    # detectors' results, the fault has one row for each kind. For the second kind, detectors add 1
+    # to the row of the first kind.
     first = len(DETECTOR_ROWS)
     DETECTOR_ROWS.extend((declared, kind) for kind in per)
     return first if per else -1

@@ -34,7 +34,10 @@ def fault_sections(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
 
 
 def catalogue_markdown(rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
-    """Return the catalogue as Markdown, with the visibility of each row for each protocol."""
+    """Return the fault catalogue as Markdown.
+
+    For each drive protocol, the table says how each failure shows.
+    """
     names = [PROTOCOL_TRAITS[protocol].title for protocol in GUARDED_PROTOCOLS]
     columns = ["id", "fault", "judged by", *names, "latest reaction", "tested by"]
     return "\n".join(
@@ -43,8 +46,8 @@ def catalogue_markdown(rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
 
 
 def _catalogue_row(row: CatalogueRow) -> str:
-    # The faults that belong to a row are its stages. A row that is not checked in ticks has no
-    # faults.
+    # The faults that belong to a row are its stages. A row that the controller does not check in
+    # each tick has no faults.
     judged = (
         ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == row.id) or row.where
     )

@@ -82,7 +82,7 @@ REPORTED_FRACTION = 0.4
 REPORTED_S = 0.25
 """Smallest ratio of reported to commanded torque changes, and time constant of the comparison [s]."""
 
-# Texts of the fault catalogue for faults that a drive protocol does not show directly.
+# Texts of the fault catalogue for faults that the messages of a drive protocol do not report.
 _HEARTBEAT_VISIBILITY = f"{DETECTED_FAULT}: by the heartbeat, every 100 ms"
 _EXCESS_REPLY_VISIBILITY = (
     f"{NOT_VISIBLE}: excess replies look like cyclic messages, which come in addition to replies"

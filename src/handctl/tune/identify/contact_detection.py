@@ -58,10 +58,10 @@ class ResidualRamp(NamedTuple):
         begin: mean joint angle at which the ramp begins [rad].
         end: largest mean joint angle of the sweep [rad].
         rise: tension [N] or joint torque [N m] of the ramp at the angle ``end``.
-        rows: number of bins of data in the sweep.
-        outliers: fraction of the rows of the sweep that the fit has excluded as outliers.
+        rows: number of averaged data points (bins) in the sweep.
+        outliers: fraction of the data points in the sweep that the fit has excluded as outliers.
         mean_square: mean square of the residuals of the sweep, without outliers.
-        contact_score: smallest score at which a ramp in the data of this digit counts as a contact.
+        contact_score: smallest score at which the ramp counts as a contact of this digit.
     """
 
     score: float
@@ -95,10 +95,10 @@ def steepest_ramp(
     """Return the ramp with the largest score. Return None if the fit has no sweep.
 
     Args:
-        jacobian: (rows, parameters) Jacobian of the fit, in which the rows of outliers are zero.
+        jacobian: (rows, parameters) Jacobian of the fit. The rows of outliers are zero.
         residual: (rows,) measured minus expected values, in standard deviations.
         first: row at which the sweep begins.
-        angle: (m,) mean joint angle of the sweep's bins [rad].
+        angle: (m,) mean joint angle in each bin of the sweep [rad].
         units: for every kind of ramp, the residuals (m k,) that a tension of 1 N or a torque of 1 N
             m causes, with k rows per bin.
     """
@@ -109,7 +109,7 @@ def steepest_ramp(
     used = jacobian[rows].any(axis=1)
     if not used.any():
         return None
-    # The columns of `basis` span everything that the parameters can explain.
+    # The columns of `basis` span all curves that a change of the parameters can explain.
     basis = np.linalg.qr(jacobian)[0]
     low = float(angle.min())
     high = float(angle.max())
@@ -123,7 +123,7 @@ def steepest_ramp(
         for unit in units:
             column = np.zeros(len(residual))
             column[rows] = shape * unit
-            # Only the part of the ramp outside of that span has an effect on the score.
+            # Only the part of the ramp outside of this span counts for the score.
             orthogonal = column - basis @ (basis.T @ column)
             size = float(orthogonal @ orthogonal)
             if size > MIN_OWN_FRACTION * float(column @ column):
@@ -146,16 +146,16 @@ def steepest_ramp(
 def are_joints_moving(
     joint_count: int, preload: float, half_width: float, travel: float, full: float
 ) -> bool:
-    """Return True if the preload and the travel of a digit with one tendon show that all its joints move.
+    """Return True if the preload and the travel of a digit with one tendon show that all joints of the digit move.
 
     Args:
-        joint_count: number of joints.
+        joint_count: number of joints of the digit.
         preload: identified preload of the springs, divided by the preload in the hand file.
-        half_width: half width of the confidence interval of this ratio.
-        travel: largest excursion of the digit [m].
-        full: excursion with all joints at their closed ends [m].
+        half_width: half of the width of this ratio's confidence interval.
+        travel: largest excursion of the tendon [m].
+        full: excursion of the tendon with all joints at their closed ends [m].
     """
     # The ratio of the preloads is 1 if all n joints move, and (n - 1) / n if one joint is blocked.
-    # The limit is halfway between these two values.
+    # The limit lies halfway between these two values.
     stiff = 1.0 - 0.5 / joint_count
     return preload + half_width >= stiff or travel > full * (joint_count - 1) / joint_count

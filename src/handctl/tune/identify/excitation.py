@@ -58,11 +58,11 @@ SWEEP_DURATIONS_S = (0.8, 0.3, 0.55, 0.8)
 
 
 def excitation_steps(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
-    """Return the steps that excite the named digits, one digit after the other.
+    """Return the steps that excite the named digits, one after the other.
 
     Raises:
-        ConfigError: A digit does not exist or has no load cells, or its springs are too weak to
-            hold it at the open stop while its tendon is stretched.
+        ConfigError: a digit does not exist or has no load cells, or its springs are too weak to
+            hold it at the open stop while the tendon is stretched.
     """
     check_identifiable(hand, digits)
     for name in digits:
@@ -87,15 +87,15 @@ def excitation_steps(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, .
 
 
 def has_springs(hand: Hand, digit: str) -> bool:
-    """Return True if springs open a digit. Return False if tendons open it."""
+    """Return True if springs open the digit. If tendons open it, return False."""
     return any(hand.digit_named(digit).spring_stiffness_N_m_per_rad)
 
 
 def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:
-    """Check that all tendons of the named digits have a load cell, except spool pairs.
+    """Check that all tendons of the named digits have load cells. Spool pairs need none.
 
     Raises:
-        ConfigError: A digit does not exist, or has no load cells.
+        ConfigError: a digit does not exist, or has no load cells.
     """
     for name in digits:
         if name not in hand.digit_names:
@@ -114,7 +114,7 @@ def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:
 
 
 def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
-    """Return the steps of a digit: tare, stretches, slow and fast sweeps, a swing, and presses against an obstacle."""
+    """Return the steps for a digit: tare, stretches, slow and fast sweeps, a swing, and presses against an obstacle."""
     tendons = hand.tendon[hand.digit_tendons[digit]]
     max_tension = min(tendon.tension_max_N for tendon in tendons)
     floor = max(tendon.tension_floor_N for tendon in tendons)
@@ -180,7 +180,7 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
 
 
 def _sweep_range(hand: Hand, digit: str) -> tuple[float, float]:
-    """Return the smallest and the largest joint angle of the free sweeps of a digit [deg]."""
+    """Return the smallest and the largest joint angle in the free sweeps of a digit [deg]."""
     digit_file = hand.digit_named(digit)
     lower = max(digit_file.joint_min_deg)
     upper = min(digit_file.joint_max_deg)
@@ -188,7 +188,7 @@ def _sweep_range(hand: Hand, digit: str) -> tuple[float, float]:
 
 
 def lift_off_tension(hand: Hand, digit: str) -> float:
-    """Return the tension at which the first joint leaves its open stop [N], without friction and weight."""
+    """Return the tension at which the first joint of a digit leaves its open stop [N], without friction and weight."""
     digit_file = hand.digit_named(digit)
     model = DigitModel.from_hand(hand, digit)
     arms = abs(model.arms_at(model.joint_min)).sum(axis=0)
@@ -198,6 +198,6 @@ def lift_off_tension(hand: Hand, digit: str) -> float:
         arms.tolist(),
         strict=True,
     )
-    # When a joint leaves its open stop, the tension times the moment arm of the tendon equals the
-    # torque of the spring of this joint (virtual work).
+    # When a joint leaves its open stop, the torque of its spring equals the tension times the
+    # moment arm (virtual work).
     return min(float(stiffness * angle / arm) for stiffness, angle, arm in preload if arm > 0.0)

@@ -1,10 +1,11 @@
-"""Motions that excite a digit for identification, if tendons close the digit and tendons open it.
+"""Motions from which the parameters of a digit can be identified, if tendons both close and open the digit.
 
-Such a digit has n + 1 tendons without springs, or spool pairs.
+Such a digit has n + 1 tendons and no springs, or it has spool pairs.
 
-First the digit sweeps about a posture. The joints of the digit first move together, and then
-against each other, so that each tendon is wound up while others are paid out. After the sweeps, the
-digit swings. At the end, the tendons are stretched while the digit rests on its lower stops.
+First, the digit sweeps about a middle posture. The joints first move together, and then against
+each other, so that each tendon is wound up while others are paid out. After the sweeps, the digit
+oscillates. At the end, the tendons are stretched while the digit is pressed against its lower
+stops.
 """
 
 import math
@@ -174,7 +175,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
 
 
 def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
-    """Return the smallest and the largest reduced coordinates (n_c,) of the sweeps of a digit [rad]."""
+    """Return the smallest and the largest coordinates (n_c,) in the sweeps of a digit [rad]."""
     least, most = digit.reach
     margin = math.radians(STOP_MARGIN_DEG)
     low = np.maximum(least + margin, math.radians(LOWEST_SWEEP_ANGLE_DEG))
@@ -187,15 +188,15 @@ def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
 def _sign_patterns(count: int) -> list[Array]:
     """Return patterns for the motion of the coordinates.
 
-    Each pattern has one factor per coordinate (count,).
+    Each pattern has one factor for each coordinate (count,).
 
     In the first pattern, all coordinates move together. In each other pattern, one coordinate moves
     against all others.
     """
     patterns = [np.ones(count)]
     if count > 1:
-        # With two coordinates, one such pattern is enough, because each coordinate then moves
-        # against the other.
+        # With two coordinates, a single pattern of this kind is sufficient, because each coordinate
+        # moves against the other.
         patterns += [
             np.where(np.arange(count) == i, -COUNTER_MOTION_FRACTION, 1.0)
             for i in range(count if count > 2 else 1)
@@ -204,7 +205,7 @@ def _sign_patterns(count: int) -> list[Array]:
 
 
 def _swing_amplitudes(hand: Hand, digit: DigitModel, middle: Array, half: Array) -> Array:
-    """Return the amplitudes (n_c,) of the swing that the motors can reach [rad]."""
+    """Return the amplitudes (n_c,) of an oscillation that the motors can produce [rad]."""
     tree = HandTree.from_hand(hand)
     q = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
     q[digit.joints] = digit.coupling @ middle
@@ -229,7 +230,7 @@ def _tension_limits(hand: Hand, digit: DigitModel) -> tuple[Array, Array]:
 
 
 def _balanced_tensions(hand: Hand, digit: DigitModel) -> Array:
-    """Return tensions (n_t,) [N] whose joint torques cancel each other.
+    """Return tensions (n_t,) whose joint torques cancel each other [N].
 
     All returned tensions are above the tension floors.
     """
@@ -239,9 +240,9 @@ def _balanced_tensions(hand: Hand, digit: DigitModel) -> Array:
 
 
 def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tuple[Array, Array]]]:
-    """Return the tensions that hold a digit at rest, and the lower and the upper tensions of each stretch [N].
+    """Return the tensions that hold a digit at rest, and the lower and upper tensions of each stretch [N].
 
-    The tendons are stretched while the digit rests on its lower stops.
+    The tendons are stretched while the digit is pressed against its lower stops.
 
     If there are spool pairs, all of them are stretched at once. Otherwise, all tendons that open
     the digit are stretched at once. Then each tendon that closes the digit is stretched alone. The

@@ -1,4 +1,4 @@
-"""Figure of an identification: measurements, fitted model, and differences from the hand file."""
+"""Figure of an identification, with measurements, fitted model, and differences from the hand file."""
 
 from pathlib import Path
 from typing import Any
@@ -61,7 +61,7 @@ def _draw_stop(axis: Any, result: TendonResult) -> None:
         axis.text(0.5, 0.5, "no such data", ha="center", transform=axis.transAxes)
         return
     order = np.argsort(bins.travel)
-    # The tendon and the open stop are springs in series.
+    # The tendon and the open stop act as springs in series.
     slope = stop_stiffness(
         values["tendon_stiffness"], values["stop_softness"], result.fit.problem.parameter_scales
     )
@@ -142,7 +142,7 @@ def _draw_coherence(axis: Any, result: TendonResult) -> None:
 
 
 def _draw_parameters(axis: Any, result: TendonResult) -> None:
-    """Draw every identified parameter as a ratio to its value in the hand file, with its confidence interval."""
+    """Draw every identified parameter, divided by its value in the hand file, with its confidence interval."""
     names = [name for name in PARAMETER_UNITS if name != "delay"]
     values = result.fit.parameter_values
     widths = result.fit.half_widths

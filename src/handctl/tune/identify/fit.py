@@ -1,6 +1,6 @@
-"""Fit of all parameters of a tendon to all its equations at once.
+"""Fit of all parameters of a tendon to all equations of its model at once.
 
-The slow drift of the load cell is fitted at the same time.
+The slow drift of the load cell is fitted together with the parameters.
 
 Parameters are divided by their values in the hand file, so that they are of order 1. Residuals are
 divided by the standard deviation of the load cell.
@@ -82,15 +82,16 @@ class TendonFitProblem:
 
     Attributes:
         spool_radius_m: radius of the spool [m].
-        parameter_scales: (15,) scale of each parameter, which is mostly its value in the hand file.
-        digit_load: model of the digit. None if the digit has several tendons or no springs.
+        parameter_scales: (15,) scale of each parameter, usually the value in the hand file.
+        digit_load: model of the digit, or None if the digit has several tendons or no springs.
         motor_windows: time windows of the motor equation.
-        free_bins: bins of data in which the digit moves freely.
+        free_bins: averaged data (bins) in which the digit moves freely.
         stop_bins: bins of data in which the digit is on the open stop.
-        slack_bins: bins of data in which the tendon is slack.
+        slack_bins: bins in which the tendon is slack.
         drift_knots: (k,) times of the knots of the drift of the load cell [s].
         cell_noise_N: standard deviation of a load-cell sample [N].
-        drift_step_N: standard deviation of the change of the drift from one knot to the next [N].
+        drift_step_N: standard deviation of the change of the drift between two neighbouring
+            ``drift_knots`` [N].
     """
 
     spool_radius_m: float
@@ -109,7 +110,7 @@ class TendonFitProblem:
         """Return the input of the fit for the data of a tendon.
 
         Raises:
-            LogError: The tendon does not move enough in the log.
+            LogError: the tendon does not move enough in the log.
         """
         motor = hand.motor_of(data.tendon)
         digit = DigitModel.from_hand(hand, data.digit)
@@ -122,7 +123,7 @@ class TendonFitProblem:
             raise LogError(f"{data.tendon} hardly moves", "the log", "a run in which it moves")
         sprung = any(digit.spring_stiffness)
         single = digit.moment_arms.shape[0] == 1
-        # For a digit without springs, the joint encoders show the stretch of the tendon, see
+        # In a digit without springs, the joint encoders show how much the tendon is stretched, see
         # `fit_travel`.
         stop = data.stop & sprung
         return TendonFitProblem(
@@ -137,8 +138,8 @@ class TendonFitProblem:
             cell_noise_N=_cell_noise(
                 data.tension[data.slack | stop], hand.sensor_node.tension_noise_N
             ),
-            # The drift is a random walk. The standard deviation of the drift grows with the square
-            # root of the time. The hand file contains its value after 100 s.
+            # The drift is modelled as a random walk. Its standard deviation increases with the
+            # square root of the time. The hand file contains the standard deviation after 100 s.
             drift_step_N=max(hand.sensor_node.tension_bias_drift_N, 1e-3)
             * (DRIFT_KNOT_S / 100.0) ** 0.5,
         )
@@ -151,7 +152,7 @@ class TendonFitProblem:
         return np.append(first, np.zeros(len(self.drift_knots)))
 
     def parameter_bounds(self) -> tuple[Array, Array]:
-        """Return lower and upper bounds of the scaled parameters.
+        """Return the lower and the upper bounds of the scaled parameters.
 
         Only the delay and the stretch offset may be negative.
         """
@@ -177,18 +178,18 @@ class TendonFitProblem:
         return float(self.free_bins.travel.min()) if len(self.free_bins.t) else 0.0
 
     def residuals(self, z: Array) -> Array:
-        """Return the residuals (rows,) in standard deviations: motor, stop, slack, free, drift, priors."""
+        """Return the residuals (rows,) in standard deviations, in the order motor, stop, slack, free, drift, priors."""
         p = z[: len(PARAMETER_NAMES)] * self.parameter_scales
         drift = z[len(PARAMETER_NAMES) :]
         return np.concatenate([*self._data_residuals(p, drift), *self._prior_residuals(z, drift)])
 
     def _data_residuals(self, p: Array, drift: Array) -> list[Array]:
-        """Return the residuals of the measured data in standard deviations, in this order: motor, stop, slack, free."""
+        """Return the residuals of the measured data in standard deviations, in the order motor, stop, slack, free."""
         gain, inertia, viscous, coulomb, delay, stiffness = p[:6].tolist()
         m = self.motor_windows
         r = self.spool_radius_m
-        # According to the motor equation, the tension is the driving force minus the forces of
-        # inertia and friction.
+        # In the motor equation, the tension is the driving force minus the forces of inertia and
+        # friction.
         driven = gain * m.delayed_command(delay)
         losses = (inertia / r * m.acceleration + viscous / r * m.speed) / r + coulomb / r * m.sign
         rows = [
@@ -197,15 +198,15 @@ class TendonFitProblem:
         ]
         for bin_means, model in self._expected_tensions(p, stiffness):
             rows.append(
-                # The standard deviation of the mean of n samples is 1/sqrt(n) of that of one
-                # sample.
+                # The standard deviation of a mean over n readings is that of one reading, divided
+                # by sqrt(n).
                 (bin_means.tension - self._cell_offset(bin_means.t, drift) - model)
                 / (self.cell_noise_N / bin_means.count**0.5)
             )
         return rows
 
     def _expected_tensions(self, p: Array, stiffness: float) -> list[tuple[SignalBins, Array]]:
-        """Return the bins of data with the tensions that the model expects."""
+        """Return the bins of data, each with the tensions that the model expects."""
         rows = [
             (
                 self.stop_bins,
@@ -232,7 +233,7 @@ class TendonFitProblem:
         return np.asarray(np.interp(t, self.drift_knots, drift))
 
     def _prior_residuals(self, z: Array, drift: Array) -> list[Array]:
-        """Return the residuals of the drift of the load cell and of the prior knowledge."""
+        """Return the residuals of the load-cell drift and of the prior knowledge about the parameters."""
         spread = np.array(
             [PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION) for name in PARAMETER_NAMES]
         )
@@ -244,7 +245,7 @@ class TendonFitProblem:
 
 
 def parameter_scales(hand: Hand, tendon: str) -> Array:
-    """Return the scale (15,) of each parameter of a tendon, which is mostly its value in the hand file."""
+    """Return the scale (15,) of each parameter of a tendon, which is usually the value in the hand file."""
     known = hand.tendon[hand.tendon_names.index(tendon)]
     motor = hand.motor_of(tendon)
     scales = np.array([
@@ -252,13 +253,13 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
         known.stiffness_N_per_m, 1.0, 1.0, known.friction_coefficient, 1.0, 1.0,
         SCALE_OFFSET_M, STOP_SOFTNESS, 1.0, known.pretension_N or 1.0,
     ])  # fmt: skip
-    # A parameter that the hand file sets to zero also needs a scale.
+    # Even a parameter that is zero in the hand file needs a scale.
     return np.where(scales > 0.0, scales, 1e-3)
 
 
 def stop_stiffness(stiffness: float, softness: float, nominal: Array) -> float:
     """Return the stiffness of the tendon and the open stop as springs in series [N/m]."""
-    # The compliances of springs in series add up.
+    # The compliance of springs in series is the sum of their compliances.
     return stiffness / (
         1.0 + softness * stiffness / float(nominal[PARAMETER_NAMES.index("tendon_stiffness")])
     )
@@ -266,14 +267,14 @@ def stop_stiffness(stiffness: float, softness: float, nominal: Array) -> float:
 
 @dataclass(frozen=True, slots=True)
 class TendonFit:
-    """Result of the fit of a tendon.
+    """Result of the fit of a tendon's parameters.
 
     Attributes:
         problem: input of the fit.
-        z: scaled parameters, and after them the drift.
+        z: scaled parameters, followed by the drift of the load cell.
         covariance: covariance of the scaled parameters.
         degrees_of_freedom: degrees of freedom of the variance of each parameter.
-        sensitivity: (rows, 15) weighted Jacobian of the data rows.
+        sensitivity: (rows, 15) weighted Jacobian of the rows with measured data.
         residual: (rows,) residuals, including the residuals of the priors.
         ramp: ramp of tension in the residuals of the free sweeps. None without free sweeps.
     """
@@ -288,9 +289,9 @@ class TendonFit:
 
     @property
     def parameter_values(self) -> dict[str, float]:
-        """Return the parameters by name, in SI units.
+        """Return the fitted parameters in SI units, by the name of the parameter.
 
-        A parameter that is a factor of a value in the hand file has no unit.
+        A parameter that is a factor for a value of the hand file has no unit.
         """
         return dict(
             zip(
@@ -302,14 +303,14 @@ class TendonFit:
 
     @property
     def half_widths(self) -> dict[str, float]:
-        """Return half of the width of the 95 % confidence interval of each parameter, in the unit of the parameter."""
+        """Return half of the width of each parameter's 95 % confidence interval, in the unit of the parameter."""
         return self.half_widths_of(1)
 
     def half_widths_of(self, count: int) -> dict[str, float]:
-        """Return half of the widths of intervals that contain `count` parameters together with a probability of 95 %.
+        """Return half of the widths of intervals that together contain `count` parameters with 95 % probability.
 
-        Source: Sidak (1967). If the parameters are not independent, the intervals are wider than
-            necessary.
+        Source: Sidak (1967). If the parameters are not independent of each other, the intervals
+            are wider than necessary.
         """
         spread = (
             np.sqrt(np.diag(self.covariance))[: len(PARAMETER_NAMES)]
@@ -323,7 +324,7 @@ class TendonFit:
 
 
 def fit_tendon(problem: TendonFitProblem) -> TendonFit:
-    """Fit all parameters of a tendon, and search for a contact in the residuals."""
+    """Fit all parameters of a tendon, and search for a contact in the residuals of the fit."""
     times = _row_times(problem)
     solution = solve_least_squares(
         problem.residuals, problem.start_parameters(), problem.parameter_bounds(), times
@@ -344,7 +345,7 @@ def fit_tendon(problem: TendonFitProblem) -> TendonFit:
 def _unexplained_ramp(problem: TendonFitProblem, solution: FitSolution) -> ResidualRamp | None:
     """Return the tension ramp with the largest score in the residuals of the free sweeps.
 
-    Return None if there are no free sweeps.
+    If there are no free sweeps, return None.
     """
     free = problem.free_bins
     load = problem.digit_load
@@ -370,13 +371,13 @@ def _row_times(problem: TendonFitProblem) -> Array:
 
 
 def _cell_noise(quiet: Array, stated_noise: float) -> float:
-    """Return the standard deviation of a load-cell sample, estimated from neighbouring samples [N].
+    """Return the standard deviation of a load-cell reading, estimated from pairs of neighbouring readings [N].
 
     Args:
-        quiet: tensions at rest and in slow stretches, in which neighbouring samples differ only by
-            noise [N].
-        stated_noise: value of the standard deviation in the hand file [N]. If there are too few samples,
-            this value is returned.
+        quiet: tensions at rest and during slow stretches, where neighbouring readings differ only
+            by noise [N].
+        stated_noise: standard deviation that the hand file states [N]. If there are too few
+            readings, this value is returned.
     """
     quiet = quiet[np.isfinite(quiet)]
     return (
@@ -389,14 +390,14 @@ def _cell_noise(quiet: Array, stated_noise: float) -> float:
 def merge_solution(
     fit: TendonFit, solution: FitSolution, rows: int, names: tuple[str, ...], source: Sequence[int]
 ) -> TendonFit:
-    """Return a fit in which the results of another, independent fit replace some parameters.
+    """Return a fit in which some parameters are replaced by the results of another, independent fit.
 
     Args:
-        fit: fit of one tendon.
+        fit: fit of one tendon's parameters.
         solution: result of the other fit.
         rows: number of data rows of the other fit.
         names: names of the parameters to replace.
-        source: indexes of these parameters in the other solution.
+        source: indices of these parameters in the other solution.
     """
     target = [PARAMETER_NAMES.index(name) for name in names]
     z = fit.z.copy()
@@ -404,7 +405,7 @@ def merge_solution(
     freedom = fit.degrees_of_freedom.copy()
     z[target] = solution.z[source]
     freedom[target] = solution.degrees_of_freedom[source]
-    # The two fits are independent, so the covariance between their parameters is zero.
+    # Because the two fits are independent, the covariance between their parameters is zero.
     covariance[target, :] = covariance[:, target] = 0.0
     covariance[np.ix_(target, target)] = solution.covariance[np.ix_(source, source)]
     rows_added = np.zeros((rows, len(PARAMETER_NAMES)))
@@ -419,14 +420,14 @@ def merge_solution(
 
 
 def with_model_error(fit: TendonFit, errors: Mapping[str, float]) -> TendonFit:
-    """Return a fit whose variances include errors of the model.
+    """Return a fit whose variances also contain the errors of the model.
 
-    The scatter of the residuals does not show errors of the model.
+    These errors cannot be seen in the scatter of the residuals.
 
     Args:
-        fit: fit of a tendon.
-        errors: standard deviation of each parameter that errors of the model cause, as a fraction
-            of the value.
+        fit: fit of a tendon's parameters.
+        errors: standard deviation of each parameter that is caused by errors of the model, as a
+            fraction of the value.
     """
     covariance = fit.covariance.copy()
     for name, error in errors.items():

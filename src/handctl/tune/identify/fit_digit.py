@@ -1,4 +1,4 @@
-"""Fit of springs and friction of a digit with several tendons, from load cells and joint encoders.
+"""Fit of the springs and the friction of a digit with several tendons, from load cells and joint encoders.
 
     sum_j R_ji f_j exp(-mu_j sgn(w_j) (phi_j + q_1 + .. + q_i)) = S k_i (q_i + P p_i) + b_i q_i' + m (M q'' + g)_i
 
@@ -54,7 +54,7 @@ MIN_ROWS = 20
 
 @dataclass(frozen=True, slots=True)
 class TorqueBalance:
-    """Data of a digit at those times at which it moves freely and its joint encoders were read.
+    """Data of a digit at the times at which it moves freely and its joint encoders are read.
 
     Attributes:
         digit: model of the digit.
@@ -64,7 +64,7 @@ class TorqueBalance:
         rigid_body_torque: (m, joints) torque of inertia and weight [N m].
         tension: (m, tendons) tension at the load cells, corrected for the drift [N].
         speed_sign: (m, tendons) sign of the speed of each tendon.
-        noise: (tendons,) noise of the averaged load cells [N].
+        noise: (tendons,) noise of the averaged load-cell readings [N].
         drift_sigma: (tendons,) standard deviation of the load-cell drift that remains after the
             correction [N].
     """
@@ -83,13 +83,13 @@ class TorqueBalance:
     def from_fits(
         digit: DigitModel, data: Sequence[TendonData], fits: Sequence[TendonFit]
     ) -> "TorqueBalance | None":
-        """Return the data of a digit for its fit, from the data and the fits of its tendons.
+        """Return the data for the fit of a digit, from the data and the fits of its tendons.
 
-        If there are too few usable times, return None.
+        If too few times can be used, return None.
 
         Args:
             digit: model of the digit.
-            data: data of the tendons of the digit, in order.
+            data: data of the tendons of the digit, in their order.
             fits: fits of the same tendons.
         """
         first_tendon = data[0]
@@ -130,7 +130,7 @@ class TorqueBalance:
         )
 
     def tendon_torque(self, friction: Array, offset: Array) -> Array:
-        """Return the torque of the tendons at the joints (m, joints) [N m].
+        """Return the torques of the tendons at the joints (m, joints) [N m].
 
         Args:
             friction: (tendons,) capstan coefficients.
@@ -142,11 +142,10 @@ class TorqueBalance:
             angle = np.full(len(self.t), self.digit.wrap[j])
             for i, mean_arm in enumerate(arms.tolist()):
                 arm = present[..., j, i]
-                # If the tendon does not cross a joint, or the joint is prismatic, the joint adds no
-                # wrap angle.
+                # A prismatic joint, and a joint that the tendon does not cross, add no wrap angle.
                 wraps = mean_arm != 0.0 and not self.digit.is_prismatic[i]
                 angle = angle + self.q[:, i] * wraps
-                # The direction of the friction follows the motion of the tendon.
+                # The direction of the friction depends on the direction in which the tendon moves.
                 lost = np.clip(
                     -friction[j] * self.speed_sign[:, j] * angle,
                     -MAX_FRICTION_EXPONENT,
@@ -167,7 +166,7 @@ class TorqueBalance:
         )
 
     def required_torque(self, spring: float, preload: float, damping: float, mass: float) -> Array:
-        """Return the torque (m, joints) that springs, damping, inertia and weight require [N m].
+        """Return the torques (m, joints) that are necessary because of springs, damping, inertia and weight [N m].
 
         The arguments are factors of the values in the hand file.
         """
@@ -187,10 +186,10 @@ class TorqueBalance:
 def _joint_rates(
     digit: DigitModel, q: Array, speed: Array, acceleration: Array
 ) -> tuple[Array, Array]:
-    """Return joint rates [rad/s] and accelerations [rad/s^2], (m, joints), from those of the tendons, (m, tendons).
+    """Return the joint rates [rad/s] and accelerations [rad/s^2], (m, joints), from those of the tendons, (m, tendons).
 
-    If the moment arms R depend on the joint angles, the acceleration of a tendon has the additional
-    part R' q'^2.
+    If the moment arms R depend on the joint angles, the acceleration of a tendon contains the
+    additional term R' q'^2.
     """
     if not digit.has_varying_arm:
         to_joints = digit.excursion_to_joints.T
@@ -206,7 +205,7 @@ def _joint_rates(
 
 
 def fit_digit(balance: TorqueBalance) -> FitSolution:
-    """Fit the shared factors of a digit, and capstan coefficients and load-cell offsets of its tendons.
+    """Fit the factors that all tendons of a digit share, and each tendon's capstan coefficient and offset.
 
     Factors and coefficients are relative to the values in the hand file.
     """
@@ -244,7 +243,7 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
 def fits_with_digit(
     fits: Sequence[TendonFit], solution: FitSolution, balance: TorqueBalance
 ) -> list[TendonFit]:
-    """Return the fits of the tendons of a digit, completed with the parameters from the fit of the digit.
+    """Return the fits of the tendons of a digit, with the parameters from the fit of the whole digit added.
 
     Each tendon gets its capstan coefficient. The first tendon also gets the factors that all
     tendons share.
@@ -268,15 +267,15 @@ def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> Residual
 
 
 def _friction_scales(digit: DigitModel) -> Array:
-    """Return the scale of each capstan coefficient (tendons,).
+    """Return the scale of each tendon's capstan coefficient (tendons,).
 
-    This scale equals the scale in the fits of the tendons.
+    It is the same scale as in the fits of the single tendons.
     """
     return np.where(digit.friction > 0.0, digit.friction, 1e-3)
 
 
 def _spaced_indices(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]:
-    """Return a selection of indices that are at least `spacing` apart, so that averages do not share samples."""
+    """Return some of the indices, which are at least `spacing` apart, so that their averages share no readings."""
     selected: list[int] = []
     for index in indices.tolist():
         if not selected or index - selected[-1] >= spacing:
@@ -287,9 +286,9 @@ def _spaced_indices(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]
 def _tendon_rates(data: TendonData, reach: int) -> tuple[Array, Array]:
     """Return the speed [m/s] and the acceleration [m/s^2] of a tendon.
 
-    The values are NaN at the ends of the data.
+    At the start and the end of the data, both are NaN.
 
-    The differences span twice the time over which signals are averaged.
+    The differences extend over twice the time over which signals are averaged.
     """
     x = data.travel
     step = 2 * reach
@@ -309,7 +308,7 @@ def _cell_drift(data: TendonData, fit: TendonFit) -> Array:
 
 
 def _drift_deviation(fit: TendonFit, t: Array) -> float:
-    """Return the standard deviation of the drift of a load cell within the times `t` [N]."""
+    """Return the standard deviation of the drift of a load cell over the times `t` [N]."""
     knots = fit.problem.drift_knots
     used = np.flatnonzero((knots >= t.min() - 1.0) & (knots <= t.max() + 1.0)) + len(
         PARAMETER_NAMES

@@ -1,8 +1,9 @@
-"""Load model of a tendon: the load-cell tension that is expected at a given motor position.
+"""Load model of a tendon: the tension that the load cell should measure at a given motor position.
 
-The model is for a digit that is at its open stop or moves freely.
+The model applies to a digit that is at its open stop or moves freely.
 
-At the open stop only the tendon stretches: f = k (x - o). In free motion each joint is in balance,
+At the open stop, only the tendon is stretched: f = k (x - o). In free motion, the torques at each
+joint are in balance:
 
     S k_i (q_i + P p_i) + b_i q_i' + m (a_i q'' + g_i) = r_i f exp(-mu sgn(w) (phi_0 + q_1 + .. + q_i)),
 
@@ -53,15 +54,15 @@ The exponent can reach this bound only in the first steps of a solver.
 
 
 class LoadParameters(NamedTuple):
-    """Fitted parameters of the load model, in SI units or as factors of values in the hand file.
+    """Parameters of the load model, in SI units or as factors for values of the hand file.
 
     Attributes:
         stiffness: stiffness of the tendon [N/m].
-        spring: factor of the stiffness of the springs.
-        preload: factor of the preload of the springs.
+        spring: factor for the stiffness of the springs.
+        preload: factor for the preload of the springs.
         friction: capstan coefficient of the tendon.
-        damping: factor of the joint damping.
-        mass: factor of the link masses.
+        damping: factor for the damping of the joints.
+        mass: factor for the masses of the links.
         offset: stretch offset [m].
     """
 
@@ -76,7 +77,9 @@ class LoadParameters(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SignalBins:
-    """Averages of the signals of a tendon over short times (bins), with the shape (m,) each.
+    """Averages of the signals of a tendon over short times, called bins.
+
+    Each array has the shape (m,).
 
     Attributes:
         t: mean time of each bin [s].
@@ -84,7 +87,7 @@ class SignalBins:
         tension: load-cell tension [N].
         speed: speed of the tendon [m/s].
         acceleration: acceleration of the tendon [m/s^2].
-        count: number of samples in each bin.
+        count: number of readings in each bin.
     """
 
     t: Array
@@ -98,10 +101,10 @@ class SignalBins:
 def average_in_bins(
     data: TendonData, mask: Mask, moving: bool, bin_s: float = BIN_DURATION_S
 ) -> SignalBins:
-    """Return averages of the samples that a mask selects, over bins of equal duration.
+    """Return averages of those readings that a mask selects, over bins of equal duration.
 
-    A bin is used if the mask is True for all its samples, and if all its samples were read. If
-    `moving` is True, the tendon must also move in one direction during the bin.
+    A bin is used if the mask is True for all readings in it, and if no reading is missing. If
+    `moving` is True, the tendon must also move in a single direction during the bin.
     """
     count = max(1, round(bin_s / data.period))
     n = len(data.t) // count
@@ -117,8 +120,7 @@ def average_in_bins(
     if moving:
         speeds = values_in_bins(speed)
         complete &= np.abs(speeds).min(axis=1) > MIN_SPEED_M_S
-        # The signs in a bin are all equal if the absolute value of their sum is the number of
-        # samples.
+        # All signs in a bin are equal if the absolute value of their sum is the number of readings.
         complete &= np.abs(np.sign(speeds).sum(axis=1)) == count
 
     def mean_of_bins(values: Array) -> Array:
@@ -135,7 +137,7 @@ def average_in_bins(
 
 
 def _central_rates(travel: Array, period: float, reach: int) -> tuple[Array, Array]:
-    """Return the speed and the acceleration of a travel, from differences over `reach` periods.
+    """Return the speed and the acceleration for a series of travels, from differences over `reach` periods.
 
     Both are zero at the two ends of the data.
     """
@@ -151,19 +153,19 @@ def _central_rates(travel: Array, period: float, reach: int) -> tuple[Array, Arr
 
 @dataclass(frozen=True, slots=True)
 class DigitLoad:
-    """Constants of a digit with one tendon and n joints, for the load model.
+    """Constants of the load model for a digit with one tendon and n joints.
 
     Attributes:
-        arms: moment arms at the joints [m]. If a moment arm depends on the joint angle, this is its
-            mean.
+        arms: moment arm of the tendon at each joint [m]. If a moment arm depends on the joint
+            angle, this is the mean over the angles.
         spring: spring stiffness [N m/rad].
         preload: preload of the springs [rad].
         damping: joint damping [N m s/rad].
-        wrap: wrap angle before the first pulley [rad].
-        inertia: (grid, n) joint torque per acceleration when all joints accelerate together, at the
-            angles of the table.
-        weight: (grid, n) joint torque of the weight, at the angles of the table [N m].
-        varying: model of the digit if its moment arms depend on the joint angles. None
+        wrap: wrap angle of the tendon before the first pulley [rad].
+        inertia: (grid, n) torque at each joint per acceleration, if all joints accelerate together,
+            at the angles of the table.
+        weight: (grid, n) torque of the weight at each joint, at the angles of the table [N m].
+        varying: model of the digit if its moment arms depend on the joint angles, or None
             otherwise.
     """
 
@@ -194,7 +196,7 @@ class DigitLoad:
         )
 
     def mean_angle(self, excursion: Array) -> Array:
-        """Return the angle (m,) of each joint at an excursion (m,) if all joints turn equally [rad]."""
+        """Return the angle (m,) of each joint at an excursion (m,) of the tendon, if all joints turn equally [rad]."""
         if self.varying is None:
             return np.asarray(excursion / self.arms.sum())
         grid = [
@@ -238,8 +240,8 @@ class DigitLoad:
         stiffness = p.spring * self.spring
         q = [mean.copy() for _ in self.arms]
         f = np.full_like(mean, 10.0)
-        # Newton's method changes the tension until the travel is right. For a given tension, the
-        # joint angles are determined one by one, beginning at the palm.
+        # Newton's method changes the tension until the travel of the tendon is right. For a given
+        # tension, the joint angles are computed one by one, beginning at the palm.
         for _ in range(NEWTON_STEPS):
             angle = np.full_like(mean, self.wrap)
             excursion = f / p.stiffness
@@ -258,7 +260,7 @@ class DigitLoad:
                     - extra[i]
                     - stiffness[i] * p.preload * self.preload[i]
                 )
-                # A moment arm that increases with the joint angle acts against the spring.
+                # If a moment arm increases with the joint angle, it acts against the spring.
                 held = np.maximum(
                     stiffness[i] - bend * f * friction_factor, MIN_STIFFNESS_FRACTION * stiffness[i]
                 )

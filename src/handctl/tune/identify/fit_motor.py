@@ -1,10 +1,13 @@
-"""Motor equation in weak form: integrated with a smooth window, so that no measurement is differentiated.
+"""Motor equation in weak form: it is multiplied by a smooth time window and integrated.
+
+So no measured signal has to be differentiated.
 
     K u(t - d) = J/r w' + b/r w + tau_c/r sgn w + r f      per window: all terms times a window, integrated by parts
 
-Here u is the commanded force at the tendon, w the speed of the spool, and f the tension at the load
-cell. All terms are forces at the tendon [N]. Source: modulating functions (Shinbrot 1954).
-Integration by parts moves the derivatives to the window, which is known exactly.
+Here, u is the commanded force, converted to the tendon, w is the speed of the spool, and f is the
+tension at the load cell. All terms are forces, converted to the tendon [N]. Source: modulating
+functions (Shinbrot 1954). Integration by parts moves the derivatives to the window, which is known
+exactly.
 """
 
 from dataclasses import dataclass
@@ -37,22 +40,24 @@ At lower speeds the sign of the friction is not known.
 
 @dataclass(frozen=True, slots=True)
 class MotorWindows:
-    """Signals of a motor and its tendon, averaged with a window, with the shape (m,) each.
+    """Signals of a motor and its tendon, averaged with a time window.
 
-    All forces are forces at the tendon.
+    Each array has the shape (m,).
+
+    All forces are converted to the tendon.
 
     Attributes:
         t: time at the centre of each window [s].
-        tension: windowed tension [N].
-        acceleration: windowed acceleration of the tendon [m/s^2].
-        speed: windowed speed of the tendon [m/s].
+        tension: tension of the tendon, averaged with the window [N].
+        acceleration: acceleration of the tendon, averaged with the window [m/s^2].
+        speed: speed of the tendon, averaged with the window [m/s].
         sign: sign of the speed.
         commands: (m, taps) commanded forces during each window and shortly before and after [N].
         offsets: (taps + 1,) times at which the commands change, relative to the centre of the
             window [s].
         half_window_s: half of the length of a window [s].
-        noise_ratio: standard deviation of a windowed tension, divided by the standard deviation of
-            one sample [1].
+        noise_ratio: standard deviation of an averaged tension, divided by the standard deviation of
+            one reading [1].
     """
 
     t: Array
@@ -101,16 +106,17 @@ class WindowWeights(NamedTuple):
         )
 
     def derivatives(self, values: Array) -> tuple[Array, Array, Array]:
-        """Return mean, first and second derivative (...) of a signal, given its samples in windows (..., n)."""
-        # Integration by parts moves the derivative to the window and changes its sign.
+        """Return the mean, the first and the second derivative (...) of a signal from its windows (..., n)."""
+        # Integration by parts replaces the derivative of the signal by that of the window, with the
+        # opposite sign.
         return values @ self.mean, -values @ self.first, values @ self.second
 
 
 def motor_windows(data: TendonData, spool: float) -> MotorWindows:
-    """Return the windowed signals of a tendon and its motor.
+    """Return the signals of a tendon and its motor, averaged with time windows.
 
-    Windows are left out if the tendon in them is too slow, changes its direction, or has a missing
-    sample.
+    A window is left out if the tendon in it is too slow or changes its direction, or if a reading
+    is missing.
     """
     period = data.period
     weights = WindowWeights.from_period(period)
@@ -123,8 +129,7 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
     quick = quick_speed(data.travel, period)
     complete = data.acting[rows].all(axis=1) & np.isfinite(travel + data.tension[rows]).all(axis=1)
     moving = np.abs(quick[rows]).min(axis=1) > MIN_SPEED_RAD_S * spool
-    # The signs in a window are all equal if the absolute value of their sum is the number of
-    # samples.
+    # All signs in a window are equal if the absolute value of their sum is the number of readings.
     selected = complete & moving & (np.abs(np.sign(quick[rows]).sum(axis=1)) == len(samples))
     taps = np.arange(-half - 2, half + 3)
     return MotorWindows(
@@ -141,9 +146,9 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
 
 
 def quick_speed(travel: Array, period: float, reach: int = 3) -> Array:
-    """Return the speed that a travel has [m/s], from differences over a few control periods.
+    """Return the speed for a series of travels, from differences over a few control periods [m/s].
 
-    The speed is zero at both ends of the data.
+    At both ends of the data, the speed is zero.
     """
     speed = np.full(len(travel), np.nan)
     speed[reach:-reach] = (travel[2 * reach :] - travel[: -2 * reach]) / (2 * reach * period)
@@ -152,8 +157,8 @@ def quick_speed(travel: Array, period: float, reach: int = 3) -> Array:
 
 def _window_value(s: Array) -> Array:
     """Return the window function. It is cos^4 with area 1 over [-1, 1], and 0 outside."""
-    # The first three derivatives of the window are 0 at its ends. Because of this, integration by
-    # parts leaves no boundary terms.
+    # At the ends of the window, the first three derivatives of this function are 0. Therefore
+    # integration by parts gives no boundary terms.
     return np.asarray(np.where(np.abs(s) < 1.0, 4.0 / 3.0 * np.cos(0.5 * np.pi * s) ** 4, 0.0))
 
 

@@ -1,4 +1,4 @@
-"""Fit of a spool pair without load cells, from motor torque, spool angle and joint encoders.
+"""Fit of the parameters of a spool pair without load cells, from motor torque, spool angle and joint encoders.
 
     u(t - d) = J/r w' + b/r w + tau_c/r sgn w + F          motor, windowed as in `fit_motor`
     F = n(load; p, mu)                                     free motion
@@ -10,9 +10,9 @@ the positions of spool and joints is the stretch of the pair. The characteristic
 at a net tension F. The stiffness is 2 k while both tendons are taut, and k if F exceeds twice the
 pretension p.
 
-No sensor of a spool pair measures a force. The torque of the drive is therefore the unit of all
-forces. If a motor makes 10 % less torque than commanded, its inertia, its friction and the
-stiffness of its tendons seem 10 % larger.
+No sensor of a spool pair measures a force. Therefore all forces are measured in units of the
+drive's torque. If a motor makes 10 % less torque than commanded, inertia, friction and tendon
+stiffness seem to be 10 % larger.
 """
 
 from collections.abc import Sequence
@@ -96,21 +96,21 @@ MIN_READINGS = 3
 
 @dataclass(frozen=True, slots=True)
 class PairWindows:
-    """Signals of a spool pair, averaged with a window, with the shape (m,) each.
+    """Signals of a spool pair, averaged with a time window. Each array has the shape (m,).
 
     Attributes:
-        motor: windows of the motor equation. The tension in these windows is unknown.
-        free: True if the digit moves freely. False if the pair is stretched while the digit is on a
-            stop.
-        inertial: net tension that the joints need for inertia and weight [N].
-        damping: net tension that the joints need for joint damping [N].
+        motor: windows of the motor equation. In these windows, the tension is not known.
+        free: True if the digit moves freely, and False if the pair is stretched while the digit is
+            pressed against a stop.
+        inertial: net tension that is necessary at the joints because of inertia and weight [N].
+        damping: net tension that is necessary at the joints because of joint damping [N].
         wrap_angle: wrap angle of the pair [rad].
-        friction_fraction: friction of the tendons, as a fraction of its full value at high speed,
-            with its sign.
-        travel: mean travel of the spool at the times at which the joints were read [m].
-        excursion: mean excursion at the same times, with the moment arms of the hand file [m]. The
-            excursion is NaN if there are too few readings.
-        reading_count: effective number of joint readings in each window.
+        friction_fraction: friction of the tendons with its sign, as a fraction of the friction at
+            high speed.
+        travel: mean travel of the spool at the times at which the joint encoders were read [m].
+        excursion: mean excursion at the same times, computed with the moment arms of the hand file
+            [m]. If there are too few readings, it is NaN.
+        reading_count: effective number of joint-encoder readings in each window.
     """
 
     motor: MotorWindows
@@ -127,17 +127,17 @@ class PairWindows:
     def from_data(
         hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonData], rest: Array
     ) -> "PairWindows":
-        """Return the windowed signals of a spool pair.
+        """Return the signals of a spool pair, averaged with time windows.
 
         Args:
             hand: description of the hand.
             digit: model of the digit.
-            tendon: index of the pair in the digit.
-            data: data of all pairs of the digit, in order.
-            rest: (J,) angles of all joints [rad]. The joints of all other digits do not move.
+            tendon: index of the pair among the pairs of the digit.
+            data: data of all pairs of the digit, in their order.
+            rest: (J,) angles of all joints [rad]. The joints of the other digits keep these angles.
 
         Raises:
-            LogError: The pair hardly moves.
+            LogError: the pair hardly moves.
         """
         own = data[tendon]
         spool = hand.motor_of(own.tendon).spool_radius_m
@@ -201,9 +201,9 @@ def _joint_motion(
 def _torque_of_digit(
     tree: HandTree, digit: DigitModel, rest: Array, q: Array, dq: Array, ddq: Array
 ) -> Array:
-    """Return the torques (joints,) that a digit needs for the inertia and the weight of its links [N m].
+    """Return the torques (joints,) that are necessary because of the inertia and the weight of a digit's links [N m].
 
-    The links of the digits that it carries are included.
+    The links of digits that this digit carries are included.
     """
     motion = np.zeros((3, len(rest)))
     motion[0] = rest
@@ -214,12 +214,13 @@ def _torque_of_digit(
 def _stretch_readings(
     digit: DigitModel, tendon: int, data: TendonData, rows: NDArray[np.intp], weights: WindowWeights
 ) -> tuple[Array, Array, Array]:
-    """Return the travel and the excursion (m,) of windows at the times at which the joints were read [m].
+    """Return the travel and the excursion (m,) in windows, at the times at which the joint encoders were read [m].
 
-    The third value is the effective number of readings in each window.
+    Also return the effective number of readings in each window.
 
-    While a pair is stretched on a stop, its travel changes, but not its excursion. In such a
-    window, the travel is averaged over all samples, and not only over the times of the readings.
+    While a pair is stretched against a stop, its travel changes, but its excursion does not. In
+    such a window, the travel is averaged over all ticks, and not only over the times of the
+    readings.
     """
     read: NDArray[np.bool_] = np.asarray(np.isfinite(data.joints).all(axis=1))
     excursion = np.where(read, tendon_excursions(digit, tendon, np.nan_to_num(data.joints)), 0.0)
@@ -230,18 +231,18 @@ def _stretch_readings(
     stretched = data.stop[rows].all(axis=1)
     travel = np.where(stretched, data.travel[rows] @ weights.mean, travel)
     known = np.where(count >= MIN_READINGS, (excursion[rows] * weight).sum(axis=1) / total, np.nan)
-    # The last value is the effective number of readings, because the window gives the readings
-    # different weights.
+    # It is an effective number, because the window gives different weights to the readings.
     return travel, known, total**2 / np.maximum((weight**2).sum(axis=1), 1e-12)
 
 
 def tension_of_pair(net: Array, pretension: float, passed: Array) -> Array:
-    """Return the net tension at the spool (m,) that makes a given net tension at a joint [N].
+    """Return the net tension at the spool (m,) that is necessary for a given net tension at a joint [N].
 
     Args:
         net: net tension at the joint (m,) [N].
         pretension: pretension of both tendons [N].
-        passed: tension of the first tendon behind the pulleys, divided by its tension at the spool.
+        passed: tension of the first tendon behind the pulleys, divided by the tension of this
+            tendon at the spool.
 
     The formula is the same as in `core.estimation.spool_pair`, but for arrays.
     """
@@ -261,14 +262,14 @@ class PairProblem:
     """Input for the fit of a spool pair.
 
     Attributes:
-        windows: windowed signals of the pair.
+        windows: signals of the pair, averaged with time windows.
         spool_radius_m: radius of the spool [m].
         parameter_scales: (15,) scale of each parameter of `fit.PARAMETER_NAMES`.
         motor_noise: standard deviation of the residuals of the motor equation [N].
-        reading_noise: standard deviation of the excursion that is computed from one joint reading
-            [m].
-        start_parameters: scaled parameters at which the fit starts. The start parameters come from
-            the hand file.
+        reading_noise: standard deviation of an excursion that is computed from a single
+            joint-encoder reading [m].
+        start_parameters: scaled parameters at which the fit starts. These parameters come from the
+            hand file.
     """
 
     windows: PairWindows
@@ -279,7 +280,7 @@ class PairProblem:
     start_parameters: Array
 
     def parameter_value(self, z: Array, name: str) -> float:
-        """Return a parameter in SI units, or as a factor of a value in the hand file."""
+        """Return a parameter in SI units, or as a factor for a value of the hand file."""
         return float(
             z[PAIR_PARAMETERS.index(name)] * self.parameter_scales[PARAMETER_NAMES.index(name)]
         )
@@ -298,7 +299,7 @@ class PairProblem:
         )
 
     def free_tension(self, z: Array) -> Array:
-        """Return the net tension (m,) that the links and the friction of the tendons require in free motion [N]."""
+        """Return the net tension (m,) that links and tendon friction require in free motion [N]."""
         w = self.windows
         load = (
             self.parameter_value(z, "link_mass") * w.inertial
@@ -322,7 +323,7 @@ class PairProblem:
     def stretch(self, z: Array) -> Array:
         """Return the length (m,) by which the spool is ahead of the joints [m].
 
-        In windows without enough joint readings, the length is NaN.
+        If a window contains too few joint-encoder readings, the length is NaN.
         """
         w = self.windows
         skew = np.where(w.free, z[-1] * SENSOR_SKEW_S * w.motor.speed, 0.0)
@@ -334,7 +335,7 @@ class PairProblem:
         )
 
     def residuals(self, z: Array) -> Array:
-        """Return the residuals (rows,) in standard deviations, in this order: motor, stretch, priors."""
+        """Return the residuals (rows,) in standard deviations, in the order motor, stretch, priors."""
         w = self.windows
         stiffness = self.parameter_value(z, "tendon_stiffness")
         pretension = self.parameter_value(z, "pretension")
@@ -372,7 +373,7 @@ class PairProblem:
         )
 
     def with_noise_of(self, z: Array) -> "PairProblem":
-        """Return the input of the fit with a new value for the noise of the motor equation.
+        """Return the input of the fit, with a new value for the noise of the motor equation.
 
         The noise is estimated from the median of the absolute residuals.
         """
@@ -388,11 +389,11 @@ def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonDa
     Args:
         hand: description of the hand.
         digit: model of the digit.
-        tendon: index of the pair in the digit.
-        data: data of all pairs of the digit, in order.
+        tendon: index of the pair among the pairs of the digit.
+        data: data of all pairs of the digit, in their order.
 
     Raises:
-        LogError: The pair hardly moves.
+        LogError: the pair hardly moves.
     """
     own = data[tendon]
     rest = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
@@ -417,7 +418,7 @@ def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonDa
 def _start_parameters(windows: PairWindows) -> Array:
     """Return the scaled parameters at which the fit starts.
 
-    The start parameters are those of the hand file, and a first estimate of the stretch offset.
+    They consist of the values in the hand file and of a first estimate of the stretch offset.
     """
     first = np.ones(len(PAIR_PARAMETERS) + 2)
     known = np.isfinite(windows.excursion)
@@ -432,9 +433,9 @@ def _start_parameters(windows: PairWindows) -> Array:
 def _start_candidates(first: Array) -> list[Array]:
     """Return several start points of the fit, with different pretensions.
 
-    If the fit starts with a pretension that is too small, the solver may end at a wrong solution: a
-    pair with one slack tendon and twice the stiffness. From this wrong solution, no small step
-    leads to the right parameters.
+    If the pretension at the start is too small, the solver may find a wrong solution: a pair in
+    which one tendon is slack and the stiffness is twice as large. From this wrong solution, small
+    steps cannot lead to the right parameters.
     """
     starts = []
     for factor in PRETENSION_START_FACTORS:
@@ -445,7 +446,10 @@ def _start_candidates(first: Array) -> list[Array]:
 
 
 def _robust_cost(residual: Array) -> float:
-    """Return the soft L1 cost of residuals. Outliers have little weight in this cost."""
+    """Return the cost of residuals by the soft L1 norm.
+
+    In this cost, outliers have little weight.
+    """
     return float((np.sqrt(1.0 + (residual / OUTLIER_RESIDUAL) ** 2) - 1.0).sum())
 
 

@@ -2,11 +2,11 @@
 
     x = m s(q) + f / k + o(t) + d x'
 
-The travel x of the spool is the sum of the excursion s(q) of the joints and the stretch f / k of
-the tendon. The factor m multiplies the moment arms of the hand file. The joint encoders are read
-slightly later or earlier than the motor encoders. This time difference adds d x' while the joints
-move. The offset o follows the drift of the load cell. Joint stops and return springs do not occur
-in this equation.
+The travel x of the spool is the sum of the joints' excursion s(q) and the tendon's stretch f / k.
+The factor m multiplies the moment arms of the hand file. The joint encoders are read at slightly
+different times than the motor encoders. This difference of time adds the term d x' while the joints
+move. The offset o follows the drift of the load cell. This equation contains neither joint stops
+nor return springs.
 """
 
 from dataclasses import replace
@@ -57,7 +57,7 @@ def tendon_excursions(digit: DigitModel, tendon: int, q: Array) -> Array:
 
 
 def with_arms(digit: DigitModel, factors: Array) -> DigitModel:
-    """Return a copy of a digit whose moment arms are multiplied by one factor for each tendon (n_t,)."""
+    """Return a copy of a digit in which the moment arms of each tendon are multiplied by a factor (n_t,)."""
     arms = digit.moment_arms * factors[:, None]
     to_coordinates = np.linalg.pinv(arms @ digit.coupling)
     return replace(
@@ -73,16 +73,18 @@ def with_arms(digit: DigitModel, factors: Array) -> DigitModel:
 def fit_travel(
     digit: DigitModel, tendon: int, data: TendonData, fit: TendonFit, joint_noise: float
 ) -> TendonFit:
-    """Return the fit of a tendon, with a stiffness and a moment arm that are fitted to its travel.
+    """Return the fit of a tendon.
 
-    If there are too few joint readings, the fit is returned unchanged.
+    Its stiffness and moment arm are fitted to the travel of the tendon.
+
+    If there are too few joint-encoder readings, the fit is returned unchanged.
 
     Args:
         digit: model of the digit.
-        tendon: index of the tendon in the digit.
+        tendon: index of the tendon among the tendons of the digit.
         data: data of the tendon.
-        fit: fit of the tendon. The stiffness and the moment arm of this tendon are replaced.
-        joint_noise: standard deviation of a joint reading [rad].
+        fit: fit of the tendon, whose stiffness and moment arm are replaced.
+        joint_noise: standard deviation of one joint-encoder reading [rad].
     """
     problem = fit.problem
     tension = average_samples(data.tension, SAMPLES_EACH_SIDE)

@@ -2,7 +2,7 @@
 
 The analysis uses the Jacobian of the data, scaled by the values of the hand file and by the noise
 of the load cell. The solver returns a value for every parameter. But a parameter, or a combination
-of parameters, may have no effect on the residuals. The data then do not determine its value.
+of parameters, may not influence the residuals. In this case, the data do not determine the value.
 """
 
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class Identifiability:
         columns: number of all combinations, which is the number of parameters.
         condition: largest singular value of the Jacobian divided by the smallest.
         weakest: combination of parameters that the data determine worst, as text.
-        correlated: pairs of identified parameters whose errors are correlated, with their
+        correlated: pairs of identified parameters whose errors are correlated, each with the
             correlation.
     """
 
@@ -55,15 +55,15 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
     """Return the identifiability of the parameters of a tendon, computed from their fit.
 
     Args:
-        fit: fit of a tendon.
+        fit: fit of the tendon's parameters.
         hand: description of the hand.
         digit: name of the digit.
         tendon: name of the tendon.
     """
     unseen = unobservable_parameters(hand, digit, tendon)
     jacobian = fit.sensitivity
-    # Each right singular vector is a combination of parameters. The singular value that belongs to
-    # the vector is the information of the data about this combination.
+    # Each right singular vector is a combination of parameters. The singular value of this vector
+    # measures how much the data say about the combination.
     _, sizes, directions = np.linalg.svd(jacobian, full_matrices=False)
     widths = fit.half_widths
     values = fit.parameter_values
@@ -96,7 +96,7 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
             *(f"{name}: {reason}" for name, reason in reasons.items() if reason),
             *_never_identifiable(fit, hand, tendon),
         ),
-        # A combination of parameters counts if its 95 % interval is as narrow as that of an
+        # A combination of parameters is counted if its 95 % interval is as narrow as that of an
         # identified parameter.
         rank=int((1.96 / np.maximum(sizes, 1e-12) < MAX_HALF_WIDTH).sum()),
         columns=len(PARAMETER_NAMES),
@@ -109,8 +109,9 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
 def _lacks_encoders(hand: Hand, digit: str) -> bool:
     """Return True if a digit with springs and several tendons has no joint encoders.
 
-    In such a digit, no tension of a single tendon shows the load of the springs. The torques at a
-    joint are in balance only at the angle that an encoder measures.
+    In such a digit, the tension of a single tendon does not show the load of the springs. The
+    torques at a joint are in balance only at the present joint angle, which an encoder would have
+    to measure.
     """
     tendons = hand.digit_tendons[digit]
     sprung = any(hand.digit_named(digit).spring_stiffness_N_m_per_rad)
@@ -119,17 +120,17 @@ def _lacks_encoders(hand: Hand, digit: str) -> bool:
 
 
 def _is_narrow(name: str, value: float, width: float) -> bool:
-    """Return True if the interval of a parameter is narrow enough.
+    """Return True if the confidence interval of a parameter is narrow enough.
 
-    The width of the interval is compared with the value of the parameter. For the delay, it is
-    compared with a millisecond.
+    The width of the interval is compared with the value of the parameter. For the parameter
+    `delay`, it is compared with a millisecond.
     """
     scale = SCALE_DELAY_S if name == "delay" else abs(value)
     return bool(width < MAX_HALF_WIDTH * scale)
 
 
 def _is_excited(jacobian: Array, name: str) -> bool:
-    """Return True if a parameter affects at least one row of the data."""
+    """Return True if a parameter influences at least one row of the data."""
     return bool(np.linalg.norm(jacobian[:, PARAMETER_NAMES.index(name)]) > 1e-6)
 
 
@@ -145,7 +146,7 @@ def _reason_not_identified(jacobian: Array, name: str) -> str:
 
 
 def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, str]:
-    """Return the parameters that cannot be identified with the sensors of a hand, each with the reason.
+    """Return the parameters that the sensors of a hand cannot identify, each with the reason.
 
     If a tendon does not have a parameter, the reason is an empty text.
 
@@ -176,7 +177,7 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
 
 
 def _never_identifiable(fit: TendonFit, hand: Hand, name: str) -> list[str]:
-    """Return the parameters that this kind of excitation cannot identify, however long it lasts, with the reasons."""
+    """Return the parameters that this excitation cannot identify however long it lasts, each with the reason."""
     problem = fit.problem
     tendon = hand.tendon[hand.tendon_names.index(name)]
     if tendon.pretension_N is not None:
@@ -211,7 +212,7 @@ def _never_identifiable(fit: TendonFit, hand: Hand, name: str) -> list[str]:
 
 
 def _combination_text(direction: Array) -> str:
-    """Return the largest components of a combination of parameters as text."""
+    """Return the largest components of a combination of parameters, as text."""
     order = np.argsort(-np.abs(direction))[:3]
     return ", ".join(
         f"{direction[i]:+.2f} {PARAMETER_NAMES[i]}" for i in order if abs(direction[i]) > 0.1
@@ -221,8 +222,8 @@ def _combination_text(direction: Array) -> str:
 def excitation_coherence(data: TendonData) -> tuple[Array, Array]:
     """Return frequencies [Hz], and the coherence of motor force and tendon speed at each frequency, from 0 to 1.
 
-    At a coherence of 1, the force determines the speed through a linear system. Noise, friction and
-    other causes of motion reduce the coherence.
+    At a coherence of 1, the speed follows from the force through a linear system. Noise, friction,
+    and other causes of the motion reduce the coherence.
     """
     use = data.acting & np.isfinite(data.travel)
     force = data.command[use]

@@ -1,4 +1,4 @@
-"""Identification of all tendons in a log: fit, identifiability, contacts, entry for the calibration file."""
+"""Identification of all tendons in a log: fit, identifiability, contacts, and entries for the calibration file."""
 
 import datetime
 from collections.abc import Callable
@@ -62,13 +62,13 @@ class TendonResult:
         data: data of the tendon from the log.
         fit: fit of all parameters.
         identifiability: identifiability of the parameters.
-        coherence: mean coherence over the frequency band of the step *swing*.
+        coherence: mean coherence over the frequency band of the excitation step *swing*.
         spectrum: frequencies [Hz], and the coherence at each frequency.
         balance: data for the fit of the digit, if the digit has several tendons and joint encoders.
             None otherwise.
-        blocked_event: text of the event with which the controller reported the digit as blocked.
-            The value is empty without such an event.
-        contact_text: text that describes a contact during the sweeps. The value is empty without a
+        blocked_event: text of the event in which the controller reported that the digit was
+            blocked, or an empty text.
+        contact_text: text that describes a contact during the sweeps, or an empty text without a
             contact.
     """
 
@@ -102,7 +102,7 @@ class TendonResult:
     def why_not(self) -> dict[str, str]:
         """Return, for each quantity without a valid value, the reason.
 
-        The parameters come first, then the other quantities.
+        The fitted parameters come first, and then other quantities.
         """
         missing = dict(text.split(": ", 1) for text in self.identifiability.missing)
         invalid = dict.fromkeys(self.identifiability.names, "invalid because of a contact")
@@ -118,14 +118,14 @@ class TendonResult:
     def calibration_entry(self, log: Path, made_at: str) -> IdentifiedParameters | None:
         """Return the entry of the tendon for the calibration file.
 
-        Return None if no parameter is identified and valid.
+        If no parameter is identified and valid, return None.
         """
         names = self.identified_names
         if not names:
             return None
         at = [PARAMETER_NAMES.index(name) for name in names]
         scale = self.fit.problem.parameter_scales[at]
-        # The fit uses scaled parameters, but the file contains them in SI units.
+        # In the fit, parameters are scaled. In the file, they are in SI units.
         covariance = self.fit.covariance[np.ix_(at, at)] * np.outer(scale, scale)
         values = self.fit.parameter_values
         widths = self.fit.half_widths
@@ -180,17 +180,17 @@ class TendonResult:
 def identify_tendons(
     log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda text: None
 ) -> dict[str, TendonResult]:
-    """Identify every tendon of a log, and return the results by tendon.
+    """Identify every tendon in a log, and return the results by the name of the tendon.
 
-    Tendons that hardly move are left out of the results.
+    A tendon that hardly moves is left out of the results.
 
     Args:
         log: log of any run.
-        hand: hand of the run, as its hand file describes it.
+        hand: hand of the run, as the hand file describes it.
         progress: function that is called with a description of each step.
 
     Raises:
-        LogError: No tendon moves in the log.
+        LogError: no tendon moves in the log.
     """
     solved = []
     failure = LogError("no tendon of this hand in it", "the log", "a run in which digits move")
@@ -231,7 +231,7 @@ def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> Te
     The fit of a spool pair needs the data of all spool pairs of the digit.
 
     Raises:
-        LogError: The tendon hardly moves.
+        LogError: the tendon hardly moves.
     """
     digit = DigitModel.from_hand(hand, data.digit)
     place = digit.tendon_names.index(data.tendon)
@@ -259,7 +259,7 @@ def _with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult
 def contact_text(hand: Hand, result: TendonResult) -> str:
     """Return a text that describes a contact during the sweeps.
 
-    The text is empty if there was none.
+    If there was no contact, the text is empty.
     """
     ramp = result.fit.ramp
     if ramp is not None and ramp.is_contact:
@@ -279,7 +279,7 @@ def contact_text(hand: Hand, result: TendonResult) -> str:
 def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
     """Return a text that describes a blocked joint in a digit with one tendon.
 
-    The text is empty if all joints move.
+    If all joints move, the text is empty.
     """
     load = result.fit.problem.digit_load
     data = result.data
@@ -308,7 +308,7 @@ def blocked_digits(log: RunLog) -> dict[str, str]:
     The keys of the result are the names of the excited digits.
 
     If two digits touch each other, the controller may report the wrong digit as blocked. Even then,
-    the event is assigned to the digit that is excited at the time.
+    the event is assigned to the digit that was excited at the time.
     """
     events = [
         event_entry
@@ -377,13 +377,14 @@ COLUMN_WIDTHS = (18, 10, 19, 9, 9)
 
 
 def result_table(results: dict[str, TendonResult], verbose: bool = False) -> list[str]:
-    """Return lines for a terminal about each parameter.
+    """Return lines about each parameter, for a terminal.
 
-    A line has the interval and the value in the hand file, or the reason why there is no value.
+    A line contains the confidence interval and the value in the hand file, or the reason why there
+    is no value.
 
     Args:
-        results: results by tendon.
-        verbose: True to add the combinations of parameters and the joint intervals.
+        results: results by the name of the tendon.
+        verbose: True to add lines about combinations of parameters and joint intervals.
     """
     lines = [
         "coherence: fraction of the motion of a tendon that the motor force explains, 0 to 1; "
@@ -407,13 +408,13 @@ def result_table(results: dict[str, TendonResult], verbose: bool = False) -> lis
 
 
 def _table_row(*cells: str) -> str:
-    """Return a row of a table of results, given the text of each cell."""
+    """Return a row of a table of results, given the text for each cell."""
     fixed = [cell.ljust(width) for cell, width in zip(cells, COLUMN_WIDTHS, strict=False)]
     return "  " + " ".join([*fixed, *cells[len(COLUMN_WIDTHS) :]]).rstrip()
 
 
 def _identified_row(result: TendonResult, key: str) -> str:
-    """Return the row of an identified parameter. A pure number has the unit "-"."""
+    """Return the row of an identified parameter. The unit of a pure number is written as "-"."""
     size, unit = (1e3, "ms") if key == "delay" else (1.0, PARAMETER_UNITS[key])
     value = size * result.fit.parameter_values[key]
     width = size * result.fit.half_widths[key]

@@ -1,7 +1,7 @@
-"""Solution of a least-squares fit, with the uncertainty of the parameters.
+"""Solution of a least-squares fit, and the uncertainty of the fitted parameters.
 
-The confidence intervals follow from the variation of the residuals between blocks of time. Because
-of this, errors of the model widen the intervals, and the rows need not be independent measurements.
+The confidence intervals follow from how much the residuals vary between blocks of time. Therefore
+errors of the model widen the intervals, and the rows need not be independent of each other.
 """
 
 from collections.abc import Callable, Iterator
@@ -40,7 +40,7 @@ block would contain all rows.
 
 @dataclass(frozen=True, slots=True)
 class FitSolution:
-    """Solution of a fit: scaled parameters and their uncertainty.
+    """Solution of a fit: the scaled parameters and their uncertainty.
 
     Attributes:
         z: (n,) parameters.
@@ -62,14 +62,14 @@ def solve_least_squares(
 ) -> FitSolution:
     """Solve a least-squares problem in two rounds.
 
-    A robust round finds the outliers, and the second round leaves them out.
+    A first, robust round finds the outliers, and the second round leaves them out.
 
     Args:
         residuals: function from parameters (n,) to residuals in standard deviations. The rows of
             data come first, then the priors.
         start: (n,) parameters at which the solver starts.
         bounds: lower and upper bounds of the parameters.
-        times: time of every row of data [s].
+        times: time of every row with measured data [s].
     """
     run = partial(least_squares, x_scale="jac", bounds=bounds, max_nfev=MAX_SOLVER_STEPS)
     # In the first round, a soft L1 loss limits the effect of outliers.
@@ -89,7 +89,7 @@ def solve_least_squares(
 def _block_rows(times: Array) -> Iterator[NDArray[np.intp]]:
     """Yield, for each block of time, the indices of its rows.
 
-    Long blocks are divided into parts of `MAX_BLOCK_ROWS`.
+    A long block is divided into parts of `MAX_BLOCK_ROWS` rows.
     """
     order = np.floor((times - times.min()) / NOISE_BLOCK_S).astype(int)
     for block in np.unique(order):
@@ -98,12 +98,12 @@ def _block_rows(times: Array) -> Iterator[NDArray[np.intp]]:
 
 
 def _parameter_covariance(jacobian: Array, residual: Array, times: Array) -> tuple[Array, Array]:
-    """Return the covariance of the parameters, and the degrees of freedom of each variance.
+    """Return the covariance of the parameters, and the degrees of freedom of each parameter's variance.
 
-    Covariance and degrees of freedom follow from the variation of the residuals between blocks of
-    time, and from the priors.
+    Both follow from how much the residuals vary between blocks of time, and from the prior
+    knowledge.
 
-    The residuals of each block are corrected, so that they equal those of a fit without this block.
+    The residuals of each block are corrected, so that they are those of a fit without this block.
     The covariance is never smaller than that of independent noise.
 
     The degrees of freedom are calculated for independent noise with a standard deviation of 1, and
@@ -113,21 +113,21 @@ def _parameter_covariance(jacobian: Array, residual: Array, times: Array) -> tup
     Satterthwaite's degrees of freedom with their working model.
     """
     plain = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
-    # The priors are exact by definition. The rows of the priors therefore enter the middle factor
+    # The rows with prior knowledge are exact by definition. Therefore they enter the middle factor
     # of the sandwich estimator without correction.
     middle = jacobian[len(times) :].T @ jacobian[len(times) :]
     expected = [np.diag(plain @ middle @ plain)]
     for rows in _block_rows(times):
         part = jacobian[rows]
         left = np.eye(len(rows)) - part @ plain @ part.T
-        # If a block alone determines a parameter, (I - H) is singular. A least-squares solution
-        # therefore replaces the inverse of (I - H).
+        # If a single block determines a parameter alone, the matrix (I - H) is singular. Therefore
+        # a least-squares solution takes the place of the inverse of (I - H).
         alone = np.linalg.lstsq(left, np.column_stack([residual[rows], part]), rcond=1e-9)[0]
         score = part.T @ alone[:, 0]
         middle += np.outer(score, score)
         expected.append(np.maximum(np.diag(plain @ part.T @ alone[:, 1:] @ plain), 0.0))
     robust = plain @ middle @ plain
-    # The robust covariance may be larger than the plain covariance, but never smaller.
+    # The robust covariance may be larger than that of independent noise, but never smaller.
     wider = np.sqrt(np.maximum(np.diag(robust) / np.diag(plain), 1.0))
     shares = np.array(expected) / np.sum(expected, axis=0)
     freedom = 1.0 / np.maximum((shares[1:] ** 2).sum(axis=0), MIN_VARIANCE_FRACTION)

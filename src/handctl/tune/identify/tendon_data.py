@@ -1,4 +1,4 @@
-"""Data of a tendon from a log: travel, tension and torque at equal times, and masks for the fit."""
+"""Data of a tendon from a log: travel, tension and torque at the same times, and masks for the fit."""
 
 import json
 from dataclasses import dataclass, replace
@@ -39,24 +39,24 @@ MIN_TENSION_N = 2.0
 
 @dataclass(frozen=True, slots=True)
 class TendonData:
-    """Measurements and commands of a tendon while its digit is excited.
+    """Measurements and commands of a tendon during the excitation of its digit.
 
-    Row j of every array belongs to the same time, j periods after the first row.
+    Row j of every array belongs to the time j periods after the first row.
 
     Attributes:
         tendon: name of the tendon.
         digit: name of the digit.
         period: control period [s].
-        t: (n,) time on the log's clock [s].
-        travel: (n,) travel at the spool [m]. The value is NaN if it is missing.
-        tension: (n,) reading of the load cell minus its tare [N]. It is NaN if it is missing.
-        command: (n,) motor force at the tendon that is commanded from this time on [N].
-        joints: (n, joints) readings of the joint encoders of the digit [rad]. A missing reading is
-            NaN.
+        t: (n,) time on the clock of the log [s].
+        travel: (n,) travel at the spool [m], with NaN for a missing value.
+        tension: (n,) reading of the load cell minus the tare [N], with NaN for a missing value.
+        command: (n,) motor force that is commanded from this time on, converted to the tendon [N].
+        joints: (n, joints) readings of the digit's joint encoders [rad], with NaN for a missing
+            reading.
         slack: (n,) True if the tendon is slack, so that the load cell shows its offset.
         stop: (n,) True if the tendon is taut and the digit is at its open stop.
         free: (n,) True if the tendon is taut and the digit moves freely.
-        acting: (n,) True if the motor equation holds from this time to the next time.
+        acting: (n,) True if the motor equation is valid between this time and the next.
     """
 
     tendon: str
@@ -78,12 +78,12 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
 
     If the log contains no excitation, return the data of all tendons.
 
-    The measurements that arrive in a tick were taken at the previous tick. All measurements are
-    therefore shifted by one tick.
+    The measurements that arrive in a tick were taken in the previous tick. Therefore all
+    measurements are shifted by one tick.
 
     Args:
         log: log of any run.
-        hand: hand description of the run.
+        hand: description of the hand of the run.
     """
     period = log.header.period_ns * 1e-9
     phases = phase_of_each(log.phases, log.k)
@@ -94,9 +94,10 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
     }
     settle = round(SETTLE_S / period)
     transient = round(TRANSIENT_S / period)
-    # There is no measurement after the last tick. So every array ends one tick earlier.
+    # After the last tick, there is no further measurement. Therefore every array ends one tick
+    # earlier than the log.
     active = (log.mode == HandMode.ACTIVE)[:-1]
-    # If a tick was missed, the equation between a command and the next measurement does not hold.
+    # If a tick was missed, the equation between a command and the next measurement is not valid.
     consecutive = np.append(np.diff(log.k) == 1, True)[:-1]
     contact = log.field("contact")[:-1]
     gain = _logged_gain(log, len(hand.tendon))
@@ -145,7 +146,10 @@ def _logged_gain(log: RunLog, tendons: int) -> list[float]:
 
 
 def _digit_has_tendon(hand: Hand, digit: str, tendon: int) -> bool:
-    """Return True if a tendon belongs to a digit. The tendon is given by its index in the hand."""
+    """Return True if a tendon belongs to a digit.
+
+    The tendon is given by its index among the hand's tendons.
+    """
     tendons = hand.digit_tendons[digit]
     return bool(tendons.start <= tendon < tendons.stop)
 
@@ -154,7 +158,7 @@ def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
     """Return a mask of the ticks in which a digit has followed a trajectory for some time, away from its stops."""
     joints = hand.digit_joints[digit]
     (digit_file,) = (candidate for candidate in hand.digit if candidate.name == digit)
-    # Near the ends of a joint's range, the joint stop carries a part of the load.
+    # Near the ends of a joint's range, the stop of the joint carries a part of the load.
     q = np.degrees(log.field("q")[:, joints])
     margin = STOP_DISTANCE_DEG
     inside = (q > np.array(digit_file.joint_min_deg) + margin) & (
@@ -168,8 +172,8 @@ def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
 
 def _lasting_mask(mask: Mask, tick_count: int) -> Mask:
     """Return a mask that is True where `mask` has been True for more than `tick_count` ticks."""
-    # `last` is the index of the latest False up to each tick. The value is -1 before the first
-    # False.
+    # `last` is the index of the last False at or before each tick. Before the first False, its
+    # value is -1.
     last = np.maximum.accumulate(np.where(mask, -1, np.arange(len(mask))))
     return np.asarray(np.arange(len(mask)) - last > tick_count)
 
@@ -207,7 +211,7 @@ def _restrict_to_excitation(data: TendonData, phases: NDArray[np.str_], digit: s
 def average_samples(values: Array, reach: int) -> Array:
     """Return the mean of each sample and of `reach` samples on each side.
 
-    The value is NaN at the ends of the data.
+    At both ends of the data, the result is NaN.
     """
     means = np.full(len(values), np.nan)
     width = 2 * reach + 1

@@ -1,1 +1,1 @@
-"""Control loops as linear systems: the design of their gains, and their margins."""
+"""Control loops as linear systems, with the design of their gains and their stability margins."""

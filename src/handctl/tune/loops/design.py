@@ -14,8 +14,8 @@ and speed, the characteristic polynomial d of the closed loop satisfies
 
     d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r.
 
-Two ratios of weights determine two poles. For each pair of poles with a damping ratio above
-1/sqrt(2), the weights therefore have a closed form.
+Two ratios of weights determine two poles of the closed loop. Therefore the weights for a pair of
+poles can be computed directly, if the damping ratio is above 1/sqrt(2).
 Source: Kalman's symmetric root locus.
 """
 
@@ -86,14 +86,15 @@ class GainDesign:
 
     Attributes:
         gains: designed gains.
-        margins_before: margins with the old gains, by tendon and loop, on the nominal plant.
-        margins_after: margins with the designed gains, by tendon and loop, on the nominal plant.
+        margins_before: margins of each tendon and loop with the old gains, on the nominal plant.
+        margins_after: margins of each tendon and loop with the designed gains, on the nominal
+            plant.
         worst_before: smallest value of each margin over all plants of the ensemble, with the old
             gains.
         worst_after: smallest value of each margin over all plants of the ensemble, with the
             designed gains.
         not_at_rest_before: reason why the hand does not come to rest in simulation with the old
-            gains. The value is empty if it does.
+            gains, or an empty text.
     """
 
     gains: Gains
@@ -104,12 +105,12 @@ class GainDesign:
     not_at_rest_before: str = ""
 
     def with_unproven_before(self, reason: str) -> "GainDesign":
-        """Return the design, with margins of zero for the old gains.
+        """Return the design with zero in place of all margins for the old gains.
 
         The margins are zero if the hand did not come to rest in simulation with the old gains.
 
         Args:
-            reason: reason why the hand did not come to rest.
+            reason: reason why the hand does not come to rest.
         """
         before = {loop: unproven_margins(margin) for loop, margin in self.margins_before.items()}
         return replace(
@@ -122,7 +123,7 @@ class GainDesign:
     def as_weights(self) -> Gains:
         """Return the designed gains, expressed with the default authority and scaled errors.
 
-        The controller stays the same, because LQR depends only on ratios of weights.
+        The controller is the same, because LQR depends only on ratios of weights.
         """
         defaults = Gains()
         gains = self.gains
@@ -157,23 +158,24 @@ class GainDesign:
 def linear_factors(factors: Mapping[str, float]) -> PlantFactors:
     """Return the factors of a plant that scale linear parameters, without the other factors.
 
-    Friction is not linear.
+    The other factors are left out, because friction is not linear.
     """
     names = PlantFactors.__dataclass_fields__
     return PlantFactors(**{key: value for key, value in factors.items() if key in names})
 
 
 def gains_with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float) -> Gains:
-    """Return gains whose weights give the poles of a loop a natural frequency and a damping.
+    """Return gains whose weights give a loop a pair of poles with a given natural frequency and damping.
 
     Args:
         model: model of the hand with its present gains.
-        kind: kind of the loop.
+        kind: kind of the loop, motion or tension.
         hz: natural frequency of the pole pair [Hz].
-        damping: damping ratio, at least 1/sqrt(2). No weights exist for smaller damping ratios.
+        damping: damping ratio of the poles, at least 1/sqrt(2). For smaller damping ratios, no
+            weights exist.
 
     Raises:
-        ValueError: No weights lead to these poles.
+        ValueError: no weights lead to these poles.
     """
     w = 2.0 * math.pi * hz
     position, speed = (_motion_weights if kind == LoopKind.MOTION else _tension_weights)(
@@ -192,9 +194,9 @@ def gains_with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float
 
 
 def _scaled_tendon_forces(gains: Gains, motion: float, tension: float) -> list[dict[str, Any]]:
-    """Return the entries of single tendons with their forces multiplied.
+    """Return the entries for single tendons, with their forces multiplied by factors.
 
-    Each loop has its own factor.
+    The motion loop and the tension loop have different factors.
     """
     return [
         {
@@ -207,10 +209,10 @@ def _scaled_tendon_forces(gains: Gains, motion: float, tension: float) -> list[d
 
 
 def _checked_gains(gains: Gains, **sections: dict[str, float] | list[dict[str, Any]]) -> Gains:
-    """Return gains in which some sections are replaced, after a check of the bounds.
+    """Return gains in which some sections are replaced, after their bounds have been checked.
 
     Raises:
-        ValueError: A value is out of its bounds.
+        ValueError: a value is out of its bounds.
     """
     try:
         return validate_content(gains.model_dump(by_alias=True) | sections, Gains, "weights")
@@ -219,17 +221,17 @@ def _checked_gains(gains: Gains, **sections: dict[str, float] | list[dict[str, A
 
 
 def _motion_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
-    """Return the ratios force / error and force / speed error of the motion loop.
+    """Return the two ratios of weights, force / error and force / speed error, of the motion loop.
 
-    The plant is a single mass, and d(s) = s^2 + 2 z w s + w^2.
+    The plant is a single mass, and the characteristic polynomial is d(s) = s^2 + 2 z w s + w^2.
     """
-    # At low frequency, a free digit and its rotor move as one mass.
+    # At low frequencies, the rotor and a freely moving digit act as one mass.
     mass = float((model.space.motor_mass + model.space.load_mass).mean())
     return mass * w**2, mass * w * _positive_root(4.0 * damping**2 - 2.0, MIN_DAMPING_TEXT)
 
 
 def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
-    """Return the ratios force / error and force / speed error of the tension loop.
+    """Return the two ratios of weights, force / error and force / speed error, of the tension loop.
 
     The plant is a rotor on its tendon. No weights give poles below the natural frequency of the
     rotor without control.
@@ -257,7 +259,8 @@ def _positive_root(square: float, expected: str) -> float:
     """Return the square root of a positive number.
 
     Raises:
-        ValueError: The number is not positive, so that no weights lead to the requested poles.
+        ValueError: the number is not positive. In this case, no weights lead to the requested
+            poles.
     """
     if square <= 0.0:
         raise ValueError(f"no weights have these poles; expected {expected}")
@@ -265,24 +268,24 @@ def _positive_root(square: float, expected: str) -> float:
 
 
 def model_with_gains(model: HandModel, gains: Gains) -> HandModel:
-    """Return the model with other gains of the motion and the tension loop, but with the same filter."""
+    """Return the model with other gains of the motion loop and the tension loop, but with the same filter."""
     return replace(model, gains=gains, motion=design_motion(model.space, gains, model.period))
 
 
 def worst_margins(
     model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind
 ) -> LoopMargins:
-    """Return the smallest value of each margin over all plants and loops.
+    """Return the smallest value of each margin over all plants and all loops.
 
     Of equal tendons, only one is computed.
 
-    Eigenvalues of the closed loops confirm the margins.
+    The eigenvalues of the closed loops confirm these margins.
     """
     return reduce(smaller_margins, _each_margin(model, plants, kinds, confirmed_margins))
 
 
 def weakest_plant(model: HandModel, plants: tuple[PlantFactors, ...]) -> int:
-    """Return the index of the plant that contains the loop with the smallest disk margin."""
+    """Return the index of the plant on which a loop has the smallest disk margin."""
     disks = [
         min(margin.disk for margin in _each_margin(model, (factors,), LoopKind))
         for factors in plants
@@ -334,7 +337,7 @@ def distinct_tendons(model: HandModel) -> tuple[int, ...]:
 
 
 def _equal_tendons(model: HandModel) -> tuple[tuple[int, ...], ...]:
-    """Return groups of tendons whose constants and forces are equal, except for rounding errors."""
+    """Return groups of tendons whose constants and forces are the same, apart from rounding errors."""
     space = model.space
     groups: dict[tuple[str, ...], tuple[int, ...]] = {}
     for i, name in enumerate(space.names):
@@ -349,16 +352,18 @@ def design_gains(
     plants: tuple[PlantFactors, ...],
     passes_test: Callable[[HandModel], bool] = lambda _: True,
 ) -> GainDesign:
-    """Design gains with the largest disturbance rejection and the largest authority that keep the margins.
+    """Design gains with the largest disturbance rejection and the largest authority at which the margins are kept.
 
     Args:
-        model: model of the hand with its present gains. The design keeps the filter of this model.
-        plants: ensemble of plants on which the margins must be kept.
-        passes_test: function that returns True if the gains of a model pass another test, such as a
-            simulation.
+        model: model of the hand with its present gains. The design does not change the filter of
+            this model.
+        plants: ensemble of plants on all of which the margins must be kept.
+        passes_test: function that returns True if the gains of a model pass a further test, such as
+            a simulation.
 
     Raises:
-        ValueError: Even the smallest authority violates a margin, or no gains pass the test.
+        ValueError: the smallest authority already violates a margin, or no gains pass the further
+            test.
     """
     unproven = False
     for rejection in REJECTION_FRACTIONS:
@@ -381,8 +386,8 @@ def design_gains(
                     after,
                 )
             unproven = unproven or after.are_sufficient
-        # A smaller disturbance rejection changes only one term of the control law. If the hand
-        # still does not come to rest, another term is the cause.
+        # A smaller disturbance rejection changes only one term of the control law. If the hand does
+        # not come to rest even then, another term must be the cause.
         if unproven:
             raise ValueError(
                 "the gains that keep the margins do not come to rest in simulation; expected other weights"
@@ -395,7 +400,7 @@ def design_gains(
 def _with_decreasing_authority(
     model: HandModel, plants: tuple[PlantFactors, ...]
 ) -> Iterator[HandModel]:
-    """Yield the model, and then models with less and less authority, as long as they keep the margins."""
+    """Yield the model, and then models with decreasing authority, as long as they keep the margins."""
     yield model
     for step in range(1, MAX_COMMON_REDUCTIONS + 1):
         less = _with_scaled_forces(model, math.exp(-step * LOG_FORCE_STEP))
@@ -426,7 +431,7 @@ def _with_motion(model: HandModel, **values: float) -> HandModel:
 def with_largest_authority(
     model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]
 ) -> HandModel | None:
-    """Return the model in which the loop of each tendon has the largest authority that keeps the margins.
+    """Return the model in which each tendon's loop has the largest authority that keeps the margins.
 
     If a tendon influences the loops of others, all tendons have equal forces. If no authority keeps
     the margins, return None.
@@ -446,22 +451,22 @@ def with_largest_authority(
     if not own:
         return with_shared
     separate = _with_tendon_forces(with_shared, kind, own)
-    # Each force was found with equal forces of all tendons. If tendons share a joint, a larger force
-    # of one tendon reduces the margins of the others.
+    # Each of these forces was found while all tendons had the same force. If two tendons share a
+    # joint, a larger force of one tendon reduces the margins of the other.
     return separate if keeps_required_margins(separate, plants, (kind,)) else with_shared
 
 
 def _largest_force(
     model: HandModel, kind: LoopKind, tendon: int, plants: tuple[PlantFactors, ...]
 ) -> float | None:
-    """Return the largest authority of a tendon's loop that keeps the margins [N].
+    """Return the largest authority for the loop of a tendon at which the margins are kept [N].
 
     Return None if there is none.
 
-    The search starts at the smallest force. This force may violate the margins, because with little
-    other feedback the integrator makes a tendon oscillate. After the first force that keeps the
-    margins, the force is increased until a margin is violated. The last step is bisected, and
-    larger forces are not tried.
+    The search begins with the smallest possible force. Even this force may violate the margins,
+    because an integrator with little other feedback makes a tendon oscillate. After the first force
+    that keeps the margins, the force is increased until a margin is violated. The last increase is
+    then bisected. Larger forces are not tried.
     """
 
     def keeps_margins(log_force: float) -> bool:
@@ -486,8 +491,8 @@ def _largest_force(
             best = middle
         else:
             high = middle
-    # The eigenvalues, or the response at more frequencies, may show smaller margins than the coarse
-    # response of the search.
+    # The search uses the response at few frequencies. At more frequencies, or by the eigenvalues,
+    # the margins may be smaller.
     for _ in range(MAX_REDUCTIONS):
         tried = _with_force(model, kind, _rounded_force(best))
         if all(
@@ -500,10 +505,10 @@ def _largest_force(
 
 
 def _rounded_force(log_force: float) -> float:
-    """Return the force [N] that belongs to a natural logarithm, rounded down to a few digits."""
+    """Return the force whose natural logarithm is given, rounded down to a few digits [N]."""
     force = math.exp(log_force)
     unit = 10.0 ** (math.floor(math.log10(force)) - FORCE_DIGITS + 1)
-    # The 1e-9 compensates the rounding error of the quotient.
+    # The summand 1e-9 compensates the rounding error of the quotient.
     return float(f"{math.floor(force / unit + 1e-9) * unit:.{FORCE_DIGITS}g}")
 
 
@@ -522,7 +527,7 @@ def _with_tendon_forces(model: HandModel, kind: LoopKind, forces: Mapping[str, f
 
 
 def _with_force(model: HandModel, kind: LoopKind, force: float) -> HandModel:
-    """Return the model with another common authority [N] in a loop of all tendons."""
+    """Return the model with another common authority for a loop of all tendons [N]."""
     if kind == LoopKind.MOTION:
         return _with_motion(model, force_N=force)
     table = {**model.gains.tension.model_dump(), "force_N": force}
@@ -536,10 +541,10 @@ def design_with_poles(
     tension_hz: float,
     damping: float,
 ) -> GainDesign:
-    """Return the design whose loops have their poles at given frequencies, and its margins.
+    """Return the design in which the poles of the loops have given frequencies, with the resulting margins.
 
     Raises:
-        ValueError: No weights lead to these poles.
+        ValueError: no weights lead to these poles.
     """
     moved = model_with_gains(model, gains_with_poles(model, LoopKind.MOTION, motion_hz, damping))
     moved = model_with_gains(moved, gains_with_poles(moved, LoopKind.TENSION, tension_hz, damping))

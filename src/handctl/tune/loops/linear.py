@@ -1,12 +1,13 @@
-"""Linear models of the motion loop and the tension loop of a tendon.
+"""Linear models of the motion loop and the tension loop of each tendon.
 
-The models of the controller come from finite differences of its own code. The model of the plant is
-calculated from the hand file.
+The models of the controller are finite differences of the controller's own code. The model of the
+plant is computed from the hand file.
 
-The finite differences call the same code as a tick of the controller. The matrices therefore follow
-every change of the code of the filter or the control law. Each tendon is treated alone, as in the
-design of the gains. Friction is neglected, because it is constant during motion. In each tick, the
-controller acts on the samples of the previous tick. This delay of one tick models the bus.
+The finite differences call the same code as a tick of the controller. Therefore these models follow
+every change in the code of the filter or the control law. Each tendon is treated alone, as in the
+design of the gains. Friction is neglected, because its force is constant while a tendon moves. In
+each tick, the controller uses the readings of the previous tick. This delay of one tick represents
+the time for the transfer over the bus.
 
 The control law is linearised without its limits, because a saturated loop would seem to have no
 gain and unlimited margins. At the operating point the goals equal the estimates, and all errors are
@@ -71,7 +72,7 @@ CONSTANT_TOLERANCE = 1e-9
 
 
 class LoopKind(enum.StrEnum):
-    """Kind of feedback loop of a tendon."""
+    """Kind of a tendon's feedback loop, motion or tension."""
 
     MOTION = "motion"
     """Motion loop: the digit moves freely along a trajectory."""
@@ -81,7 +82,7 @@ class LoopKind(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LinearSystem:
-    """Discrete linear system x' = A x + B u, y = C x + D u, over one control period.
+    """Linear system in discrete time, x' = A x + B u and y = C x + D u, where each step is one control period.
 
     Attributes:
         A: (n, n) state matrix.
@@ -99,7 +100,7 @@ class LinearSystem:
 
     def frequency_response(self, omega: Matrix) -> NDArray[np.complex128]:
         """Return the frequency response (len(omega), p, m) at angular frequencies [rad/s]."""
-        # The frequencies lie on the unit circle of the z-plane.
+        # In the z-plane, the frequencies lie on the unit circle.
         z = np.exp(1j * omega * self.period)
         inverse = np.linalg.solve(
             z[:, None, None] * np.eye(len(self.A)) - self.A, self.B.astype(complex)
@@ -109,7 +110,7 @@ class LinearSystem:
 
 @dataclass(frozen=True, slots=True)
 class PlantFactors:
-    """Linear parameters of a plant, as factors of their values in the hand file."""
+    """Linear parameters of a plant, as factors for the values in the hand file."""
 
     stiffness: float = 1.0
     damping: float = 1.0
@@ -126,16 +127,17 @@ NOMINAL_FACTORS = PlantFactors()
 def plant_system(
     model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL_FACTORS
 ) -> LinearSystem:
-    """Return the sampled linear system of rotor, tendon, and digit.
+    """Return the linear system of rotor, tendon and digit, sampled at the control rate.
 
-    The input is the commanded motor force [N]. The outputs are travel [m], tension [N], and
-    excursion [m].
+    The input is the commanded motor force [N]. The outputs are the travel [m], the tension [N] and
+    the excursion [m].
 
     Args:
         model: model of the hand.
         tendon: index of the tendon.
-        kind: kind of the loop. In a tension loop, the digit is blocked.
-        factors: factors by which the parameters of the plant differ from the hand file.
+        kind: kind of the loop, motion or tension. For a tension loop, the digit is blocked.
+        factors: factors by which the values of the hand file are multiplied to get the parameters
+            of the plant.
 
     Returns:
         The system has these states: travel, travel rate, excursion, excursion rate, motor force.
@@ -157,13 +159,13 @@ def plant_system(
     A[1] = -tendon_force / m
     A[1, 1] -= b / m
     A[1, 4] = 1.0 / m
-    # The last state is the motor force, which follows the command with a first-order lag.
+    # The last state is the motor force, which follows the command as a first-order lag.
     A[4, 4], B[4, 0] = -1.0 / CURRENT_LAG_S, factors.torque_constant / CURRENT_LAG_S
     if kind == LoopKind.MOTION:
         load = space.load_mass[i] * factors.mass
         A[2, 3] = 1.0
         # By Newton's law, the tension accelerates the digit. All constants of the digit are
-        # reflected to the tendon.
+        # converted to the tendon.
         A[3] = tendon_force / load
         A[3, 2] -= space.load_stiffness[i] * factors.spring / load
         A[3, 3] -= space.load_damping[i] * factors.damping / load
@@ -186,15 +188,15 @@ def plant_system(
 def controller_system(model: HandModel, tendon: int, kind: LoopKind) -> LinearSystem:
     """Return the linear system of filter and control law of a tendon.
 
-    The inputs are the measurements of the previous tick. The output is the commanded motor force
+    The inputs are the measurements in the previous tick. The output is the commanded motor force
     [N].
 
-    The measurements are travel [m], tension [N] and excursion [m].
+    The measurements are the travel [m], the tension [N] and the excursion [m].
 
     Args:
         model: model of the hand.
         tendon: index of the tendon.
-        kind: kind of the loop.
+        kind: kind of the loop, motion or tension.
     """
     tick, state, reading, scale = _operating_point(model, tendon, kind)
     n = len(state)
@@ -224,10 +226,10 @@ def open_loop(
 
 
 def join_to_open_loop(P: LinearSystem, K: LinearSystem) -> LinearSystem:
-    """Return the open loop of a plant P and a controller K, broken at the motor force.
+    """Return the open loop of a plant P and a controller K, where the loop is cut at the motor force.
 
-    The output is the force that the controller commands, with the opposite sign. The margins are
-    therefore calculated from 1 + L.
+    The output of the open loop is the force that the controller commands, with the opposite sign.
+    Therefore the margins follow from 1 + L.
     """
     K = _without_constants(K)
     p = len(P.A)
@@ -235,16 +237,16 @@ def join_to_open_loop(P: LinearSystem, K: LinearSystem) -> LinearSystem:
     y = len(P.C)
     A = np.zeros((p + y + n, p + y + n))
     A[:p, :p] = P.A
-    A[p : p + y, :p] = P.C  # the samples for the next tick
+    A[p : p + y, :p] = P.C  # these rows store the readings for the next tick
     A[p + y :, p : p + y] = K.B
-    A[p + y :, p + y :] = K.A  # the filter also uses the force that was commanded
+    A[p + y :, p + y :] = K.A  # the filter also uses the force that was commanded last
     B = np.vstack([P.B, np.zeros((y + n, 1))])
     C = np.hstack([np.zeros((1, p)), K.D, K.C])
     return LinearSystem(A, B, -C, np.zeros((1, 1)), P.period)
 
 
 def _without_constants(K: LinearSystem) -> LinearSystem:
-    """Return a system from which the constant states, such as a setpoint, are removed.
+    """Return a system without its constant states, such as a setpoint.
 
     Constant states never leave the operating point, and their poles at 1 do not affect the
     stability.
@@ -307,12 +309,12 @@ class _LinearizationBench:
     """Filter and linear control law of a hand, for use on a state block.
 
     Attributes:
-        model: model of the hand with its gains, but without limits and motor friction.
+        model: model of the hand with its gains, without limits and without motor friction.
         layout: layout of the state block.
     """
 
     def __init__(self, model: HandModel) -> None:
-        """Store the model without limits and motor friction."""
+        """Store the model, without limits and without motor friction."""
         unlimited = np.full(model.tendon_count, UNREACHABLE_LIMIT)
         space = replace(model.space, coulomb=np.zeros_like(unlimited))
         self.model = replace(model, torque_limit=unlimited, space=space)
@@ -321,7 +323,7 @@ class _LinearizationBench:
         self._constant_args = self._constants.block, self._constants.layout.places
 
     def run_filter(self, block: BlockArray) -> None:
-        """Run the correction and prediction of the filter.
+        """Execute the correction and the prediction of the filter.
 
         No contact is detected, because no motor makes torque yet.
         """
@@ -331,7 +333,7 @@ class _LinearizationBench:
         tick_stages.conclude_estimate(block, self.layout.places, *self._constant_args)
 
     def run_control_law(self, block: BlockArray) -> None:
-        """Calculate the torque commands from the goals and the estimates."""
+        """Compute the torque commands from the goals and the estimates."""
         self.layout.view(block, "mode")[...] = HandMode.ACTIVE
         write_tension_goals(self.model, self.layout, self._constants, block)
         tick_stages.compute_motor_torques(
@@ -342,7 +344,7 @@ class _LinearizationBench:
 def _operating_point(
     model: HandModel, tendon: int, kind: LoopKind
 ) -> tuple[_TickFunction, Matrix, Matrix, Matrix]:
-    """Return the tick function of a tendon, its state and readings at the operating point, and its steps."""
+    """Return the tick function of a tendon, its state and readings at the operating point, and small steps of both."""
     bench = _LinearizationBench(model)
     point = _operating_block(bench, tendon, kind)
 
@@ -367,10 +369,10 @@ def _operating_point(
 
 
 def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) -> BlockArray:
-    """Return the state block at the operating point.
+    """Return the state block at the operating point of a loop.
 
-    Every digit is half closed, and every tendon is taut. In a motion loop, the tendon is wound up.
-    In a tension loop, the tendon is at rest. All errors are zero.
+    Every digit is half closed, and every tendon is taut. For a motion loop, the tendon is being
+    wound up. For a tension loop, the tendon is at rest. All errors are zero.
     """
     model = bench.model
     layout = bench.layout
@@ -429,10 +431,10 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
 
 
 def _half_closed(digit: DigitModel) -> Matrix:
-    """Return coordinates (n_c,) of a digit at which all joints are well inside their ranges [rad].
+    """Return coordinates (n_c,) at which all joints of a digit are well inside their ranges [rad].
 
-    If coupling and joint limits permit, all joints are at `OPERATING_ANGLE_RAD`. If this is not
-    possible, the result is the point that is farthest from all limits.
+    If the coupling and the joint limits allow it, all joints are at `OPERATING_ANGLE_RAD`.
+    Otherwise, the result is the point that is farthest from all joint limits.
     """
     low = digit.joint_min
     high = digit.joint_max
@@ -453,9 +455,10 @@ def _half_closed(digit: DigitModel) -> Matrix:
 
 
 def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matrix:
-    """Return coordinate rates (n_c,) of a digit with which one tendon is wound up at a given speed [m/s].
+    """Return coordinate rates (n_c,) of a digit at which one tendon is wound up at a given speed [m/s].
 
-    If the tendon belongs to another digit, all tendons of this digit are wound up at the speed.
+    If the tendon belongs to another digit, all tendons of this digit are wound up at the given
+    speed.
     """
     digit = model.digits[d]
     arms = digit.at_angles(digit.coupling @ _half_closed(digit)).reduced_moment_arms
@@ -472,7 +475,7 @@ def _joint_gain(model: HandModel) -> Matrix:
 
 
 def _hold_goal(tendons: slice) -> DigitGoal:
-    """Return a goal that holds the tension of the operating point."""
+    """Return a goal that keeps the tension of the operating point."""
     n = tendons.stop - tendons.start
     return DigitGoal(
         GoalKind.TENSION,

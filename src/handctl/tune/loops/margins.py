@@ -49,7 +49,7 @@ DISK_DIRECTIONS = 6
 
 @dataclass(frozen=True, slots=True)
 class LoopMargins:
-    """Margins of a control loop.
+    """Stability margins of a control loop.
 
     Attributes:
         gain_db: largest factor by which the gain of the loop may be multiplied or divided [dB]. The
@@ -57,8 +57,8 @@ class LoopMargins:
         phase_deg: smallest difference between the phase and -180 degrees at a gain of one [deg].
         disk: balanced disk margin, from 0 (unstable loop) to 2.
         delay_s: largest additional delay with which the loop stays stable [s].
-        crossover_hz: highest frequency at which the gain of the loop is one [Hz]. The value is NaN
-            if the gain is never one.
+        crossover_hz: highest frequency at which the gain of the loop is one [Hz]. If the gain is
+            never one, the value is NaN.
         peak: largest value of the sensitivity function [1].
         stable: True if the closed loop is stable.
     """
@@ -73,7 +73,7 @@ class LoopMargins:
 
     @property
     def are_sufficient(self) -> bool:
-        """Return True if the margins are large enough for tuned gains."""
+        """Return True if all margins are large enough for tuned gains."""
         return (
             self.stable
             and self.gain_db >= MIN_GAIN_MARGIN_DB
@@ -82,9 +82,9 @@ class LoopMargins:
 
     @property
     def shortfall(self) -> float:
-        """Return the missing part of the gain or phase margin, as a fraction of the required margin.
+        """Return by how much the gain margin or the phase margin is too small, as a fraction of the required margin.
 
-        The missing part is 0 or less if every margin is large enough.
+        If every margin is large enough, the result is 0 or less.
         """
         if not self.stable:
             return 1.0 + min(self.peak, 100.0)
@@ -120,9 +120,9 @@ def frequency_grid(period: float, points: int = SEARCH_GRID_POINTS) -> Matrix:
 
 
 def margins_of_loop(system: LinearSystem, points: int = SEARCH_GRID_POINTS) -> LoopMargins:
-    """Return the margins of an open loop L, given that the closed loop has the denominator 1 + L.
+    """Return the margins of an open loop L. The closed loop has the denominator 1 + L.
 
-    For an unstable loop and for a loop without gain, all margins are zero.
+    If the loop is unstable or has no gain, all margins are zero.
     """
     omega = frequency_grid(system.period, points)
     if not (np.isfinite(system.A).all() and np.isfinite(system.C).all()):
@@ -154,13 +154,14 @@ def is_stable(system: LinearSystem, factor: complex = 1.0, delay: int = 0) -> bo
 
     Args:
         system: open loop.
-        factor: factor that multiplies the gain of the loop. A complex factor changes the phase.
+        factor: factor by which the gain of the loop is multiplied. A complex factor changes the
+            phase.
         delay: additional delay in the loop [ticks].
     """
     n = len(system.A)
     A = np.zeros((n + delay, n + delay), dtype=complex)
     A[:n, :n] = system.A
-    if delay:  # The output of the loop returns to its input after `delay` ticks.
+    if delay:  # The output of the loop returns to the input of the loop after `delay` ticks.
         A[n, :n] = system.C[0]
         A[np.arange(n + 1, n + delay), np.arange(n, n + delay - 1)] = 1.0
         A[:n, n + delay - 1] = -factor * system.B[:, 0]
@@ -204,12 +205,12 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
 def _stable_with_all(
     system: LinearSystem, factors: Sequence[complex] | NDArray[np.complex128]
 ) -> bool:
-    """Return True if the loop is stable with each of the factors of its gain."""
+    """Return True if the loop is stable with every given factor of its gain."""
     return all(is_stable(system, complex(factor)) for factor in factors)
 
 
 def _disk_factors(size: float) -> NDArray[np.complex128]:
-    """Return complex factors of the loop gain that lie on the edge of a balanced disk.
+    """Return complex factors for the gain of the loop that lie on the edge of a balanced disk.
 
     Complex conjugate factors have the same stability. Therefore only half of the edge is returned.
     """
@@ -232,9 +233,12 @@ def _largest_confirmed(
 
 
 def _gain_factors(L: NDArray[np.complex128]) -> list[float]:
-    """Return 1 / |L| at each frequency at which L crosses the negative real axis, by interpolation."""
-    # A crossing is a change of the sign of the imaginary part between two samples with negative
-    # real parts.
+    """Return 1 / |L| at each frequency at which L crosses the negative real axis.
+
+    The frequencies are interpolated.
+    """
+    # At a crossing, the imaginary part changes its sign between two frequencies with negative real
+    # parts.
     i = np.flatnonzero((np.diff(np.sign(L.imag)) != 0.0) & (L.real[:-1] < 0.0) & (L.real[1:] < 0.0))
     fraction = L.imag[i] / (L.imag[i] - L.imag[i + 1])
     return [
@@ -243,11 +247,12 @@ def _gain_factors(L: NDArray[np.complex128]) -> list[float]:
 
 
 def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float, float]]:
-    """Return (angle from -180 degrees [rad], frequency [rad/s]) for each crossing of gain 1, by interpolation."""
+    """Return (angle from -180 degrees [rad], frequency [rad/s]) for each interpolated crossing of the gain 1."""
     size = np.log(np.maximum(np.abs(L), NO_GAIN))
     i = np.flatnonzero(np.diff(np.sign(size)) != 0.0)
     fraction = size[i] / (size[i] - size[i + 1])
-    # Log magnitude and phase are interpolated, because a response is almost linear in them.
+    # The logarithm of the magnitude and the phase are interpolated, because both are almost linear
+    # in frequency.
     angle = np.abs(np.angle(-L[i] * (L[i + 1] / L[i]) ** fraction))
     return list(
         zip(
@@ -278,13 +283,13 @@ def worst_loop(
 def step_response(
     model: HandModel, tendon: int, kind: LoopKind, duration: float
 ) -> tuple[Matrix, Matrix]:
-    """Return the response of the closed loop to a step of the disturbance force on the rotor by 1 N.
+    """Return the response of a closed loop when a disturbance force on the rotor rises by 1 N.
 
     Args:
         model: model of the hand.
         tendon: index of the tendon.
-        kind: kind of the loop.
-        duration: duration of the response [s].
+        kind: kind of the loop, motion or tension.
+        duration: duration of the response to compute [s].
 
     Returns:
         The times (k,) [s], and the travel [m] of a motion loop or the tension [N] of a tension

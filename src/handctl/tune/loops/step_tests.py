@@ -1,10 +1,10 @@
-"""Step tests in a lockstep simulation.
+"""Step tests of gains by a simulation in lockstep.
 
-Each test checks that the hand comes to rest with the whole controller.
+Each test checks whether the hand comes to rest under the control of the whole controller.
 
-The linear models of the loops neglect friction, limits, quantisation, the drives, and the other
-digits. Therefore gains are accepted only after a test on the simulated plant. The hand must come to
-rest after a step of the joint angles and after a step of the tensions.
+The linear models of the loops neglect friction, limits, quantisation, the drives and the other
+digits. Therefore gains are accepted only if they pass a test on the simulated plant. After a step
+of the joint angles, and after a step of the tensions, the hand must come to rest.
 """
 
 from collections.abc import Mapping
@@ -52,7 +52,7 @@ unstable loop, a held tension oscillates by 2.9 N or more, or the run ends with 
 
 
 class StepExercise(ExerciseProgram):
-    """Exercise: tighten the tendons, step the angles in free motion, and step the tensions of closed digits."""
+    """Exercise: tighten the tendons, step the angles in free motion, then step the tensions of closed digits."""
 
     @property
     def stages(self) -> tuple[ExerciseStage, ...]:
@@ -69,15 +69,16 @@ class StepExercise(ExerciseProgram):
 
 @dataclass(frozen=True, slots=True)
 class StepOscillation:
-    """Largest oscillation of any digit or tendon after the steps.
+    """Largest oscillations of digits and tendons after the steps.
 
     Attributes:
-        angle_rad: largest oscillation of a mean joint angle after the angle step, peak to peak
-            [rad].
-        free_tension_N: largest oscillation of a true tension after the angle step, peak to peak [N].
-        hold_swings_N: (N,) oscillation of the true tension of each tendon after the tension step,
-            peak to peak [N].
-        failure: reason why the run ended early. The value is empty without a failure.
+        angle_rad: largest oscillation of a digit's mean joint angle after the step of the angles,
+            peak to peak [rad].
+        free_tension_N: largest oscillation of a true tension after the step of the angles, peak to
+            peak [N].
+        hold_swings_N: (N,) oscillation of each tendon's true tension after the step of the
+            tensions, peak to peak [N].
+        failure: reason why the run ended early, or an empty text.
     """
 
     angle_rad: float
@@ -87,7 +88,7 @@ class StepOscillation:
 
     @property
     def largest_hold_swing(self) -> float:
-        """Return the largest oscillation of a held tension [N]."""
+        """Return the largest oscillation of a tension after the step of the tensions [N]."""
         return max(self.hold_swings_N)
 
     @property
@@ -126,7 +127,7 @@ class StepOscillation:
 def simulate_swing(
     hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int
 ) -> StepOscillation:
-    """Run both steps on a simulated plant, and return the largest oscillations.
+    """Execute both steps on a simulated plant, and return the largest oscillations.
 
     Args:
         hand: description of the simulated hand.
@@ -152,7 +153,7 @@ def simulate_swing(
 def _measure_swing(
     hand: Hand, truth: TruthRecord, model: HandModel, end_ns: int
 ) -> tuple[Matrix, Matrix]:
-    """Return the oscillations of angles and tensions during `EVALUATED_DURATION_S` before `end_ns`."""
+    """Return the oscillations of the angles and the tensions in the last `EVALUATED_DURATION_S` before `end_ns`."""
     times = np.arange(
         end_ns - round(EVALUATED_DURATION_S * 1e9),
         end_ns,
@@ -164,14 +165,14 @@ def _measure_swing(
 
 
 def _peak_to_peak(values: Matrix) -> Matrix:
-    """Return the peak-to-peak value of each column after a parabola is subtracted.
+    """Subtract a parabola from each column, and return the difference between largest and smallest value.
 
     The parabola removes slow creep, because creep is not an oscillation.
     """
     t = np.linspace(-1.0, 1.0, len(values))
-    # The columns are t^2, t and 1.
+    # The columns of this matrix are t^2, t and 1.
     powers = np.vander(t, 3)
-    # The residual of the least-squares parabola is the oscillation.
+    # The rest after the least-squares parabola is subtracted is the oscillation.
     return np.asarray(
         np.ptp(values - powers @ np.linalg.lstsq(powers, values, rcond=None)[0], axis=0)
     )
@@ -186,7 +187,7 @@ def is_loop_ringing(model: HandModel, factors: PlantFactors) -> bool:
 
     Args:
         model: model of the hand with its gains.
-        factors: linear factors of the plant.
+        factors: factors for the linear parameters of the plant.
     """
     ticks = (REST_DURATION_S - EVALUATED_DURATION_S) / model.period
     for i in distinct_tendons(model):
@@ -261,7 +262,7 @@ class RestTest:
         return not self.reason
 
     def _simulate(self, model: HandModel) -> str:
-        """Simulate the plants, and return the reason why the hand does not come to rest.
+        """Simulate the plants. If the hand does not come to rest, return the reason.
 
         If the hand comes to rest, return an empty text.
         """

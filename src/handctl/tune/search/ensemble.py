@@ -1,6 +1,6 @@
-"""Random ensembles of plants whose parameters differ from those of the identified hand.
+"""Random ensembles of plants. Their parameters differ from those of the identified hand.
 
-The parameters are spread as widely as the identification is uncertain.
+The more uncertain the identification is, the more the parameters of the plants differ.
 """
 
 from collections.abc import Mapping
@@ -31,15 +31,15 @@ MAX_FACTOR_SPREAD = 0.9
 def draw_ensemble(
     count: int, seed: int, spread: Mapping[str, float] | None = None
 ) -> tuple[dict[str, float], ...]:
-    """Return factors of plant parameters: those of the nominal plant first, then those of random plants.
+    """Return factors for the parameters of each plant: first the nominal plant, and then random plants.
 
-    The random plants come from a scrambled Sobol sequence.
+    The random plants are points of a scrambled Sobol sequence.
 
     Args:
         count: number of plants, including the nominal plant.
         seed: seed of the sequence.
-        spread: half width of the range of each factor, for example from an identification. A value
-            that is smaller than in `MIN_FACTOR_SPREAD` is increased to the value there.
+        spread: half of the range of each factor, for example from an identification. If it is
+            smaller than in `MIN_FACTOR_SPREAD`, the value there is used.
 
     Returns:
         `count` tables, each with the factor of each key.
@@ -48,8 +48,8 @@ def draw_ensemble(
         key: min(MAX_FACTOR_SPREAD, max(min_spread, (spread or {}).get(key, 0.0)))
         for key, min_spread in MIN_FACTOR_SPREAD.items()
     }
-    # A Sobol sequence is balanced if its length is a power of two. The length is therefore rounded
-    # up to a power of two.
+    # A Sobol sequence is balanced only if its length is a power of two. Therefore the length is
+    # rounded up to a power of two.
     drawn = qmc.Sobol(len(half), seed=seed).random(
         1 << max(0, (max(count - 1, 1) - 1).bit_length())
     )
@@ -74,7 +74,7 @@ def ensemble_widths(identified: Mapping[str, IdentifiedParameters]) -> dict[str,
     """Return the half width of the range of each factor that covers all 95 % intervals of an identification.
 
     Args:
-        identified: identified parameters by tendon.
+        identified: identified parameters, by the name of the tendon.
     """
     spread: dict[str, float] = {}
     for tendon in identified.values():

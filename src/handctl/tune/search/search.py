@@ -1,10 +1,10 @@
-"""Search for gains in simulation with Optuna. The result depends only on the seed.
+"""Search for gains in simulation, with the package Optuna. The result depends only on the seed.
 
 The search requests trials from Optuna in batches of a fixed size, and reports their scores in the
 same order. Each batch has a separate sampler, whose seed follows from the seed of the study and the
 number of the batch. Because of this, the result does not depend on the number of processes, and an
 interrupted study can be resumed. A resumed study begins with the trials of the last batch that have
-no score yet. If the request of a batch was interrupted, the whole batch is requested again.
+no score yet. If a batch was only partly requested, the whole batch is requested again.
 """
 
 import fcntl
@@ -32,16 +32,17 @@ STUDY_NAME = "handctl"
 
 @dataclass(frozen=True)
 class SearchPlan:
-    """Plan of a search.
+    """Settings of a search for gains.
 
     Attributes:
         hand: text of the hand file, because a worker on another machine may not have the file.
         rate_hz: control rate [Hz].
-        gains: gains of the first trial, and values of all gains that the search does not change.
+        gains: gains of the first trial. All gains that the search does not vary keep these values.
         plants: factors of the plants of the ensemble.
         seed: seed of the samplers and of the simulated noise.
         trials: number of trials.
-        others: further gains that are tried before the random trials, such as those of a design.
+        others: further gains that are tried before the random trials, for example those of a
+            design.
     """
 
     hand: str
@@ -61,7 +62,7 @@ class SearchPlan:
         return with_values(self.gains, values, "study") if number else self.gains
 
     def trial_job(self, number: int, values: Mapping[str, float]) -> dict[str, Any]:
-        """Return the job with which a worker evaluates a trial.
+        """Return the job by which a worker computes the score of a trial.
 
         The first trial is the reference for the others. The first trial is therefore simulated even
         if its margins are too small.
@@ -77,7 +78,7 @@ class SearchPlan:
 
     @property
     def identity(self) -> str:
-        """Return the part of the plan that must not change between the start of a study and its continuation."""
+        """Return the part of the plan that must stay the same if an interrupted study is resumed."""
         plain = {
             "hand": self.hand,
             "rate_hz": self.rate_hz,
@@ -97,7 +98,7 @@ class SearchTrial:
 
     @property
     def is_feasible(self) -> bool:
-        """Return True if the trial has finished the exercise and keeps the margins."""
+        """Return True if the run of the trial finished the exercise, and the margins are large enough."""
         return not self.score.failure and self.score.shortfall <= 0.0
 
 
@@ -107,7 +108,7 @@ class SearchResult:
 
     Attributes:
         trials: finished trials in order. The first trial has the gains of the plan.
-        best: feasible trial with the smallest cost. None if no trial is feasible.
+        best: feasible trial with the smallest cost, or None if no trial is feasible.
         pareto_front: numbers of the Pareto-optimal feasible trials.
     """
 
@@ -117,7 +118,7 @@ class SearchResult:
 
     @staticmethod
     def from_trials(trials: tuple[SearchTrial, ...]) -> "SearchResult":
-        """Return the result of a search, given its finished trials."""
+        """Return the result of a search, given the trials that are finished."""
         feasible = [trial for trial in trials if trial.is_feasible]
         best = (
             min(
@@ -146,7 +147,7 @@ class SearchResult:
 
 
 def _cost_reference(trials: tuple[SearchTrial, ...]) -> GainScore:
-    """Return the score relative to which costs are computed."""
+    """Return the score that serves as the reference for costs."""
     first = trials[0].score
     feasible = (trial.score for trial in trials if trial.is_feasible)
     return next(feasible, first) if first.failure else first
@@ -170,7 +171,7 @@ def run_search(
         show: function that is called after each trial.
 
     Raises:
-        ConfigError: The storage contains another search, or another process uses it.
+        ConfigError: the storage contains another search, or another process uses the storage.
     """
     with _exclusive_lock(storage):
         study = _open_study(plan, storage)
@@ -183,10 +184,10 @@ def run_search(
 def _exclusive_lock(path: Path) -> Iterator[None]:
     """Lock a journal against other searches.
 
-    The lock ends with this process, even if the process crashes.
+    When this process ends, or even crashes, the lock ends too.
 
     Raises:
-        ConfigError: Another search has the lock, or the file cannot be opened.
+        ConfigError: another search has locked the journal, or the file cannot be opened.
     """
     expected = "a new file, or a journal of `tune search`"
     try:
@@ -204,10 +205,10 @@ def _exclusive_lock(path: Path) -> Iterator[None]:
 
 
 def _open_study(plan: SearchPlan, path: Path) -> Any:
-    """Open the study of a plan in a journal, or start it there.
+    """Open the study of a plan in a journal. If the journal contains none, start the study there.
 
     Raises:
-        ConfigError: The journal cannot be used, or contains another search.
+        ConfigError: the journal cannot be used, or contains another search.
     """
     import optuna
     from optuna.storages import JournalStorage
@@ -227,7 +228,7 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
         LookupError,
         TypeError,
         AssertionError,
-    ) as error:  # Optuna does not validate the file, and a damaged journal raises any of these errors.
+    ) as error:  # Optuna does not check the file, so a damaged journal may raise any of these errors.
         raise ConfigError(
             f"cannot be used: {error}", str(path), "a new file, or a journal of `tune search`"
         ) from None
@@ -244,10 +245,10 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
 def _truncate_partial_line(path: Path) -> None:
     """Remove the last line of a journal if it is incomplete, for example after a power failure.
 
-    Without this, Optuna would append its next entry to the incomplete line.
+    Otherwise Optuna would append its next entry to the incomplete line.
 
     Raises:
-        OSError: The file cannot be read or written.
+        OSError: the file cannot be read or written.
         ValueError: The file is not a journal. It stays unchanged.
     """
     if not path.is_file():
@@ -262,7 +263,7 @@ def _truncate_partial_line(path: Path) -> None:
 def _run_batch(
     study: Any, plan: SearchPlan, workers: SearchWorkers, show: Callable[[SearchResult], None]
 ) -> None:
-    """Evaluate the trials of the present batch that have no score, and report their scores in order."""
+    """Compute the missing scores of the present batch, and report them in the order of the trials."""
     finished_count = len(_finished_trials(study))
     trials = _open_trials(study, plan, finished_count)[: plan.trials - finished_count]
     jobs = [plan.trial_job(finished_count + i, trial.params) for i, trial in enumerate(trials)]
@@ -279,16 +280,16 @@ def _run_batch(
 def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]:
     """Return the trials of the present batch that have no score yet.
 
-    A whole batch is requested from Optuna before the first score of this batch is reported. An
-    interrupted or extended search therefore has the same trials as an uninterrupted search.
+    A whole batch is requested from Optuna before the first score of this batch is reported.
+    Therefore an interrupted or extended search has the same trials as an uninterrupted search.
     """
     from optuna.trial import Trial as OptunaTrial
     from optuna.trial import TrialState
 
     count = BATCH_SIZE - finished_count % BATCH_SIZE
     still_open = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
-    # If the whole batch was requested before, its trials without a score have the right number and
-    # all parameters.
+    # If the whole batch was requested earlier, the number of trials without a score is right, and
+    # all have their parameters.
     if len(still_open) == count and all(
         len(trial.params) == len(GAIN_RANGES) for trial in still_open
     ):
@@ -313,16 +314,17 @@ def _close_open_trials(study: Any) -> None:
 
 def _report_score(study: Any, trial: Any, score: GainScore) -> None:
     """Report the score of a trial to the study."""
-    # The attribute is set before the state. So every finished trial has a score.
+    # The score, which is an attribute, is stored before the state. Therefore every finished trial
+    # has a score.
     trial.set_user_attr("score", asdict(score))
-    # The attribute already exists if an earlier call was interrupted before `tell`.
+    # If an earlier call was interrupted before `tell`, the attribute already exists.
     if not trial.constraints:
         trial.set_constraint("margins", score.shortfall)
     study.tell(trial, list(score.objectives))
 
 
 def _make_sampler(seed: int, batch: int) -> Any:
-    """Return the sampler of a batch."""
+    """Return the sampler for a batch of trials."""
     from optuna.samplers import RandomSampler, TPESampler
 
     # Because of the prime factor, batches of different studies have different seeds.

@@ -1,4 +1,4 @@
-"""Search space: the gains that a search varies, with the range of each."""
+"""Gains that a search varies, with the range of each gain."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from handctl.core.gains.gains import Gains
 class GainRange(NamedTuple):
     """Range of a gain in a search.
 
-    If `is_logarithmic` is True, the search is uniform in the logarithm of the gain.
+    If `is_logarithmic` is True, the search varies the logarithm of the gain uniformly.
     """
 
     low: float

@@ -12,9 +12,9 @@ from handctl.tune.scoring import evaluate_job
 
 
 def main() -> int:
-    """Evaluate jobs until the input ends.
+    """Compute the scores of jobs until the input ends.
 
-    The worker ignores Ctrl-C, because the search handles it.
+    The worker ignores Ctrl-C, because the process of the search handles Ctrl-C.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for line in sys.stdin:

@@ -27,10 +27,10 @@ If a worker dies in every attempt, the search ends and reports the job as the ca
 
 
 class SearchWorkers(Protocol):
-    """Interface of the workers that calculate scores."""
+    """Interface of all kinds of workers, which compute scores."""
 
     def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
-        """Yield index and score of each job, in the order in which the jobs are finished."""
+        """Yield the index and the score of each job, in the order in which the jobs are finished."""
         ...
 
     def close(self) -> None:
@@ -39,21 +39,24 @@ class SearchWorkers(Protocol):
 
 
 class InProcessWorkers:
-    """Workers that run all jobs in the calling process, one after the other."""
+    """Workers that run all jobs one after the other, in the calling process."""
 
     def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
-        """Yield index and score of each job. See `SearchWorkers`."""
+        """Yield the index and the score of each job.
+
+        The interface `SearchWorkers` describes the order.
+        """
         for i, job in enumerate(jobs):
             yield i, evaluate_job(job)
 
     def close(self) -> None:
-        """Do nothing, because these workers hold no resources."""
+        """Do nothing, because these workers have no resources to release."""
 
 
 class ProcessPool:
     """Pool of worker processes on this machine.
 
-    A process that has died is replaced, and its job is repeated.
+    If a process has died, a new process repeats its job.
     """
 
     def __init__(self, count: int) -> None:
@@ -67,14 +70,14 @@ class ProcessPool:
 
     @staticmethod
     def _start_process() -> "subprocess.Popen[bytes]":
-        # Each worker uses one core. Additional threads of numerical libraries would compete for the
-        # cores.
+        # Each worker process uses one core. Additional threads of numerical libraries would compete
+        # for these cores.
         environment = os.environ | dict.fromkeys(
             ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
         )
         command = [sys.executable, "-m", "handctl.tune.search.worker"]
-        # The worker has its own session, so it does not receive Ctrl-C from the terminal, not even
-        # during its imports.
+        # The worker has a process session of its own. So it does not receive Ctrl-C from the
+        # terminal, not even during its imports.
         return subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -84,10 +87,12 @@ class ProcessPool:
         )
 
     def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
-        """Yield index and score of each job. See `SearchWorkers`.
+        """Yield the index and the score of each job.
+
+        The interface `SearchWorkers` describes the order.
 
         Raises:
-            ConfigError: A job is invalid, or every worker that tries a job dies.
+            ConfigError: a job is invalid, or every worker that tries a job dies.
         """
         waiting = deque(range(len(jobs)))
         attempts = [0] * len(jobs)
@@ -111,8 +116,8 @@ class ProcessPool:
                         "tune search",
                         "--jobs 1",
                     )
-                # The job of a worker that has died is repeated next. So the order of the results
-                # changes little.
+                # If a worker has died, its job is the next one that is run. So the order of the
+                # results changes only a little.
                 waiting.appendleft(i)
 
     def _wait_for_readable(self, busy_workers: Iterable[int]) -> list[int]:
@@ -122,7 +127,7 @@ class ProcessPool:
         return [outputs[output] for output in ready]
 
     def _send_job(self, slot: int, job: ScoreJob) -> None:
-        """Send a job to a worker. If the worker has died, it is first replaced."""
+        """Send a job to a worker. If the worker has died, replace it first."""
         if self._processes[slot].poll() is not None:
             self._replace_process(slot)
         channel = self._processes[slot].stdin
@@ -131,7 +136,7 @@ class ProcessPool:
             channel.write(json.dumps(job).encode() + b"\n")
             channel.flush()
         except BrokenPipeError:
-            return  # the code that reads the output detects that the worker has died
+            return  # the code that reads the output of the worker will notice that the worker has died
 
     def _replace_process(self, slot: int) -> None:
         """Replace a worker by a new process."""
@@ -156,7 +161,7 @@ class DaskCluster:
             address: address of the scheduler.
 
         Raises:
-            ConfigError: The package `distributed` is not installed, or the scheduler does not
+            ConfigError: the package `distributed` is not installed, or the scheduler does not
                 answer.
         """
         require_extra("tune search --scheduler", "distributed")
@@ -170,7 +175,7 @@ class DaskCluster:
             ) from None
 
     def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
-        """Yield index and score of each job.
+        """Yield the index and the score of each job.
 
         See `SearchWorkers`. Dask repeats the jobs of a lost worker.
         """
@@ -182,7 +187,7 @@ class DaskCluster:
             yield indices[future.key], result
 
     def close(self) -> None:
-        """Disconnect from the cluster. The cluster keeps running."""
+        """Disconnect from the cluster. The cluster itself keeps running."""
         self._client.close()
 
 

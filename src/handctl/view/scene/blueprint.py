@@ -1,4 +1,4 @@
-"""Layout of the dashboard in the viewer."""
+"""Layout of the dashboard in the viewer Rerun."""
 
 import numpy as np
 import rerun.blueprint as rrb
@@ -31,12 +31,12 @@ The camera is in front of the palm, on the thumb side, and above.
 def dashboard_layout(run: RunInfo, live: bool = False) -> rrb.Blueprint:
     """Return the layout of the dashboard.
 
-    The hand, the timing and the log lines are on the left. Forces, joint angles and states are on
-    the right. All plots share one time axis.
+    The left side shows the hand, the timing and the log lines. The right side shows forces, joint
+    angles and states. All plots share one time axis.
 
     Args:
-        run: run and hand to show.
-        live: True to show only the last seconds, and to move on with the run.
+        run: data about the run and the hand to show.
+        live: True to show only the last seconds of the run. The time axis then moves with the run.
     """
     window = [LIVE_TIME_RANGE] if live else None
     left = rrb.Vertical(
@@ -106,7 +106,7 @@ def _force_plots(window: PlotTimeRange) -> rrb.Horizontal:
 
 
 def _angle_unit(digit: Digit) -> str:
-    """Return quantity and unit of the joint positions of a digit."""
+    """Return the quantity and the unit of the joint positions of a digit, for the title of a plot."""
     units = tuple(dict.fromkeys(digit.display_units.names))
     return f"{'angles' if units == ('deg',) else 'positions'} [{', '.join(units)}]"
 
@@ -127,7 +127,7 @@ def _angle_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Grid:
 
 
 def _state_lanes(window: PlotTimeRange) -> rrb.StateTimelineView:
-    """Return the lanes that show grasp phase, mode of the hand and safety action over time."""
+    """Return the lanes that show the grasp phase, the mode of the hand and the reaction to faults over time."""
     return rrb.StateTimelineView(
         name="Grasp phase, mode of the hand, safety",
         contents="/state/**",

@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 
 
 def times_since_start(chunk: Chunk, offset_ns: int) -> TimesNs:
-    """Return the time since the start of the run of each row in a chunk (n,) [ns]."""
+    """Return the time of each row of a chunk since the start of the run (n,) [ns]."""
     return (
         np.asarray(chunk.to_record_batch().column(LOG_TIME_TIMELINE).cast(pa.int64())) - offset_ns
     )
@@ -29,7 +29,7 @@ def timed_chunk(entity: str, times: TimesNs, columns: Iterable[ComponentColumn])
     """Create a chunk whose rows have times.
 
     Args:
-        entity: path of the entity that has the rows.
+        entity: path of the entity to which the rows belong.
         times: (n,) time of each row since the start of the run [ns].
         columns: components of the entity, with a value for each row.
     """
@@ -39,14 +39,14 @@ def timed_chunk(entity: str, times: TimesNs, columns: Iterable[ComponentColumn])
 
 
 def static_chunk(entity: str, columns: Iterable[ComponentColumn]) -> Chunk:
-    """Create a chunk with a single row that is valid at all times."""
+    """Create a chunk with a single row, which is valid at all times."""
     return Chunk.from_columns(entity, [], columns)
 
 
 def chunk_on_run_time(chunk: Chunk, offset_ns: int) -> Chunk:
     """Return a chunk of Rerun's MCAP reader, moved to the timeline of the run.
 
-    A chunk without times stays unchanged.
+    A chunk without times is returned unchanged.
     """
     if LOG_TIME_TIMELINE not in chunk.timeline_names:
         return chunk
@@ -61,7 +61,8 @@ def chunk_on_run_time(chunk: Chunk, offset_ns: int) -> Chunk:
                 column.type,
                 metadata=field.metadata | {b"rerun:index_name": RUN_TIME_TIMELINE.encode()},
             )
-        # Rerun marks each timeline as an index. All timelines except that of the run are removed.
+        # Rerun marks the column of each timeline as an index. All timelines except the timeline of
+        # the run are removed.
         elif (field.metadata or {}).get(b"rerun:kind") == _INDEX_KIND:
             continue
         fields.append(field)
@@ -72,9 +73,9 @@ def chunk_on_run_time(chunk: Chunk, offset_ns: int) -> Chunk:
 
 
 def decoded_messages(chunk: Chunk) -> pa.StructArray | None:
-    """Return the decoded messages of a chunk, one for each row.
+    """Return the decoded messages of a chunk, one message for each row.
 
-    Return None if the chunk has no messages.
+    If the chunk has no messages, return None.
     """
     batch = chunk.to_record_batch()
     for field, column in zip(batch.schema, batch.columns, strict=True):
@@ -84,5 +85,5 @@ def decoded_messages(chunk: Chunk) -> pa.StructArray | None:
 
 
 def column_as_array(column: pa.ListArray) -> FloatArray:
-    """Return a column of n lists of equal length as an array (n, width)."""
+    """Convert a column of n lists of equal length to an array (n, width)."""
     return np.asarray(column.flatten(), np.float64).reshape(len(column), -1)

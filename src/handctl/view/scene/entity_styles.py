@@ -56,7 +56,7 @@ def _line_style(
 
 
 def _band_style(entity: str, names: Sequence[str], colours: Sequence[Colour], unit: str) -> Chunk:
-    """Return the chunk with the style of plot lines that have a band for the standard deviation."""
+    """Return the chunk that sets the style of plot lines with a band for the standard deviation."""
     style = rr.Measurements.columns(
         names=list(names),
         colors=list(colours),
@@ -67,10 +67,13 @@ def _band_style(entity: str, names: Sequence[str], colours: Sequence[Colour], un
 
 
 def _tension_styles(run: RunInfo) -> Iterator[Chunk]:
-    """Yield the styles of the tension plot: estimates in the colours of the digits, commands dimmed, limits red."""
+    """Yield the styles of the tension plot.
+
+    Estimates have the colours of the digits, commands are dimmed, and limits are red.
+    """
     names = run.hand.tendon_names
-    # There is one slice of tendons for each digit. Each digit has its own colour, and each tendon
-    # of the digit has a shade of this colour.
+    # The tendons of each digit are one slice of the list of tendons. Each digit has its own colour,
+    # and each tendon of the digit has a shade of that colour.
     tendon_slices = run.hand.digit_tendons.values()
     colours = [
         shade
@@ -106,7 +109,7 @@ def _angle_styles(run: RunInfo) -> Iterator[Chunk]:
 
 
 def _force_styles(run: RunInfo) -> Iterator[Chunk]:
-    """Yield the frames and colours of the force arrows.
+    """Yield the coordinate frames and the colours of the force arrows.
 
     Each arrow starts at the fingertip on which the force acts.
     """

@@ -20,16 +20,18 @@ little.
 
 
 class FrameLoad:
-    """Calculator for the load of each bus: the worst-case share of the last `LOAD_WINDOW_NS` that the frames take.
+    """Calculator for the load of each bus.
 
-    The ticks must be passed in order.
+    The load is the fraction of the last `LOAD_WINDOW_NS` that the frames take in the worst case.
+
+    The caller must pass the ticks in the order of time.
     """
 
     def __init__(self, run: RunInfo) -> None:
-        """Compute a table with the worst-case time of a frame of each length on each bus.
+        """Compute a table with the longest possible time of a frame of each length on each bus.
 
         Args:
-            run: run and hand, with the buses and the control period.
+            run: data about the run and the hand, with the buses and the control period.
         """
         self._period_ns = run.header.period_ns
         seconds = [
@@ -50,7 +52,7 @@ class FrameLoad:
         self._spent = np.empty((0, len(self._times)), np.int64)
 
     def loads_of_ticks(self, ticks: pa.StructArray) -> FloatArray:
-        """Return the load of each bus at each of the next n ticks (n, buses), from 0 to 1."""
+        """Return the load of each bus (0 to 1) in each of the next n ticks, as an array (n, buses)."""
         now = np.asarray(ticks.field("t_ns"))
         t = np.concatenate([self._t, now])
         spent = np.concatenate(
@@ -61,7 +63,7 @@ class FrameLoad:
             ]
         )
         total = np.concatenate([np.zeros((1, spent.shape[1]), np.int64), np.cumsum(spent, axis=0)])
-        # Differences of the running total are the sums over the window.
+        # A difference of two running totals is the sum over a window.
         first = np.searchsorted(t, now - LOAD_WINDOW_NS, side="right")
         span = np.clip(now + self._period_ns, self._period_ns, LOAD_WINDOW_NS)
         self._t = t[first[-1] :]
@@ -73,7 +75,7 @@ class FrameLoad:
     def _occupied_times(self, frames: pa.ListArray) -> NDArray[np.int64]:
         """Return for how long the frames of each tick occupy each bus (n, buses) [ns].
 
-        The times are integers, so that sums do not depend on the order of addition.
+        The times are integers, so that rounding does not make their sums depend on the order.
         """
         counts: NDArray[np.int64] = np.diff(np.asarray(frames.offsets))
         tick = np.repeat(np.arange(len(frames)), counts)

@@ -1,4 +1,4 @@
-"""Shapes of the hand's links, drawn solid in the colours of the digits."""
+"""Shapes of the hand's links, drawn as solids in the colours of the digits."""
 
 from collections.abc import Iterator
 
@@ -31,9 +31,9 @@ def entity_path(path: str) -> str:
 def solid_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
     """Yield the chunks that draw a part of the hand from the log's URDF as a solid.
 
-    A link with a mesh yields nothing.
+    For a link with a mesh, nothing is yielded.
 
-    By default, Rerun draws the shapes of a URDF as wire frames.
+    Without these chunks, Rerun would draw the shapes of a URDF as wire frames.
     """
     path = entity_path(chunk.entity_path)
     link = path.split("/")[2]

@@ -1,10 +1,10 @@
-"""Colours of the dashboard. All links, force arrows and plot lines of a digit have one hue."""
+"""Colours of the dashboard. All links, force arrows and plot lines of a digit have the same hue."""
 
 from typing import NamedTuple
 
 
 class Colour(NamedTuple):
-    """Colour as red, green, blue, 0 to 255."""
+    """Colour with the components red, green and blue, from 0 to 255."""
 
     red: int
     green: int
@@ -13,7 +13,7 @@ class Colour(NamedTuple):
     def mixed_with(self, other: "Colour", fraction: float) -> "Colour":
         """Return a mix of this colour and the other colour.
 
-        Fraction 0 gives this colour, and 1 gives the other.
+        With the fraction 0 the result is this colour, and with 1 the other colour.
         """
         return Colour(*(round(a + fraction * (b - a)) for a, b in zip(self, other, strict=True)))
 
@@ -81,12 +81,12 @@ def digit_colour(index: int) -> Colour:
 
 
 def joint_colours(index: int, number: int) -> list[Colour]:
-    """Return a colour for each joint of a digit, lighter towards the tip."""
+    """Return a colour for each joint of a digit. The colours get lighter towards the tip."""
     return [
         digit_colour(index).mixed_with(WHITE, 0.4 * i / max(number - 1, 1)) for i in range(number)
     ]
 
 
 def dimmed_colour(colour: Colour) -> Colour:
-    """Return the dimmed colour for a command that is drawn next to an estimate."""
+    """Return a dimmed colour, for a command that is drawn next to an estimate."""
     return colour.mixed_with(BLACK, 0.45)

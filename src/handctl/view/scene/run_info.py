@@ -24,7 +24,7 @@ class RunInfo:
     """Data about one run of one hand.
 
     Attributes:
-        header: names, period and offset of the run.
+        header: header of the log, with names, control period and clock offset.
         hand: description of the hand from the log.
         name: name of the log for the user.
         truth: true values from the simulator during the run, or None.
@@ -40,7 +40,7 @@ class RunInfo:
         """Return the data about a run from the header of a log.
 
         Raises:
-            LogError: the names in the description of the hand differ from those in the header.
+            LogError: the description of the hand and the header contain different names.
             ConfigError: the description in the log is not a valid hand.
         """
         where = f"{name}, attachment hand.toml"
@@ -48,7 +48,7 @@ class RunInfo:
 
     @cached_property
     def meshes(self) -> dict[str, AttachedMesh]:
-        """Return the meshes that the log contains, by name of the link."""
+        """Return the meshes that the log contains, by the name of the link."""
         return attached_meshes(self.hand, self.header.attachments)[0]
 
     @cached_property
@@ -68,14 +68,14 @@ class RunInfo:
         return f"handctl_{self.hand.name}"
 
     def split_telemetry(self, table: FloatArray) -> dict[str, FloatArray]:
-        """Return rows of the topic /controller/values, divided into telemetry fields.
+        """Split rows of the topic /controller/values into the fields of the telemetry.
 
         Args:
             table: (n, columns) rows of the topic.
 
         Returns:
-            an array (n, names) for each field. The array is NaN for a field that the log of an
-            earlier version lacks.
+            an array (n, names) for each field of the telemetry. If an older version wrote the log
+            and did not know a field, the array of this field is NaN.
         """
         slices = columns_of_fields(self.header, row_fields(self.header, table.shape[1]))
         missing = {
@@ -88,7 +88,7 @@ class RunInfo:
 
     @property
     def tension_limits(self) -> list[float]:
-        """Return the different tension limits that the tendons of the hand have, in rising order [N]."""
+        """Return the distinct tension limits of the hand's tendons in rising order [N]."""
         return sorted({tendon.tension_max_N for tendon in self.hand.tendon})
 
     @property
@@ -98,5 +98,5 @@ class RunInfo:
 
 
 def _missing_fields(slices: dict[str, slice]) -> list[tuple[str, str]]:
-    """Return name and axis of each telemetry field that a log lacks."""
+    """Return the name and the axis of each telemetry field that a log lacks."""
     return [(name, axis) for name, axis in TELEMETRY_AXES.items() if name not in slices]

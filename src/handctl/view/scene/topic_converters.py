@@ -45,13 +45,16 @@ STATE_TOPICS = {
 
 
 class TopicConverters:
-    """Converter that turns chunks of a log into chunks for the dashboard, according to their topics."""
+    """Converter of chunks of a log to chunks for the dashboard.
+
+    The topic of a chunk determines the conversion.
+    """
 
     def __init__(self, run: RunInfo) -> None:
-        """Choose the converter of each topic.
+        """Choose the conversion of each topic.
 
         Args:
-            run: run and hand of the log.
+            run: data about the run and the hand of the log.
         """
         self._run = run
         self._offset = run.header.offset_ns
@@ -71,7 +74,7 @@ class TopicConverters:
         return [f"^{topic}$" for topic in exact] + ["^/actuator/.*/temperature$"]
 
     def __call__(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Yield the chunks for the dashboard that result from a chunk of the log."""
+        """Convert a chunk of the log, and yield the resulting chunks for the dashboard."""
         entity = chunk.entity_path
         if "/visual_geometries/" in entity:
             yield from solid_chunks(chunk, self._run)
@@ -83,7 +86,7 @@ class TopicConverters:
             yield chunk_on_run_time(chunk, self._offset)
 
     def _convert_values(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Convert the telemetry of the controller to plots, force arrows and values."""
+        """Convert the telemetry of the controller to plots, force arrows and single values."""
         messages = decoded_messages(chunk)
         if messages is None:
             return
@@ -101,8 +104,9 @@ class TopicConverters:
         for digit, joints in self._run.hand.digit_joints.items():
             factor = self._run.hand.display_units.factor[joints]
             angle = factor * part["q"][:, joints]
-            # The standard deviation of an angle without encoder is some 20 deg. A band of this
-            # width would cover the plot, so the plot has none. The signal q_sigma has its own plot.
+            # Without an encoder, the standard deviation of a joint angle is about 20 deg. A band of
+            # this width would cover the plot. So the plot of the angles shows no band. The plot of
+            # the signal q_sigma shows the standard deviation instead.
             yield timed_chunk(f"/angle/{digit}/estimate", times, plot_lines(angle))
             yield timed_chunk(
                 f"/angle/{digit}/command", times, plot_lines(factor * part["q_goal"][:, joints])
@@ -129,7 +133,7 @@ class TopicConverters:
             yield timed_chunk("/bus/load", times_since_start(chunk, self._offset), plot_lines(load))
 
     def _convert_state(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Convert the messages that name a state to a lane of the dashboard."""
+        """Convert messages that contain the name of a state to a lane of the dashboard."""
         messages = decoded_messages(chunk)
         if messages is not None:
             names = messages.field("name").to_pylist()
@@ -140,9 +144,10 @@ class TopicConverters:
 
 
 def near_limits(limits: list[float], tension: FloatArray) -> FloatArray:
-    """Return the tension limits (n,) [N], NaN for each limit that is far above all tensions.
+    """Return the tension limits (n,) [N], with NaN in place of each limit that is far above all tensions.
 
-    The plot scales itself to its lines. A distant limit would squeeze the tensions together.
+    The range of the plot follows from the lines that the plot shows. With a very high limit, the
+    lines of the tensions would be too close together.
     """
     largest = float(np.fmax.reduce(tension, axis=None, initial=0.0))
     return np.array([x if largest >= LIMIT_SHOWN_FRACTION * x else np.nan for x in limits])
@@ -160,15 +165,15 @@ def lines_with_band(values: FloatArray, sigma: FloatArray) -> rr.ComponentColumn
 
 
 def plot_lines(values: FloatArray) -> rr.ComponentColumnList:
-    """Return values (n, lines) as plot lines."""
+    """Return values (n, lines) as plot lines without a band."""
     return rr.Scalars.columns(scalars=values.ravel()).partition([values.shape[1]] * len(values))
 
 
 def force_arrows(force: FloatArray) -> rr.ComponentColumnList:
-    """Return the forces of the object on a fingertip (n,) [N] as arrows in the frame of the tip."""
+    """Return the forces of the object on a fingertip (n,) [N] as arrows in the coordinate frame of the tip."""
     shown = np.where(force >= MIN_ARROW_FORCE_N, force, 0.0)
     vectors = np.zeros((len(force), 3))
-    # The tip closes towards +y of its frame, so the object pushes it towards -y.
+    # A closing tip moves along +y of its own frame, so the object pushes the tip along -y.
     vectors[:, 1] = -ARROW_LENGTH_M_PER_N * shown
     labels = [f"{value:.1f} N" if value else "" for value in shown.tolist()]
     radii = np.where(shown > 0, ARROW_RADIUS_M, 0.0)

@@ -1,4 +1,4 @@
-"""Object and table of a simulated run.
+"""Shapes and poses of the object and the table in a simulated run.
 
 The poses of object and table come from the simulator's truth file.
 """
@@ -30,7 +30,7 @@ The components of the quaternion are in Rerun's order.
 
 
 def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
-    """Yield the chunks with shapes and poses of object and table.
+    """Yield the chunks with the shapes and the poses of object and table.
 
     Yield none if the run has no truth file with shapes.
 
@@ -59,7 +59,7 @@ def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
 
 
 def _solid_shape(shape: Mapping[str, Any], colour: Colour) -> Any:
-    """Return a shape of the truth file as a Rerun archetype that is drawn solid.
+    """Convert a shape of the truth file to a Rerun archetype that is drawn as a solid.
 
     Raises:
         LogError: the kind of shape is unknown.
@@ -77,15 +77,15 @@ def _solid_shape(shape: Mapping[str, Any], colour: Colour) -> Any:
 
 
 def _object_pose(truth: TruthRecord, shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
-    """Return position [m] and quaternion x, y, z, w of the object, with one row for each time."""
+    """Return the position [m] and the quaternion (x, y, z, w) of the object, with one row for each time."""
     pose = truth.columns_at([f"object/{part}" for part in POSE_COLUMNS], times)
     return pose[:, :3], pose[:, 3:]
 
 
 def _table_pose(truth: TruthRecord, shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
-    """Return position [m] and quaternion of the table, with one row for each time.
+    """Return the position [m] and the quaternion of the table, with one row for each time.
 
-    The table only moves down.
+    The table only moves down, and does not turn.
     """
     position = np.tile(np.array(shape["position_m"], np.float64), (len(times), 1))
     if truth.has_column("support"):
