@@ -88,6 +88,15 @@ The margin is about the error of the estimated tension.
 """
 ROUNDING_FACTOR = 1.0 - 1e-12
 """Factor on the envelope of a relaxing hand, so that rounding errors cannot raise a constant envelope."""
+TAKE_UP_TENSION_N = 8.0
+"""Tension with which a stream of tensions takes up a slack tendon if its setpoint is lower [N].
+
+The spool of a ``n_plus_1`` then winds at 17 mm/s instead of 9 mm/s, and is not faster than that of a tendon with a
+setpoint of 8 N. From ``safety.faults.tendon.SNAP_N`` on, a fast spool counts as that of a torn tendon.
+"""
+INTEGRATION_SPEED_M_S = 0.005
+INTEGRAL_DECAY_S = 0.02
+"""Tendon speed above which a stream does not integrate the tension error [m/s], and time constant of the decay [s]."""
 TAKE_UP_SPEED_M_S = 0.02
 """Speed of a spool that takes up the slack of its tendon during a motion [m/s].
 
@@ -617,11 +626,8 @@ def _tension_force(
     before = x.tendon[s.SETPOINT, n]
     setpoint = before + min(max(target - before, -step), step)
     error = setpoint - x.tendon[s.TENSION, n]
-    integral = x.tendon[s.TENSION_INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error
-    integral = min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
     slack = x.tendon_int[s.REGIME, n] == SLACK_REGIME
-    if slack:
-        integral = 0.0
+    integral = 0.0 if slack else _tension_integral(x, c, n, error)
     force = (
         setpoint
         + c.tendon[h.TENSION_GAIN, n] * error
@@ -632,10 +638,37 @@ def _tension_force(
     if slack and setpoint > 0.0:
         # The small tension error of a slack tendon cannot overcome the friction of a motor at rest.
         force += c.tendon[h.MOTOR_COULOMB, n]
+        if x.run_int[s.STREAMING] == s.RUNNING_STREAM:
+            # Streamed tensions move a digit fast, so its other tendons must be taken up fast.
+            raised = max(TAKE_UP_TENSION_N - setpoint, 0.0)
+            force += (1.0 + c.tendon[h.TENSION_GAIN, n]) * raised
     if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT_OF_TENDON, n]] != NO_TRAJECTORY:
         force += _feedforward_force(x, c, n)
     max_force = x.tendon[s.FORCE_LIMIT, n]
     return min(max(force, -max_force), max_force), setpoint, integral
+
+
+@kernel_helper
+def _tension_integral(x: StateTables, c: ConstantTables, n: int, error: float) -> float:
+    """Return the integral of the tension error of a taut tendon [N].
+
+    The integral compensates the friction of a rotor at rest. A digit without contact cannot bear
+    arbitrary streamed tensions, so it moves, and the tension errors persist. Their integrals would
+    move the digit further, and make it oscillate between its stops. During a stream, the integral
+    of a moving tendon therefore decays.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        error: tension error [N].
+    """
+    integral = x.tendon[s.TENSION_INTEGRAL, n]
+    streaming = x.run_int[s.STREAMING] == s.RUNNING_STREAM
+    if streaming and abs(x.tendon[s.SPEED, n]) > INTEGRATION_SPEED_M_S:
+        return integral * max(1.0 - c.run[h.PERIOD] / INTEGRAL_DECAY_S, 0.0)
+    integral += c.run[h.INTEGRAL_GAIN] * error
+    return min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
 
 
 @kernel_helper

@@ -35,6 +35,7 @@ from handctl.safety.faults.tendon import (
     SNAP_MEMORY_S,
     SNAP_N,
     SNAP_SPEED,
+    SNAP_SPEED_WITHOUT_CELL,
     T01,
     T02A,
     T02B,
@@ -142,12 +143,18 @@ def _snap_speed(x: StateTables, c: ConstantTables, n: int, commanded: float) -> 
     because its position feedback also moves the spool. Neither has a stream of tensions, whose
     targets may change in every tick.
 
+    The tension of a tendon without load cell is an estimate, which follows the commanded tension late. A joint that
+    slips free of friction, or a target that changes the direction of a spool pair, then looks like a torn tendon for
+    some ticks, so the threshold is larger.
+
     Args:
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
         commanded: commanded tension, positive [N].
     """
+    if c.tendon_int[h.CELL_GROUP, n] < 0:
+        return SNAP_SPEED_WITHOUT_CELL
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     holds = x.tendon_int[s.GOAL_KIND, n] == TENSION
     if (
