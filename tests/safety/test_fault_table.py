@@ -99,6 +99,13 @@ def test_a_fault_counts_after_its_ticks_and_is_reported_once(id_: str) -> None:
     assert reported == [(id_, case.instance)]
 
 
+def test_a_drive_with_a_small_limit_disobeys_at_a_tenth_of_it() -> None:
+    """The drive limit of motor m1 is 60 N. The threshold of N14 was 15 N for every drive."""
+    tick = filtered_residuals(COMMAND_DIFFERENCE, m1=6.1)
+    _, _, reported = check_fault_alone("N14", tick)
+    assert reported == [("N14", "m1")]
+
+
 @pytest.mark.parametrize("id_", CASE_BY_FAULT)
 def test_just_below_its_threshold_it_never_counts(id_: str) -> None:
     _, actions, reported = check_fault_alone(id_, *[CASE_BY_FAULT[id_].input_below_limit] * 100)
