@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from handctl.core.detectors import fault_detection as compiled_judge
+from handctl.core.detectors.residuals import COMMAND_DIFFERENCE
 from handctl.safety import tick_verdict as judgement
 from handctl.safety.action import RelaxMethod, SafetyAction
 from handctl.safety.faults.fault import (
@@ -34,6 +35,7 @@ from tests.safety.fault_cases import (
     OTHER_SIGNS_BY_FAULT,
     TickInput,
     drive_temperatures,
+    filtered_residuals,
     measured_tensions,
     merge_inputs,
     reset_for_input,
