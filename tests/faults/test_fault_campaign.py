@@ -24,6 +24,7 @@ from handctl.campaign.fault_matrix import (
     MatrixRow,
     fault_pairs,
     scenarios_of_hand,
+    texts_of_fault,
 )
 from handctl.campaign.run_stages import (
     FREE_STAGE_DELAY_S,
@@ -38,6 +39,7 @@ from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
 from handctl.safety.action import SafetyAction
 from handctl.safety.faults.tendon import RELAXED_S
+from handctl.safety.safety_limits import MIN_STALLED_TICKS, STALLED_S, ticks_for
 from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatedRun
 from tests.hand.hand_on_wrist import mount_on_wrist
@@ -272,10 +274,10 @@ def test_silent_joint_encoders_are_detected(joint):
 
 
 def results_of_hand(
-    name: str, seed: int, wanted: dict[str, tuple[str, ...]]
+    name: str, seed: int, wanted: dict[str, tuple[str, ...]], protocol: str = "mit"
 ) -> dict[str, ScenarioResult]:
     """Return the results of a hand's scenarios by name, with the catalogue rows that each stage runs."""
-    hand = hand_with_protocol(name, "mit")
+    hand = hand_with_protocol(name, protocol)
     rate = default_rate(hand)
     results: list[ScenarioResult] = []
     with homed_run(hand, rate, seed) as simulation:
@@ -283,14 +285,14 @@ def results_of_hand(
             advance_to_stage(simulation, stage)
             todo = [
                 one
-                for one in scenarios_of_hand(hand, "mit", 1e3 / rate)
+                for one in scenarios_of_hand(hand, protocol, 1e3 / rate)
                 if one.stage == stage and one.row.fault.startswith(rows)
             ]
             run_in_branches(
                 simulation,
                 todo,
                 1,
-                lambda simulation, one: run_scenario(simulation, one, "mit"),
+                lambda simulation, one: run_scenario(simulation, one, protocol),
                 results.append,
                 lambda simulation, result: None,
             )
@@ -366,6 +368,70 @@ def test_only_missing_sensors_extend_a_time_limit():
         hand = hand_with_protocol(name, "mit")
         one = [*scenarios_of_hand(hand, "mit", 2.0), *fault_pairs(hand, "mit", 2.0)]
         assert any(scenario.sensing_ticks for scenario in one) == some
+
+
+def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
+    """The scenario of H03 misses more ticks at a faster rate.
+
+    Reproduce a defect: 14 missed ticks are 14 ms at 1 kHz, which is no stall. At 200 Hz, they are
+    longer than the watchdog time of the drives.
+    """
+    hand = hand_with_protocol("t42", "mit")
+    watchdog_s = min(motor.watchdog_ms for motor in hand.motor) * 1e-3
+    row = next(row for row in FAULT_MATRIX if row.id == "H03")
+    for rate_hz in (200.0, 250.0, 400.0, 500.0, 1000.0):
+        (text,) = texts_of_fault(hand, row.fault, 1e3 / rate_hz)
+        missed = int(text.split()[-1])
+        assert missed > ticks_for(STALLED_S, 1.0 / rate_hz, MIN_STALLED_TICKS)
+        assert missed / rate_hz < watchdog_s
+
+
+def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
+    """At 500 Hz and below, the limit is ``max_ticks``. Other rows keep their ticks at every rate."""
+    for row in FAULT_MATRIX:
+        fixed = row._replace(max_extra_ms=0.0, extra_ms={}, extra_ticks={})
+        slow = [fixed.bound_ticks("mit", period_ms) for period_ms in (5.0, 2.5, 2.0)]
+        assert slow == 3 * [row.max_ticks]
+        fast = 2 * row.max_ticks if row.keeps_time else row.max_ticks
+        assert fixed.bound_ticks("mit", 1.0) == fast
+    assert {row.id for row in FAULT_MATRIX if row.keeps_time} == {"B04", "N14"}
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_faults_of_a_hand_at_1_khz_are_found_in_the_time_of_500_hz(seed):
+    """Reproduce a defect: the low-pass filter of N14 and a delayed frame took more ticks than at 500 Hz."""
+    assert default_rate(hand_with_protocol("t42", "cia402")) == 1000.0
+    faults = {FREE_STAGE: ("host skip", "delay"), GRASP_STAGE: ("disobey", "delay")}
+    results = results_of_hand("t42", seed, faults, "cia402")
+    assert len(results) == 6
+    for result in results.values():
+        assert result.ok, result.scenario + result.problem
+
+
+@pytest.mark.parametrize("protocol", ["mit", "cia402"])
+def test_a_drive_of_a_weak_hand_that_does_not_obey_is_found_as_soon_as_one_of_a_strong_hand(
+    protocol,
+):
+    """Compare drives with torque limits of 110 N and 160 N.
+
+    Reproduce two defects. With the threshold of the strong hand, a drive without torque was found
+    after 23 ticks (limit 22), and a drive that runs away at 1 kHz after 11 ticks (limit 10).
+    """
+    faults = {FREE_STAGE: ("runaway",), GRASP_STAGE: ("disobey",)}
+    for seed in (0, 12):
+        results = results_of_hand("t42", seed, faults, protocol)
+        assert len(results) == 4
+        for result in results.values():
+            assert result.ok, result.scenario + result.problem
+
+
+@pytest.mark.parametrize("seed", [6, 13])
+def test_a_slack_tendon_of_a_drive_that_forgot_its_limits_counts_as_found(seed):
+    """Reproduce a defect: T01 relaxed the hand after 26 ticks, but the campaign did not accept T01."""
+    results = results_of_hand("t42", seed, {GRASP_STAGE: ("forget",)}, "moteus")
+    assert len(results) == 2
+    for result in results.values():
+        assert result.ok, result.scenario + result.problem
 
 
 def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
@@ -460,6 +526,15 @@ def test_quick_samples_of_consecutive_seeds_are_the_whole_campaign():
     )
 
 
+KNOWN_FAILURES = {
+    ("t42", "odrive"): {
+        "N17 swap node=left_motor with=right_motor, free motion",
+        "N17 cross node=left_motor with=right_motor, free motion",
+    }
+}
+"""Scenarios that fail, by hand and protocol. docs/evidence/campaign.md describes them under "Known failures"."""
+
+
 @pytest.mark.nightly
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("seed", range(20))
@@ -470,9 +545,11 @@ def test_the_quick_sample_passes_with_every_seed(hand: str, seed: int):
         hand, [protocol], default_rate, jobs=2, quick=True, fault_free_s=4.0, seed=seed,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
     )  # fmt: skip
-    assert [
-        (result.scenario, result.problem) for result in report.all_results if not result.ok
-    ] == []
+    failed = {result.scenario: result.problem for result in report.all_results if not result.ok}
+    known = KNOWN_FAILURES.get((hand, protocol), set())
+    assert {name: why for name, why in failed.items() if name not in known} == {}
+    # A known failure that passes must be removed from the list.
+    assert known & {result.scenario for result in report.all_results} <= failed.keys()
     assert report.false_alarms == {protocol: []}
 
 

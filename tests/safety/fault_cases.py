@@ -303,7 +303,8 @@ CASE_BY_FAULT = {
                      True, True),
     "N13": FaultCase(state_rows(twice={0: 1}), INPUT_AT_REST, "m0", 3, RELAX, True, True),
     "N14": FaultCase(
-        filtered_residuals(COMMAND_DIFFERENCE, m0=15.1), filtered_residuals(COMMAND_DIFFERENCE, m1=15.0), "m0", 1,
+        filtered_residuals(COMMAND_DIFFERENCE, m0=15.1),
+        filtered_residuals(COMMAND_DIFFERENCE, m0=15.0, m1=6.0), "m0", 1,
         RELAX, True, True
     ),
     "N14b": FaultCase(swinging_tension(1, 0.25), swinging_tension(1, 0.25 - 1.5 * PERIOD_S), "t1", 1, RELAX, True,

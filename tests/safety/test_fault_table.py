@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from handctl.core.detectors import fault_detection as compiled_judge
+from handctl.core.detectors.residuals import COMMAND_DIFFERENCE
 from handctl.safety import tick_verdict as judgement
 from handctl.safety.action import RelaxMethod, SafetyAction
 from handctl.safety.faults.fault import (
@@ -34,6 +35,7 @@ from tests.safety.fault_cases import (
     OTHER_SIGNS_BY_FAULT,
     TickInput,
     drive_temperatures,
+    filtered_residuals,
     measured_tensions,
     merge_inputs,
     reset_for_input,
@@ -97,6 +99,13 @@ def test_a_fault_counts_after_its_ticks_and_is_reported_once(id_: str) -> None:
     _, actions, reported = check_fault_alone(id_, *[case.input_with_fault] * (case.debounce + 5))
     assert actions == [SafetyAction.PASS] * (case.debounce - 1) + [case.action] * 6
     assert reported == [(id_, case.instance)]
+
+
+def test_a_drive_with_a_small_limit_disobeys_at_a_tenth_of_it() -> None:
+    """The drive limit of motor m1 is 60 N. The threshold of N14 was 15 N for every drive."""
+    tick = filtered_residuals(COMMAND_DIFFERENCE, m1=6.1)
+    _, _, reported = check_fault_alone("N14", tick)
+    assert reported == [("N14", "m1")]
 
 
 @pytest.mark.parametrize("id_", CASE_BY_FAULT)

@@ -14,6 +14,7 @@ from handctl.drives.sensors.sensor_node import TENSION_RAIL_N
 from handctl.hand.description import Hand
 from handctl.safety.action import SafetyAction
 from handctl.safety.faults.tendon import CELL_FORCE_ERROR_N, CELL_FORCE_N
+from handctl.safety.safety_limits import MIN_STALLED_TICKS, STALLED_S, ticks_for
 
 ARMING_STAGE = "arming"
 FREE_STAGE = "free motion"
@@ -46,6 +47,8 @@ POSITION_NOISE_MS = 5.0
 """Control period above which the impossible position noise grows with the square of the period [ms]."""
 MAX_READABLE_TRIP_N = 0.9 * TENSION_RAIL_N
 """Largest trip tension that a load cell can read without looking saturated (fault T06) [N]."""
+TIME_LIMIT_PERIOD_MS = 2.0
+"""Control period at which a row with ``keeps_time`` has exactly its ``max_ticks`` as time limit [ms]."""
 HOST_PREFIX = "host "
 """Prefix of the fault texts that concern the host: I/O events, missed ticks, requests."""
 
@@ -59,8 +62,10 @@ class MatrixRow(NamedTuple):
             place holders for the part of the hand that has the fault: {node}, {tendon}, {digit},
             {bus} or {joint}. The place holder {other} stands for the next motor. Other place
             holders stand for sizes. {trip} and {limit} are a tendon's tension_trip_N and
-            drive_limit_N. {late} is a delay that is late at the control rate [ms]. {jump} and
-            {rough} are a step and a noise that no drive can make at the control rate [rad].
+            drive_limit_N. {late} is a delay that is late at the control rate [ms]. {stall} is a number of missed ticks that is a stall at the control
+            rate. {jump} and
+            {rough} are a step and a noise that no drive can make at the control
+            rate [rad].
         action: least severe reaction that is sufficient for the fault.
         max_ticks: time limit for the reaction [control periods]. ``max_extra_ms`` is added to this limit.
         max_extra_ms: addition to the time limit ``max_ticks`` [ms].
@@ -79,6 +84,9 @@ class MatrixRow(NamedTuple):
         force_change_N: variation of the motor force that the detection needs [N]. The time limit
             counts from the instant at which the motor force has varied by this much since the
             fault. If the motor force never varies by this much, no reaction is required.
+        keeps_time: True if the detection waits for a time constant or a delay in milliseconds. At a
+            control period below ``TIME_LIMIT_PERIOD_MS``, ``max_ticks`` then stands for the same
+            time in more ticks.
     """
 
     id: str
@@ -94,15 +102,14 @@ class MatrixRow(NamedTuple):
     no_cell_ms: float = 0.0
     sensor_frames: int = 0
     force_change_N: float = 0.0
+    keeps_time: bool = False
 
     def bound_ticks(self, protocol: str, period_ms: float) -> int:
         """Return the time limit of the row for drives of a given protocol [ticks]."""
-        extra = self.extra_ticks.get(protocol, 0)
-        return (
-            self.max_ticks
-            + extra
-            + math.ceil((self.max_extra_ms + self.extra_ms.get(protocol, 0.0)) / period_ms)
-        )
+        ticks = self.max_ticks + self.extra_ticks.get(protocol, 0)
+        if self.keeps_time:
+            ticks = math.ceil(ticks * max(1.0, TIME_LIMIT_PERIOD_MS / period_ms))
+        return ticks + math.ceil((self.max_extra_ms + self.extra_ms.get(protocol, 0.0)) / period_ms)
 
     def sensing_ticks(self, hand: Hand, fault: str, period_ms: float) -> int:
         """Return the time that is added to the time limit of a fault because a hand lacks sensors [ticks].
@@ -181,7 +188,8 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("B03", "drop node={node} p=0.6 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02", "N11"),
         protocols=(ODRIVE,)),
     MatrixRow("B03", "replay node=sensors size=16", RELAX, 102, 0.0, ("B03", "N02", "B04")),
-    MatrixRow("B04", "delay node=sensors size={late} for=20ms", WARN, 4, accepted_faults=("B04",)),
+    # The delayed frame shows the fault only when it arrives.
+    MatrixRow("B04", "delay node=sensors size={late} for=20ms", WARN, 4, accepted_faults=("B04",), keeps_time=True),
     MatrixRow("B05", "duplicate node={node}", WARN, 2, accepted_faults=("B05", "N13", "B06"),
               protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("B05", "duplicate node=sensors", WARN, 2, accepted_faults=("B05",)),
@@ -239,8 +247,9 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("N12", "forget node={node}", CUT, 4, 1000.0, ("N12",), protocols=(MIT, ODRIVE, CIA402, ROBSTRIDE)),
     # Every command of this drive protocol contains the torque limit and the watchdog time. After a
     # restart, the drive also forgets its position limits. The default position limits make the
-    # drive remove its torque. The controller reports this as N14 (a command is not obeyed).
-    MatrixRow("N12", "forget node={node}", RELAX, 4, 1000.0, ("N12", "N14"), protocols=(MOTEUS,)),
+    # drive remove its torque. The controller reports this as N14 (a command is not obeyed). At the edge of its default limits the drive also pulls for some
+    # ticks. The slack tendon that it then winds up looks like a torn one (T01).
+    MatrixRow("N12", "forget node={node}", RELAX, 4, 1000.0, ("N12", "N14", "T01"), protocols=(MOTEUS,)),
     # A drive may restart before it first answers the enable command. Such a restart looks like a
     # lost command. The controller recognises the restart by the settings that the drive has lost.
     MatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01", "N14"), (ARMING_STAGE,), (MOTEUS,)),
@@ -250,9 +259,10 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
               protocols=ONE_ANSWER_PROTOCOLS),
     # A load cell shows the missing tension. Without a load cell, the fault N17 finds the drive
     # within the time constant of the comparison, although the command of this drive is smaller than
-    # the thresholds of N14.
+    # the thresholds of N14. N14 compares low-passed
+    # forces, so its detection takes the same time at every control rate.
     MatrixRow("N14", "disobey node={node} size=0", RELAX, 22, accepted_faults=("N14", "T02", "T04", "N17"),
-        stages=(GRASP_STAGE,), protocols=ONE_ANSWER_PROTOCOLS, no_cell_ms=250.0),
+        stages=(GRASP_STAGE,), protocols=ONE_ANSWER_PROTOCOLS, no_cell_ms=250.0, keeps_time=True),
     MatrixRow("N14", "runaway node={node}", RELAX, 10, accepted_faults=("N14", "T03", "N05", "T04")),
     MatrixRow("N14", "ripple node={node} size=0.2 hz=20", RELAX, 22, 600.0,
         ("N14b", "T03", "N07", "T01", "N17", "N14"), (GRASP_STAGE,)),
@@ -297,7 +307,7 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("T08", "offset joint={joint} size=0.5", RELAX, 8, 400.0, ("T08", "N06", "N05")),
     MatrixRow("H01", HOST_PREFIX + "late 0.4", SafetyAction.PASS, 1, accepted_faults=("H01",)),
     MatrixRow("H02", HOST_PREFIX + "skip 1", WARN, 1, accepted_faults=("H02",)),
-    MatrixRow("H03", HOST_PREFIX + "skip 14", RELAX, 1, accepted_faults=("H03",)),
+    MatrixRow("H03", HOST_PREFIX + "skip {stall}", RELAX, 1, accepted_faults=("H03",)),
     MatrixRow("H04", HOST_PREFIX + "io suspended", RELAX, 1, accepted_faults=("H04",)),
     MatrixRow("H06", HOST_PREFIX + "ask stop", RELAX, 1, accepted_faults=("",), stages=ALL_STAGES),
     MatrixRow("H06", HOST_PREFIX + "ask cut", CUT, 1, accepted_faults=("",), stages=ALL_STAGES),
@@ -382,9 +392,9 @@ def texts_of_fault(hand: Hand, fault: str, period_ms: float) -> list[str]:
 
     The list is empty if the hand has no such part.
     """
-    if fault.startswith(HOST_PREFIX):
-        return [fault]
     sizes = {
+        # One tick more than the shortest stall that is a fault.
+        "stall": ticks_for(STALLED_S, period_ms * 1e-3, MIN_STALLED_TICKS) + 1,
         "late": max(MIN_LATE_MS, MIN_LATE_TICKS * period_ms),
         "jump": POSITION_JUMP_RAD * max(1.0, period_ms / POSITION_JUMP_MS),
         "rough": POSITION_NOISE_RAD * max(1.0, (period_ms / POSITION_NOISE_MS) ** 2),

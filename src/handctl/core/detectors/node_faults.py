@@ -35,6 +35,7 @@ from handctl.safety.faults.node import (
     N15,
     N16,
     N17,
+    NOT_OBEYED_FRACTION,
     NOT_OBEYED_N,
     SLIP_TRIP_DEG,
     SLIP_WARN_DEG,
@@ -149,7 +150,8 @@ def detect_node_faults_under_torque(x: StateTables, c: ConstantTables, evidence:
         if jerk > c.run[h.NOISE_LIMIT]:
             evidence[N07, n] = jerk
         disobeyed = abs(x.tendon[s.RESIDUAL + residuals.COMMAND_DIFFERENCE, n])
-        if disobeyed > NOT_OBEYED_N or torque_correlation.is_command_contradicted(x, c, n):
+        tolerated = min(NOT_OBEYED_N, NOT_OBEYED_FRACTION * c.tendon[h.DRIVE_LIMIT, n])
+        if disobeyed > tolerated or torque_correlation.is_command_contradicted(x, c, n):
             evidence[N14, n] = disobeyed
         if x.tendon[s.SWING_S, n] > SWING_S:
             evidence[N14B, n] = math.sqrt(x.tendon[s.SWING_SQUARE, n])

@@ -43,7 +43,12 @@ NOISE_FACTOR = 9.0
 WARM_TICKS = 20
 """Number of consecutive ticks with a high temperature after which there is a fault."""
 NOT_OBEYED_N = 15.0
-"""Difference between commanded and reported torque above which there is a fault, converted to tension [N]."""
+NOT_OBEYED_FRACTION = 0.1
+"""Difference between commanded and reported torque above which there is a fault.
+
+The two thresholds are a tension [N], and a fraction of the tension at the drive's torque limit. The smaller one
+applies. A drive of a hand with small tensions also commands small tensions, and would otherwise be found later.
+"""
 CONTRADICTED_N = 6.0
 CONTRADICTED_FRACTION = 0.25
 CONTRADICTED_MEAN_N = 4.0
@@ -269,8 +274,9 @@ declare_row("N14", "command not obeyed", odrive=f"{WEAKER_SIGN}: by tension (T04
     )  # fmt: skip
 N14 = declare_fault(
     "N14", "a command is not obeyed",
-    f"The filtered difference of commanded and reported torque is above {NOT_OBEYED_N:g} N at the tendon, or it is "
-    f"above {CONTRADICTED_MEAN_N:g} N without a load cell, and the report is far from the last three commands",
+    f"The filtered difference of commanded and reported torque is above {NOT_OBEYED_N:g} N at the tendon, or above "
+    f"{NOT_OBEYED_FRACTION * 100.0:g} % of the drive's limit. Or it is above {CONTRADICTED_MEAN_N:g} N "
+    f"without a load cell, and the report is far from the last three commands",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The drive limits its torque, is in another mode, or its torque constant is wrong.",
     remedy="Check torque limit and torque constant of the drive, and run handctl conformance on it.",
