@@ -62,10 +62,9 @@ class MatrixRow(NamedTuple):
             place holders for the part of the hand that has the fault: {node}, {tendon}, {digit},
             {bus} or {joint}. The place holder {other} stands for the next motor. Other place
             holders stand for sizes. {trip} and {limit} are a tendon's tension_trip_N and
-            drive_limit_N. {late} is a delay that is late at the control rate [ms]. {stall} is a number of missed ticks that is a stall at the control
-            rate. {jump} and
-            {rough} are a step and a noise that no drive can make at the control
-            rate [rad].
+            drive_limit_N. {late} is a delay that is late at the control rate [ms]. {stall} is a
+            number of missed ticks that is a stall at the control rate. {jump} and {rough} are a
+            step and a noise that no drive can make at the control rate [rad].
         action: least severe reaction that is sufficient for the fault.
         max_ticks: time limit for the reaction [control periods]. ``max_extra_ms`` is added to this limit.
         max_extra_ms: addition to the time limit ``max_ticks`` [ms].
@@ -247,8 +246,9 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("N12", "forget node={node}", CUT, 4, 1000.0, ("N12",), protocols=(MIT, ODRIVE, CIA402, ROBSTRIDE)),
     # Every command of this drive protocol contains the torque limit and the watchdog time. After a
     # restart, the drive also forgets its position limits. The default position limits make the
-    # drive remove its torque. The controller reports this as N14 (a command is not obeyed). At the edge of its default limits the drive also pulls for some
-    # ticks. The slack tendon that it then winds up looks like a torn one (T01).
+    # drive remove its torque. The controller reports this as N14 (a command is not obeyed). At the
+    # edge of its default limits, the drive also pulls for some ticks. The slack tendon that it then
+    # winds up looks like a torn one (T01).
     MatrixRow("N12", "forget node={node}", RELAX, 4, 1000.0, ("N12", "N14", "T01"), protocols=(MOTEUS,)),
     # A drive may restart before it first answers the enable command. Such a restart looks like a
     # lost command. The controller recognises the restart by the settings that the drive has lost.
@@ -259,8 +259,8 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
               protocols=ONE_ANSWER_PROTOCOLS),
     # A load cell shows the missing tension. Without a load cell, the fault N17 finds the drive
     # within the time constant of the comparison, although the command of this drive is smaller than
-    # the thresholds of N14. N14 compares low-passed
-    # forces, so its detection takes the same time at every control rate.
+    # the thresholds of N14. N14 compares low-passed forces, so its detection takes the same time at
+    # every control rate.
     MatrixRow("N14", "disobey node={node} size=0", RELAX, 22, accepted_faults=("N14", "T02", "T04", "N17"),
         stages=(GRASP_STAGE,), protocols=ONE_ANSWER_PROTOCOLS, no_cell_ms=250.0, keeps_time=True),
     MatrixRow("N14", "runaway node={node}", RELAX, 10, accepted_faults=("N14", "T03", "N05", "T04")),
