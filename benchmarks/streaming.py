@@ -30,6 +30,8 @@ from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.report.truth_record import TruthRecord, read_truth
+from handctl.runtime.clocks.shared import PAUSED_INDEX
+from handctl.runtime.paths import clock_path
 
 STREAMED_DIGIT = "index"
 RATE_HZ = 100.0
@@ -291,6 +293,14 @@ class HandProcess:
         """
         return handctl.connect("jamia", self.bus, *self.words)
 
+    def simulated_time_ns(self, monotonic_ns: int) -> int:
+        """Return the time of the simulated hand that belongs to a recent reading of CLOCK_MONOTONIC [ns].
+
+        The clock of the hand pauses while the machine is too slow.
+        """
+        paused_ns = int(np.fromfile(clock_path(self.bus), np.int64)[PAUSED_INDEX])
+        return round((monotonic_ns - paused_ns) * self.scale)
+
     def close(self) -> None:
         """End the simulated hand, which then completes its truth file."""
         if self._process.poll() is None:
@@ -387,12 +397,12 @@ def _run_one_client(
         if CLIENT_BEHAVIOURS[name][1] is not stream_while_paused:
             out = child.communicate(timeout=READY_TIMEOUT_S)[0]
             assert child.returncode == 0, f"{name}: the client failed"
-            return json.loads(out), run_start_ns(owner, place.scale)
+            return json.loads(out), run_start_ns(owner, place)
         assert child.stdout.readline() == "pause\n", f"{name}: no stream"
         watcher = owner or handctl.connect("jamia", place.bus).open()
         time.sleep(0.1 / place.scale)
         window = {"from": watcher.observe().k, "to": None}
-        start_ns = run_start_ns(watcher, place.scale)
+        start_ns = run_start_ns(watcher, place)
         if name.startswith("killed"):
             child.kill()
             time.sleep(AFTER_KILL_S / place.scale)
@@ -410,7 +420,7 @@ def _run_one_client(
         child.wait()
 
 
-def run_start_ns(hand: HandClient | None, scale: float) -> int:
+def run_start_ns(hand: HandClient | None, place: HandProcess) -> int:
     """Return the start time of the run (t = 0) on the clock of the simulated hand [ns].
 
     An observation is published only at the end of a tick. A start time from an observation is
@@ -418,8 +428,11 @@ def run_start_ns(hand: HandClient | None, scale: float) -> int:
     which lasts about 0.1 ms.
     """
     assert hand is not None
-    seen = [hand.observe(wait=True) for _ in range(50)]
-    return min(round(one.published_ns * scale) - one.t_ns - one.late_ns for one in seen)
+    starts_ns = list[int]()
+    for _ in range(50):
+        seen = hand.observe(wait=True)
+        starts_ns.append(place.simulated_time_ns(seen.published_ns) - seen.t_ns - seen.late_ns)
+    return min(starts_ns)
 
 
 def _client_row(
@@ -467,9 +480,9 @@ def measure_tracking(
                 hand.move({STREAMED_DIGIT: MIDDLE_DEG}, duration_s=0.5)
                 with hand.stream(RATE_HZ, "digit", [STREAMED_DIGIT], interpolation) as stream:
                     client = BadClient(hand, stream, scale)
+                    began_ns[interpolation] = place.simulated_time_ns(round(client.began_s * 1e9))
                     client.send_good_targets(TRACKED_S)
-                began_ns[interpolation] = round(client.began_s * 1e9 * scale)
-            start_ns = run_start_ns(hand, scale)
+            start_ns = run_start_ns(hand, place)
             hand.grasp(task)
         place.close()
         truth = read_truth(place.truth)

@@ -299,6 +299,12 @@ def results_of_hand(
     return {result.scenario: result for result in results}
 
 
+def assert_no_scenario_failed(results: dict[str, ScenarioResult]) -> None:
+    """Fail with the name and the problem of the first scenario that failed."""
+    for result in results.values():
+        assert result.ok, result.scenario + result.problem
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
     """Keep tensions below 40 N.
@@ -308,8 +314,8 @@ def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
     """
     results = results_of_hand("orca_like", seed, {FREE_STAGE: ("swap", "cross", "late")})
     assert len(results) == 6
+    assert_no_scenario_failed(results)
     for result in results.values():
-        assert result.ok, result.scenario + result.problem
         assert result.tension < 40.0, result.scenario
 
 
@@ -323,8 +329,7 @@ def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
         "orca_like", 1, {GRASP_STAGE: ("snap", "slack", "disobey", "ripple", "hold_on", "reorder")}
     )
     assert len(results) == 11
-    for result in results.values():
-        assert result.ok, result.scenario + result.problem
+    assert_no_scenario_failed(results)
     thumb = results["T01 snap tendon=thumb_dip, grasp"]
     assert (thumb.detected_by, thumb.ticks <= 30) == ("T08 thumb_dip", True)
     assert results["N14 disobey node=thumb_dip size=0, grasp"].ticks <= 22
@@ -337,8 +342,7 @@ def test_a_torn_tendon_without_load_cell_is_reported_in_free_motion():
     """
     results = results_of_hand("orca_like", 1, {FREE_STAGE: ("snap", "stuck encoder", "reorder")})
     assert len(results) == 5
-    for result in results.values():
-        assert result.ok, result.scenario + result.problem
+    assert_no_scenario_failed(results)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -350,8 +354,7 @@ def test_faults_of_an_extensor_with_a_small_tension_are_found_in_time(seed):
     """
     results = results_of_hand("n_plus_1", seed, {GRASP_STAGE: ("snap", "slack", "stuck cell")})
     assert len(results) == 6
-    for result in results.values():
-        assert result.ok, result.scenario + result.problem
+    assert_no_scenario_failed(results)
 
 
 def test_only_missing_sensors_extend_a_time_limit():
@@ -404,8 +407,7 @@ def test_faults_of_a_hand_at_1_khz_are_found_in_the_time_of_500_hz(seed):
     faults = {FREE_STAGE: ("host skip", "delay"), GRASP_STAGE: ("disobey", "delay")}
     results = results_of_hand("t42", seed, faults, "cia402")
     assert len(results) == 6
-    for result in results.values():
-        assert result.ok, result.scenario + result.problem
+    assert_no_scenario_failed(results)
 
 
 @pytest.mark.parametrize("protocol", ["mit", "cia402"])
@@ -421,8 +423,7 @@ def test_a_drive_of_a_weak_hand_that_does_not_obey_is_found_as_soon_as_one_of_a_
     for seed in (0, 12):
         results = results_of_hand("t42", seed, faults, protocol)
         assert len(results) == 4
-        for result in results.values():
-            assert result.ok, result.scenario + result.problem
+        assert_no_scenario_failed(results)
 
 
 @pytest.mark.parametrize("seed", [6, 13])
@@ -430,8 +431,7 @@ def test_a_slack_tendon_of_a_drive_that_forgot_its_limits_counts_as_found(seed):
     """Reproduce a defect: T01 relaxed the hand after 26 ticks, but the campaign did not accept T01."""
     results = results_of_hand("t42", seed, {GRASP_STAGE: ("forget",)}, "moteus")
     assert len(results) == 2
-    for result in results.values():
-        assert result.ok, result.scenario + result.problem
+    assert_no_scenario_failed(results)
 
 
 def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():

@@ -261,8 +261,9 @@ def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tu
         has_sync = (bus == sensors.bus and SYNC in sensors.host_ids) or any(
             drive.sync for drive in on_bus.values()
         )
+        last = max(on_bus)
         for n, drive in on_bus.items():
-            is_last = n == max(on_bus)
+            is_last = n == last
             completed[n] = replace(
                 drive,
                 sync=drive.sync or (is_last and not has_sync),

@@ -34,6 +34,7 @@ from handctl.core.control_law.digit_reference import (
     MOTION,
     NO_TRAJECTORY,
     TENSION,
+    is_stream_running,
     is_tendon_streamed,
 )
 from handctl.core.control_law.friction_band import predict_moving_tension
@@ -59,6 +60,7 @@ from handctl.core.estimation.varying_moment_arms import (
 )
 from handctl.core.state_block import StateTables
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
+from handctl.safety.faults.tendon import SNAP_N
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -88,11 +90,11 @@ The margin is about the error of the estimated tension.
 """
 ROUNDING_FACTOR = 1.0 - 1e-12
 """Factor on the envelope of a relaxing hand, so that rounding errors cannot raise a constant envelope."""
-TAKE_UP_TENSION_N = 8.0
+TAKE_UP_TENSION_N = SNAP_N
 """Tension with which a stream of tensions takes up a slack tendon if its setpoint is lower [N].
 
-The spool of a ``n_plus_1`` then winds at 17 mm/s instead of 9 mm/s, and is not faster than that of a tendon with a
-setpoint of 8 N. From ``safety.faults.tendon.SNAP_N`` on, a fast spool counts as that of a torn tendon.
+With 8 N, a spool of ``n_plus_1`` winds at 17 mm/s instead of 9 mm/s. A higher tension would make the
+spool so fast that it counts as the spool of a torn tendon.
 """
 INTEGRATION_SPEED_M_S = 0.005
 INTEGRAL_DECAY_S = 0.02
@@ -638,7 +640,7 @@ def _tension_force(
     if slack and setpoint > 0.0:
         # The small tension error of a slack tendon cannot overcome the friction of a motor at rest.
         force += c.tendon[h.MOTOR_COULOMB, n]
-        if x.run_int[s.STREAMING] == s.RUNNING_STREAM:
+        if is_stream_running(x):
             # Streamed tensions move a digit fast, so its other tendons must be taken up fast.
             raised = max(TAKE_UP_TENSION_N - setpoint, 0.0)
             force += (1.0 + c.tendon[h.TENSION_GAIN, n]) * raised
@@ -664,8 +666,7 @@ def _tension_integral(x: StateTables, c: ConstantTables, n: int, error: float) -
         error: tension error [N].
     """
     integral = x.tendon[s.TENSION_INTEGRAL, n]
-    streaming = x.run_int[s.STREAMING] == s.RUNNING_STREAM
-    if streaming and abs(x.tendon[s.SPEED, n]) > INTEGRATION_SPEED_M_S:
+    if is_stream_running(x) and abs(x.tendon[s.SPEED, n]) > INTEGRATION_SPEED_M_S:
         return integral * max(1.0 - c.run[h.PERIOD] / INTEGRAL_DECAY_S, 0.0)
     integral += c.run[h.INTEGRAL_GAIN] * error
     return min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)

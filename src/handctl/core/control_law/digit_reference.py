@@ -135,6 +135,12 @@ def is_tendon_streamed(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 
 @kernel_helper
+def is_stream_running(x: StateTables) -> bool:
+    """Return True if a client streams targets for any digit or tendon of the hand."""
+    return bool(x.run_int[s.STREAMING] == s.RUNNING_STREAM)
+
+
+@kernel_helper
 def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix) -> None:
     """Write the joint torques that the trajectories require against inertia, gravity, springs and damping.
 

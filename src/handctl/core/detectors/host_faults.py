@@ -4,6 +4,7 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
+from handctl.core.control_law.digit_reference import is_stream_running
 from handctl.core.detectors.bus_faults import Evidence
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.host import (
@@ -35,7 +36,7 @@ def detect_host_faults(x: StateTables, c: ConstantTables, armed: bool, evidence:
         evidence[I07A, 0] = x.run_int[s.REFUSED_REQUESTS_NOW]
         if x.run_int[s.REFUSED_REQUESTS] >= REFUSED_REQUESTS_LIMIT:
             evidence[I07B, 0] = x.run_int[s.REFUSED_REQUESTS]
-    if armed and x.run_int[s.STREAMING] == s.RUNNING_STREAM:
+    if armed and is_stream_running(x):
         silence_ns = x.run_int[s.T_NS] - x.run_int[s.STREAM_SENT_NS]
         if silence_ns > c.run_int[h.STREAM_HOLD_NS]:
             evidence[I11A, 0] = silence_ns / 1e9

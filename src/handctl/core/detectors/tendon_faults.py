@@ -9,6 +9,7 @@ from handctl.core.constants import ConstantTables
 from handctl.core.control_law.digit_reference import (
     NO_TRAJECTORY,
     TENSION,
+    is_stream_running,
     is_tendon_streamed,
 )
 from handctl.core.detectors import residuals, stuck_sensors
@@ -157,11 +158,7 @@ def _snap_speed(x: StateTables, c: ConstantTables, n: int, commanded: float) -> 
         return SNAP_SPEED_WITHOUT_CELL
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     holds = x.tendon_int[s.GOAL_KIND, n] == TENSION
-    if (
-        not holds
-        or x.digit_int[s.TRAJECTORY_KIND, d] != NO_TRAJECTORY
-        or x.run_int[s.STREAMING] == s.RUNNING_STREAM
-    ):
+    if not holds or x.digit_int[s.TRAJECTORY_KIND, d] != NO_TRAJECTORY or is_stream_running(x):
         return SNAP_SPEED
     damping = c.tendon[h.TENSION_SPEED_GAIN, n]
     force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded - c.tendon[h.MOTOR_COULOMB, n]
