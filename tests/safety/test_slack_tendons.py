@@ -222,6 +222,18 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, foun
         assert reported == ({"t1": now} if found else {})
 
 
+@pytest.mark.parametrize(
+    ("speed", "found"), [(0.0, True), (-0.02, True), (0.1, True), (-0.1, False)]
+)
+def test_a_spool_that_pays_out_fast_is_released(speed, found):
+    """Reproduce a defect: on jamia11, a healthy end of a run reported the fault N16.
+
+    The springs of a digit kept a released tendon at 10 N while they accelerated its rotor.
+    """
+    tendons = FilteredTendons(1, cut_ticks=49, cut_from=11.0, cut_bears=NAN, speed=speed)
+    assert tendons.run_tick_after_cut([10.5]) == ({"t0": 10.5} if found else {})
+
+
 def test_the_last_tension_counts_if_the_latest_sample_is_missing():
     """The detector uses readings from at least 80 ms after the motors were disabled.
 

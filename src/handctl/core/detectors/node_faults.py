@@ -37,6 +37,7 @@ from handctl.safety.faults.node import (
     N17,
     NOT_OBEYED_FRACTION,
     NOT_OBEYED_N,
+    PAYING_OUT_SPEED,
     SLIP_TRIP_DEG,
     SLIP_WARN_DEG,
     STILL_PULLING_FRACTION,
@@ -193,7 +194,8 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
 def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
     """Find tendons that are still under tension after the motor torque was cut.
 
-    The tension is visible in the load-cell reading or in the torque that the drive reports.
+    The tension is visible in the load-cell reading or in the torque that the drive reports. A spool
+    that pays out fast is released, although its tendon may still be taut.
     """
     if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < STILL_PULLING_S:
         return
@@ -201,6 +203,7 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
         tension = x.tendon[s.TENSION_AFTER_CUT, n]
         if (
             tension > STILL_PULLING_N
+            and x.tendon[s.SPEED, n] > -PAYING_OUT_SPEED
             and tension > STILL_PULLING_FRACTION * x.tendon[s.TENSION_AT_CUT, n]
         ):
             evidence[N16, n] = tension
