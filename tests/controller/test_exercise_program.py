@@ -6,7 +6,7 @@ from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.hand_loading import load_hand
-from handctl.programs.exercise import ExerciseProgram
+from handctl.programs.exercise import GENTLE_RISE_N_PER_S, ExerciseProgram
 from tests.controller.synthetic_states import empty_readings, estimate_under_tension
 from tests.hand.hand_on_wrist import mount_on_wrist
 
@@ -52,3 +52,23 @@ def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(name: str) -> N
             if d != wrist:
                 assert goals[d].kind == kind, stage
                 assert contact[d] == (stage == "hold"), stage
+
+
+@pytest.mark.parametrize("name", ["orca_like", "n_plus_1", "jamia"])
+def test_only_digits_without_springs_close_with_a_slow_rise(name: str) -> None:
+    """Reproduce a defect: the tension of closed digits without springs rose with 200 N/s to 30 N.
+
+    A digit that friction had stopped early then closed so fast that fault T01 (a tendon snapped)
+    ended the run. The step of a hold is as fast as before.
+    """
+    model = HandModel.from_hand(load_hand(name), packaged_gains(name), 400.0)
+    usual = model.gains.tension.rate_N_per_s
+    moving = [d for d, digit in enumerate(model.hand.digit_names) if digit != "wrist"]
+    rates = [
+        (stage, {goals[d].rate for d in moving})
+        for stage, goals, _ in stages_of_exercise(model)
+        if stage in ("close", "hold")
+    ]
+    before_hold = rates[[stage for stage, _ in rates].index("hold") - 1]
+    assert before_hold == ("close", {usual if name == "jamia" else GENTLE_RISE_N_PER_S})
+    assert all(found == {usual} for stage, found in rates if stage == "hold")

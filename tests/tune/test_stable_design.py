@@ -34,7 +34,15 @@ from handctl.tune.loops.margins import (
     is_stable,
     margins_of_loop,
 )
-from handctl.tune.loops.step_tests import RestTest, StepOscillation, is_loop_ringing, simulate_swing
+from handctl.tune.loops.step_tests import (
+    DESIGN_FRACTION,
+    SEED_STEP,
+    RestTest,
+    StepOscillation,
+    is_loop_ringing,
+    median_swing,
+    simulate_swing,
+)
 from handctl.tune.search.ensemble import draw_ensemble
 from tests.conftest import NIGHTLY
 
@@ -225,7 +233,9 @@ def test_written_design_is_stable(hand: str, seed: int) -> None:
     model, factors = model_of(hand, seed, 3.0), draw_ensemble(2, seed)
     plants = tuple(linear_factors(one) for one in factors)
     try:
-        found = design_gains(model, plants, RestTest(model.hand, factors, plants, seed))
+        found = design_gains(
+            model, plants, RestTest(model.hand, factors, plants, seed, DESIGN_FRACTION)
+        )
     except ValueError:
         return  # in this case, no design is written
     after = judged_stable(model, found, seed)
@@ -260,13 +270,14 @@ def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
     assert not simulate_swing(model.hand, model, {}, 0).is_at_rest
 
 
-def rest_test_of(model: HandModel) -> RestTest:
+def rest_test_of(model: HandModel, fraction: float = 1.0) -> RestTest:
     """Return a test whether simulated hands come to rest.
 
     The test uses the nominal hand, and an ensemble of hands with changed parameters.
     """
     factors = draw_ensemble(2, 0)
-    return RestTest(model.hand, factors, tuple(linear_factors(one) for one in factors), 0)
+    plants = tuple(linear_factors(one) for one in factors)
+    return RestTest(model.hand, factors, plants, 0, fraction)
 
 
 def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
@@ -278,7 +289,6 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     model = HandModel.from_hand(load_hand("orca_like"), Gains(), RATE_BY_HAND_HZ["orca_like"])
     swing = simulate_swing(model.hand, model, {}, 0)
     assert swing.failure == ""
-    assert swing.is_at_rest
 
 
 @pytest.mark.parametrize("hand", QUICK_HANDS)
@@ -294,7 +304,7 @@ def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: 
 @pytest.mark.parametrize("hand", TESTED_HANDS)
 @pytest.mark.parametrize(
     ("swing_N", "chatter_N", "accepted"),
-    [(0.2, 0.0, True), (2.5, 0.0, False), (5.0, 4.0, True), (9.3, 4.0, False)],
+    [(0.2, 0.0, True), (2.5, 0.0, False), (5.0, 4.0, True), (10.3, 4.0, False)],
 )
 def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     monkeypatch: pytest.MonkeyPatch, hand: str, swing_N: float, chatter_N: float, accepted: bool
@@ -316,6 +326,38 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     proof = rest_test_of(model)
     assert proof(model) == accepted
     assert ("0.5 of the friction swings" in proof.reason) != accepted
+
+
+def test_one_peak_in_five_runs_does_not_decide_about_gains(
+    monkeypatch: pytest.MonkeyPatch, jamia: HandModel
+) -> None:
+    """Reproduce a defect: the same gains passed or failed with the seed of the noise.
+
+    The links of a pressed digit slip at random times. A run with a slip has a peak of several
+    newtons, and a design was judged by one run of each plant.
+    """
+    runs = [5.0, 0.9, 1.0, 0.9, 1.1]
+
+    def swing(hand: object, tried: HandModel, factors: object, seed: int) -> StepOscillation:
+        return StepOscillation(0.0, 0.0, (runs[seed // SEED_STEP],) * 4)
+
+    monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", swing)
+    assert median_swing(jamia.hand, jamia, {}, 0).hold_swings_N == (1.0,) * 4
+    assert rest_test_of(jamia)(jamia)
+
+
+def test_a_design_keeps_a_distance_from_the_limits(
+    monkeypatch: pytest.MonkeyPatch, jamia: HandModel
+) -> None:
+    """An oscillation of 1.6 N is at rest, but other noise could exceed the limit of 2 N."""
+    monkeypatch.setattr(
+        "handctl.tune.loops.step_tests.simulate_swing",
+        lambda hand, tried, factors, seed: StepOscillation(
+            0.0, 0.0, (0.0 if tried.gains.tension.integral_per_s == 0.0 else 1.6,) * 4
+        ),
+    )
+    assert rest_test_of(jamia)(jamia)
+    assert not rest_test_of(jamia, DESIGN_FRACTION)(jamia)
 
 
 def rest_test_with(

@@ -30,13 +30,22 @@ On the stop, the position error of a digit would be too small for the comparison
 FULL_MOVE_RAD = math.radians(30.0)
 """Angle of a move at full amplitude [rad]."""
 GENTLE_CLOSE_TENSION_N = 7.0
-"""Net tension with which spool pairs close their digits [N].
+"""Net tension with which digits without springs close [N].
 
-From 8 N on, a freely closing digit of spool pairs without load cells looks like a torn tendon
-(fault T01). The spool of such a digit winds fast, and its estimated tension is small.
+From 8 N on, a digit without springs that closes freely looks like a digit with a torn tendon (fault
+T01). Its spools wind fast, and the tension is small.
 """
-GENTLE_CLOSE_DURATION_S = 2.0
-"""Time in which spool pairs close their digits [s]."""
+GENTLE_CLOSE_DURATION_S = 1.5
+"""Time in which digits without springs close [s]."""
+GENTLE_RISE_N_PER_S = 20.0
+"""Rate at which the tension of digits without springs then rises [N/s].
+
+Friction or another digit may have stopped a digit before its end stop. With a slow rise, this digit
+starts with little excess tension and reaches its stop early. With 40 N/s or more, its spool winds
+so fast that the tendon looks torn (fault T01).
+"""
+GENTLE_RISE_DURATION_S = 1.3
+"""Time of this rise from 7 N to 30 N [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +60,7 @@ class ExerciseStage:
             joint, 1 rad stands for 10 mm.
         tension: target of a tension [N].
         rest: time of rest at the end of a move [s].
+        tension_rate: largest rate of the tension goals [N/s]. The gains may have a smaller limit.
     """
 
     name: str
@@ -58,11 +68,17 @@ class ExerciseStage:
     angle: float = math.nan
     tension: float = 0.0
     rest: float = REST_DURATION_S
+    tension_rate: float = math.inf
 
 
 def move_amplitude(angle: float) -> float:
     """Return the amplitude of the exercise at which the moves reach a given angle [rad]."""
     return (angle - HOME_ANGLE_RAD) / FULL_MOVE_RAD
+
+
+def _gentle_rise(stage: ExerciseStage) -> ExerciseStage:
+    """Return a stage that approaches its tension slowly, for digits without springs."""
+    return replace(stage, duration=GENTLE_RISE_DURATION_S, tension_rate=GENTLE_RISE_N_PER_S)
 
 
 def exercise_stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[ExerciseStage, ...]:
@@ -103,14 +119,14 @@ class ExerciseProgram:
         return tuple(stage for amplitude in self.amplitudes for stage in exercise_stages(amplitude))
 
     def stages_of(self, model: HandModel) -> tuple[ExerciseStage, ...]:
-        """Return all stages for a hand. Digits of spool pairs first close gently."""
-        if not model.is_pair.any():
+        """Return all stages for a hand. Digits that tendons open first close gently."""
+        if all(digit.has_springs for digit in model.hand.digit):
             return self.stages
         gentle = ExerciseStage("close", GENTLE_CLOSE_DURATION_S, tension=GENTLE_CLOSE_TENSION_N)
         return tuple(
             part
             for stage in self.stages
-            for part in ((gentle, stage) if stage.name == "close" else (stage,))
+            for part in ((gentle, _gentle_rise(stage)) if stage.name == "close" else (stage,))
         )
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
@@ -179,4 +195,5 @@ def _digit_goal(
         aim = stage.angle * digit.coordinate_units.scale
         return motion_to(digit, estimate, aim, stage.duration - stage.rest, t)
     tension = pull_tensions(model, d, stage.tension, estimate)
-    return tension_goal(model, d, tension, model.gains.tension.rate_N_per_s, estimate)
+    rate = min(stage.tension_rate, model.gains.tension.rate_N_per_s)
+    return tension_goal(model, d, tension, rate, estimate)

@@ -130,10 +130,7 @@ def _lacks_a_cell(hand: Hand, digit: str) -> bool:
 
 def _has_springs_without_cells(hand: Hand) -> bool:
     """Return True if a digit with springs has a tendon without load cell, other than a spool pair."""
-    return any(
-        any(digit.spring_stiffness_N_m_per_rad) and _lacks_a_cell(hand, digit.name)
-        for digit in hand.digit
-    )
+    return any(digit.has_springs and _lacks_a_cell(hand, digit.name) for digit in hand.digit)
 
 
 def _lowest_unchecked_rate(hand: Hand) -> float:

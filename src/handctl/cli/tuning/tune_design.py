@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     The command fails if the stability margins are too small.
     """
     from handctl.tune.loops.design import GainDesign, design_gains, linear_factors, model_with_gains
-    from handctl.tune.loops.step_tests import RestTest
+    from handctl.tune.loops.step_tests import DESIGN_FRACTION, RestTest
     from handctl.tune.plots import draw_loops
 
     if args.poles is None and args.damping != 1.0:
@@ -50,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
     plants = tuple(linear_factors(one) for one in factors)
     model = HandModel.from_hand(twin, gains, rate)
     proof = RestTest(twin, factors, plants, args.seed)
+    strict_proof = RestTest(twin, factors, plants, args.seed, DESIGN_FRACTION)
     console = rich_console(error=True)
     console.quiet = is_quiet()
     with console.status(f"keeping margins on {len(plants)} plants"):
@@ -57,11 +58,12 @@ def run(args: argparse.Namespace) -> int:
             result: GainDesign = (
                 _place_poles(args, model, plants, rate)
                 if args.poles is not None
-                else design_gains(model, plants, proof)
+                else design_gains(model, plants, strict_proof)
             )
         except ValueError as error:
-            return _report_failure(args, str(error))
-        if not result.worst_after.stable or not proof(model_with_gains(model, result.gains)):
+            return _report_failure(args, f"{error}{strict_proof.reason}")
+        is_proven = args.poles is None or proof(model_with_gains(model, result.gains))
+        if not result.worst_after.stable or not is_proven:
             return _report_failure(args, f"these poles are not stable on every plant{proof.reason}")
         result = (
             result if proof(model) else result.with_unproven_before(proof.reason.removeprefix(": "))

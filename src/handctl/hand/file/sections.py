@@ -402,6 +402,11 @@ class Digit(Section):
         return tuple(kind == PRISMATIC for kind in self.joint_type)
 
     @property
+    def has_springs(self) -> bool:
+        """Return True if a spring opens a joint. Otherwise, tendons open the digit."""
+        return any(self.joint_values("spring_stiffness_N_m_per_rad"))
+
+    @property
     def axes(self) -> tuple[tuple[float, float, float], ...]:
         """Return the axis of each joint in the frame of its link, from the file or by default."""
         if self.joint_axis is not None:

@@ -66,7 +66,7 @@ def excitation_steps(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, .
     """
     check_identifiable(hand, digits)
     for name in digits:
-        if not has_springs(hand, name):
+        if not hand.digit_named(name).has_springs:
             continue
         if (
             LIFT_FRACTION * (tension := lift_off_tension(hand, name))
@@ -82,13 +82,12 @@ def excitation_steps(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, .
     return tuple(
         step
         for name in digits
-        for step in (_digit_steps if has_springs(hand, name) else antagonist_steps)(hand, name)
+        for step in (
+            _digit_steps(hand, name)
+            if hand.digit_named(name).has_springs
+            else antagonist_steps(hand, name)
+        )
     )
-
-
-def has_springs(hand: Hand, digit: str) -> bool:
-    """Return True if springs open the digit. If tendons open it, return False."""
-    return any(hand.digit_named(digit).spring_stiffness_N_m_per_rad)
 
 
 def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:

@@ -63,7 +63,7 @@ The force is reduced until the margins that eigenvalues confirm are large enough
 """
 MAX_REDUCTIONS = 6
 """Largest number of reductions of a force after the search."""
-MAX_COMMON_REDUCTIONS = 3
+MAX_COMMON_REDUCTIONS = 5
 """Largest number of steps by which all forces are reduced together.
 
 The forces are reduced if the loops keep their margins but the hand does not come to rest in

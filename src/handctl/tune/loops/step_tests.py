@@ -49,6 +49,22 @@ With margins of 6 dB and 45 degrees, the three oscillations are at most 0.0004 r
 N, because of quantisation, noise, and stick-slip. With a gain margin of 2 dB or less, or an
 unstable loop, a held tension oscillates by 2.9 N or more, or the run ends with a fault.
 """
+CLEAR_FRACTION = 0.4
+"""Fraction of the limits below which one run decides that a hand comes to rest."""
+DESIGN_FRACTION = 0.7
+"""Fraction of the limits that the oscillations of a design may reach.
+
+With other noise, the hand then comes to rest as well.
+"""
+RUNS_OF_MEDIAN = 5
+"""Number of runs whose median oscillation is compared with the limits."""
+SEED_STEP = 1000
+"""Difference between the seeds of two runs of the same plant."""
+AMPLIFICATION = 2.0
+"""Factor by which a loop may amplify the oscillation of the plant.
+
+At its gain margin of 6 dB, a loop with this margin amplifies disturbances by 1 / (1 - 10^(-6/20)) = 2.
+"""
 
 
 class StepExercise(ExerciseProgram):
@@ -94,17 +110,25 @@ class StepOscillation:
     @property
     def is_at_rest(self) -> bool:
         """Return True if all oscillations are small enough for a hand at rest."""
+        return self.is_within(1.0)
+
+    def is_within(self, fraction: float) -> bool:
+        """Return True if the run did not fail and no oscillation is larger than a fraction of its limit."""
         small = (
-            self.angle_rad <= MAX_ANGLE_SWING_RAD
-            and self.free_tension_N <= MAX_FREE_SWING_N
-            and self.largest_hold_swing <= MAX_HOLD_SWING_N
+            self.angle_rad <= fraction * MAX_ANGLE_SWING_RAD
+            and self.free_tension_N <= fraction * MAX_FREE_SWING_N
+            and self.largest_hold_swing <= fraction * MAX_HOLD_SWING_N
         )
         return small and not self.failure
 
     def minus_plant_swings(self, plant_swings_N: tuple[float, ...]) -> "StepOscillation":
-        """Return the oscillation of the held tensions minus the oscillation of the plant itself [N]."""
+        """Return the oscillation of the held tensions minus the part that the plant causes [N].
+
+        A loop with sufficient margins amplifies the oscillation of the plant by up to
+        `AMPLIFICATION`.
+        """
         remaining = (
-            max(0.0, swing - plant_swing)
+            max(0.0, swing - AMPLIFICATION * plant_swing)
             for swing, plant_swing in zip(self.hold_swings_N, plant_swings_N, strict=True)
         )
         return replace(self, hold_swings_N=tuple(remaining))
@@ -148,6 +172,33 @@ def simulate_swing(
     angle, free = _measure_swing(hand, truth, model, ends["move"])
     _, hold = _measure_swing(hand, truth, model, ends["hold"])
     return StepOscillation(float(angle.max()), float(free.max()), tuple(hold.tolist()))
+
+
+def median_swing(
+    hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int
+) -> StepOscillation:
+    """Return the median oscillations of runs with different noise, or the first failure of a run.
+
+    A digit that slips on a stop causes a single peak in some runs. The median ignores this peak.
+    One run is enough if its oscillations are far below the limits.
+
+    Args:
+        hand: description of the simulated hand.
+        model: model of the hand, with its gains.
+        factors: factors by which the parameters of the plant differ from the description.
+        seed: seed of the simulated noise of the first run.
+    """
+    runs = list[StepOscillation]()
+    for i in range(RUNS_OF_MEDIAN):
+        run = simulate_swing(hand, model, factors, seed + i * SEED_STEP)
+        if run.failure or (i == 0 and run.is_within(CLEAR_FRACTION)):
+            return run
+        runs.append(run)
+    return StepOscillation(
+        float(np.median([run.angle_rad for run in runs])),
+        float(np.median([run.free_tension_N for run in runs])),
+        tuple(np.median([run.hold_swings_N for run in runs], axis=0).tolist()),
+    )
 
 
 def _measure_swing(
@@ -211,11 +262,6 @@ GAINS_WITHOUT_FEEDBACK = {
     },
 }
 """Gains with almost no feedback while a tension is held."""
-RUNS_WITHOUT_FEEDBACK = 3
-"""Number of runs without feedback. The largest oscillation of all runs without feedback is used.
-
-The chatter of pressed links varies by a factor of two between seeds of the noise.
-"""
 LOWEST_FRICTION_FACTORS = {"friction": 1.0 - MIN_FACTOR_SPREAD["friction"]}
 """Factors of a plant with the lowest friction of any ensemble.
 
@@ -233,14 +279,18 @@ class RestTest:
 
     The links of a digit that presses on an object may chatter even at constant motor torque. The
     chatter is a property of the plant. The oscillation is measured on the same plant without
-    feedback, and subtracted for each tendon. Nothing is subtracted if the eigenvalues of a linear
-    tension loop show that the loop itself oscillates.
+    feedback, multiplied by `AMPLIFICATION`, and subtracted for each tendon. Nothing is subtracted
+    if the eigenvalues of a linear tension loop show that the loop itself oscillates.
+
+    The chatter of pressed links varies by a factor of two between seeds of the noise. The test
+    therefore uses the median of several runs, see `median_swing`.
 
     Attributes:
         hand: description of the simulated hand.
         factors: factors of the plants of the ensemble. The nominal plant comes first.
         plants: linear factors of the plants.
         seed: seed of the simulated noise.
+        fraction: fraction of the limits that the oscillations may reach.
         reason: reason why the hand did not come to rest with the gains that were tested last. The
             value is empty if it did.
     """
@@ -249,6 +299,7 @@ class RestTest:
     factors: tuple[dict[str, float], ...]
     plants: tuple[PlantFactors, ...]
     seed: int
+    fraction: float = 1.0
     reason: str = ""
     _results: dict[str, str] = field(default_factory=dict)
     _chatter: dict[str, tuple[float, ...]] = field(default_factory=dict)
@@ -277,8 +328,8 @@ class RestTest:
             self.seed,
         )
         for name, (factors, seed) in cases.items():
-            result = simulate_swing(self.hand, model, factors, seed)
-            if result.is_at_rest:
+            result = median_swing(self.hand, model, factors, seed)
+            if result.is_within(self.fraction):
                 continue
             # A simulation without feedback shows how much the plant itself oscillates.
             ringing = is_loop_ringing(model, linear_factors(factors))
@@ -287,7 +338,7 @@ class RestTest:
                 or ringing
                 or not result.minus_plant_swings(
                     self._plant_swing(model, name, factors, seed)
-                ).is_at_rest
+                ).is_within(self.fraction)
             ):
                 return f": {name} {result}{' of a loop that oscillates' if ringing else ''}"
         return ""
@@ -295,19 +346,19 @@ class RestTest:
     def _plant_swing(
         self, model: HandModel, name: str, factors: Mapping[str, float], seed: int
     ) -> tuple[float, ...]:
-        """Return the largest oscillation of each held tension without feedback [N].
+        """Return the median oscillation of each held tension without feedback [N].
 
-        If the run fails, the oscillations count as zero.
+        If a run fails, its oscillations count as zero.
         """
         if name not in self._chatter:
             still = HandModel.from_hand(
                 model.hand, Gains.model_validate(GAINS_WITHOUT_FEEDBACK), 1.0 / model.period
             )
             runs = [
-                simulate_swing(self.hand, still, factors, seed + i)
-                for i in range(RUNS_WITHOUT_FEEDBACK)
+                simulate_swing(self.hand, still, factors, seed + i * SEED_STEP)
+                for i in range(RUNS_OF_MEDIAN)
             ]
             none = (0.0,) * model.tendon_count
-            each = zip(*(none if run.failure else run.hold_swings_N for run in runs), strict=True)
-            self._chatter[name] = tuple(max(values) for values in each)
+            each = [none if run.failure else run.hold_swings_N for run in runs]
+            self._chatter[name] = tuple(np.median(each, axis=0).tolist())
         return self._chatter[name]
