@@ -33,7 +33,7 @@ from handctl.runtime.hold_limit import HoldLimit
 from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings
-from handctl.tune.identify.excitation import excitation_steps, has_springs
+from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.identify import TendonResult, identify_tendons
 
 ResultRow = dict[str, Any]
@@ -63,7 +63,7 @@ DETUNED_GAIN_KEYS = ("motion.position_error_m", "motion.speed_error_m_s", "motio
 def gains_for(hand: Hand, digit: str, seed: int) -> Gains:
     """Return random gains for a digit with springs, and the packaged gains for other digits."""
     packaged = packaged_gains(hand.name)
-    return draw_gains(packaged, seed) if has_springs(hand, digit) else packaged
+    return draw_gains(packaged, seed) if hand.digit_named(digit).has_springs else packaged
 
 
 def draw_plant(seed: int, sprung: bool = True) -> dict[str, float]:
@@ -168,7 +168,7 @@ def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia")
     for a failure.
     """
     hand = load_hand(hand_name)
-    sprung = has_springs(hand, digit)
+    sprung = hand.digit_named(digit).has_springs
     factors = draw_plant(seed, sprung)
     result, row = excite_and_fit(
         hand_name, digit, seed, factors, gains_for(hand, digit, seed), folder
