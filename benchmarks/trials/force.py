@@ -100,7 +100,7 @@ def force_trial(hand: str, law: str, seed: int, plant: str) -> LockstepTrial:
 
 
 def force_figures(record: TrialRecord) -> dict[str, float]:
-    """Return the errors of both force steps, as means over the tendons.
+    """Return the errors after the step up and the step down of the tension, as means over the tendons.
 
     The results are overshoot [N], settling time [s], steady error [N], ripple [N], and RMSE [N].
     """

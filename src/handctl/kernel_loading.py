@@ -53,9 +53,9 @@ def load_kernel(dispatcher: Any, types: tuple[Any, ...]) -> None:
 @contextmanager
 def _without_compiler(context: Any) -> Iterator[None]:
     """Let numba load stored code without registering types and parsing bitcode, inside this context."""
-    runtime.rtsys.initialize(
-        context
-    )  # this function counts references to arrays, and numba normally adds it when it registers types
+    # Stored code calls the functions that count references to arrays. numba adds these functions to
+    # a context only when it registers types, so they are added here.
+    runtime.rtsys.initialize(context)
     library: Any = codegen.CPUCodeLibrary
     before = library.__dict__["_unserialize"]
     library._unserialize = classmethod(_load_object_code)

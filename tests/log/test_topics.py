@@ -39,7 +39,7 @@ def _write_log(
     flush_at: frozenset[int] = frozenset(),
     events: tuple[str, ...] = (),
 ) -> Path:
-    """Write a log in this process, with additional borders between chunks at ``flush_at``.
+    """Write a log in this process, and begin a new chunk at each index in ``flush_at``.
 
     Also check the reports of the writer.
     """

@@ -20,7 +20,7 @@ SINK_START_TICK, SINK_END_TICK = 200, 350
 
 
 def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[InventedLog, TruthRecord]:
-    """Create a log and a truth record in which table and object sink linearly.
+    """Create a log and the true values of a run in which table and object sink with constant speeds.
 
     Table and object sink from SINK_START_TICK to SINK_END_TICK.
     """

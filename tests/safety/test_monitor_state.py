@@ -96,8 +96,8 @@ def run_ticks(
 ) -> tuple[SyntheticMonitor, FindingsByFault]:
     """Run the same tick several times.
 
-    Return the monitor and the findings of the last tick. A keyword may be a function that returns
-    the value in a tick with a given number.
+    Return the monitor and the findings of the last tick. The value of a keyword may be a function
+    that computes the value from the number of the tick.
     """
     monitor, found = monitor or monitor_at_20_newton(), {}
     for k in range(number):

@@ -78,8 +78,8 @@ class MatrixRow(NamedTuple):
             name of the protocol. These ticks are added to the time ``extra_ms``.
         no_cell_ms: further time if the tendon of the fault has no load cell [ms].
         sensor_frames: number of further frames of the sensor node that the detection needs.
-            ``ticks`` contains one tick for each. If the hand has no load cells, each is a joint
-            frame, and comes after ``joint_decimation`` ticks.
+            ``max_ticks`` contains one tick for each of these frames. If the hand has no load cells,
+            the sensor node sends only joint frames, and each comes after ``joint_decimation`` ticks.
         force_change_N: variation of the motor force that the detection needs [N]. The time limit
             counts from the instant at which the motor force has varied by this much since the
             fault. If the motor force never varies by this much, no reaction is required.

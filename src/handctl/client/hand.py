@@ -365,8 +365,8 @@ class HandClient:
             stiffness_N_m_per_rad: stiffness of the streamed joints against a push, for impedance
                 control. If it is None, the gains determine the stiffness. A larger stiffness than
                 that of the gains is not allowed.
-            damping_ratio: damping ratio of the streamed joints, from 0.5 to 2, where 1 stands for
-                the damping ratio of the gains.
+            damping_ratio: damping ratio of the streamed joints, divided by the damping ratio of the
+                gains, from 0.5 to 2.
 
         Raises:
             ConfigError: the controller has refused the stream, e.g. because of a name or a rate, or
