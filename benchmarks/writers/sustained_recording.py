@@ -24,6 +24,7 @@ from handctl.core.tick_types import (
     HandMode,
     IoEvent,
     PackedTelemetry,
+    TelemetryPlaces,
     TickIn,
     TickOut,
     TickRequest,
@@ -98,7 +99,7 @@ def measure_sustained(path: Path, seconds: float) -> dict[str, Any]:
 
 def packed_tick(tick_in: TickIn, out: TickOut) -> TickPair:
     """Convert a tick as the control loop does: its frames to records, and its telemetry to one array."""
-    places = {}
+    places = TelemetryPlaces()
     at = 0
     for name, values in zip(TELEMETRY_FIELDS, out.telemetry, strict=True):
         places[name] = slice(at, at + len(values))

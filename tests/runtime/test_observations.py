@@ -22,6 +22,7 @@ from handctl.core.tick_types import (
     TELEMETRY_FIELDS,
     HandMode,
     PackedTelemetry,
+    TelemetryPlaces,
     TickIn,
     TickOut,
 )
@@ -58,7 +59,7 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def numbers_of(k: int) -> PackedTelemetry:
     """Return telemetry in which each number depends on the tick and on its own index."""
-    places, first = {}, 0
+    places, first = TelemetryPlaces(), 0
     for name in TELEMETRY_FIELDS:
         places[name] = slice(first, first + AXIS_LENGTHS[TELEMETRY_AXES[name]])
         first = places[name].stop

@@ -3,7 +3,7 @@
 import numpy as np
 
 from handctl.core.block_schema import BlockArray, BlockLayout
-from handctl.core.tick_types import TELEMETRY_FIELDS, PackedTelemetry
+from handctl.core.tick_types import TELEMETRY_FIELDS, PackedTelemetry, TelemetryPlaces
 
 STATE_FIELD_OF = {
     "joint_encoder": "measured_joint",
@@ -32,10 +32,9 @@ class TelemetryGatherer:
         parts = [layout.view(numbered, STATE_FIELD_OF.get(name, name)) for name in TELEMETRY_FIELDS]
         ends = np.cumsum([0, *map(len, parts)]).tolist()
         self._index = np.concatenate(parts).astype(np.intp)
-        self._places = {
-            name: slice(first, end)
-            for name, first, end in zip(TELEMETRY_FIELDS, ends[:-1], ends[1:], strict=True)
-        }
+        self._places = TelemetryPlaces(
+            zip(TELEMETRY_FIELDS, map(slice, ends[:-1], ends[1:]), strict=True)
+        )
 
     def __call__(self, block: BlockArray) -> PackedTelemetry:
         """Return the telemetry of a tick, copied from a state block."""

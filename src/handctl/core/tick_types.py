@@ -2,6 +2,7 @@
 
 import enum
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -203,6 +204,19 @@ class Telemetry(NamedTuple):
         return b"".join([array.tobytes() for array in self])
 
 
+FIELD_OF_EACH_AXIS = "q", "tension", "motor_torque", "contact"
+"""One telemetry field for each axis, in the order joint, tendon, motor, digit."""
+
+
+class TelemetryPlaces(dict[str, slice]):
+    """Slice of each telemetry field in the array of all fields, by the name of the field."""
+
+    @cached_property
+    def axis_lengths(self) -> tuple[int, ...]:
+        """Return the numbers of joints, tendons, motors and digits."""
+        return tuple(self[name].stop - self[name].start for name in FIELD_OF_EACH_AXIS)
+
+
 class PackedTelemetry:
     """Telemetry of a tick as one array, in the same form as in the log.
 
@@ -215,7 +229,7 @@ class PackedTelemetry:
 
     __slots__ = ("numbers", "places")
 
-    def __init__(self, numbers: Vector, places: dict[str, slice]) -> None:
+    def __init__(self, numbers: Vector, places: TelemetryPlaces) -> None:
         """Store the array, without a copy.
 
         Args:

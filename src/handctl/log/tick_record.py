@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.tick_types import (
+    FIELD_OF_EACH_AXIS,
     TELEMETRY_AXES,
     TELEMETRY_FIELDS,
     HandMode,
@@ -118,8 +119,8 @@ This function is faster than the constructor of the named tuple.
 """
 _COUNT_STRUCT = struct.Struct("<I")
 _NO_LONG_DATA = _COUNT_STRUCT.pack(0)
-_FIELD_OF_EACH_AXIS = "q", "tension", "motor_torque", "contact"
-"""One telemetry field for each axis, in the order joint, tendon, motor, digit."""
+_SHORT_LENGTHS = bytes(range(9))
+"""Payload lengths of frames without long bytes."""
 
 
 class TickRecord(NamedTuple):
@@ -219,11 +220,10 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
     )
     beginnings = [records.getfield(_SHORT_FRAME_DTYPE).tobytes() for records in (received, sent)]
     long_part = _NO_LONG_DATA
-    # A slice with a stride reads the length of every frame without decoding the frames.
-    if (
-        max(b"".join([part[_LENGTH_OFFSET::FRAME_RECORD_BYTES] for part in beginnings]), default=0)
-        > _SHORT_DATA_BYTES
-    ):
+    # A slice with a stride reads the length of every frame without decoding the frames. If all
+    # frames are short, nothing remains when the short lengths are stripped.
+    lengths = b"".join([part[_LENGTH_OFFSET::FRAME_RECORD_BYTES] for part in beginnings])
+    if lengths.strip(_SHORT_LENGTHS):
         long_data = _long_data(received) + _long_data(sent)
         long_part = _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
     # The first field of a frame is an int64. Therefore CDR aligns the frames to 8 bytes. If there
@@ -270,14 +270,11 @@ def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
     )
 
 
-def _axis_lengths(numbers: Telemetry | PackedTelemetry) -> list[int]:
+def _axis_lengths(numbers: Telemetry | PackedTelemetry) -> tuple[int, ...]:
     """Return the numbers of joints, tendons, motors and digits in the telemetry."""
     if isinstance(numbers, PackedTelemetry):
-        return [
-            columns.stop - columns.start
-            for columns in map(numbers.places.__getitem__, _FIELD_OF_EACH_AXIS)
-        ]
-    return [len(getattr(numbers, name)) for name in _FIELD_OF_EACH_AXIS]
+        return numbers.places.axis_lengths
+    return tuple(len(getattr(numbers, name)) for name in FIELD_OF_EACH_AXIS)
 
 
 class MessageLayout(NamedTuple):
