@@ -1,10 +1,9 @@
 """Detect stalls of the machine.
 
-A failure of a test on the real clock during a stall is no sign of a defect.
-
 A host sometimes pauses a virtual machine for tens of milliseconds. During such a stall, a
-controller correctly ends its run. A sleeping process on each core detects the stall, independently
-of the tested processes.
+controller correctly ends its run. A test that runs in real time may therefore fail although the
+code has no defect. A sleeping process on each core detects the stall, independently of the tested
+processes.
 """
 
 import contextlib

@@ -85,7 +85,7 @@ class FolderTally:
             self.places[count].append(f"{place}: {finding}")
 
     def ratio(self, count: str) -> float:
-        """Return a count divided by the total of its quantity, see ``QUANTITY_PER_COUNT``."""
+        """Return how often something occurs, for example per 1000 words, see ``QUANTITY_PER_COUNT``."""
         quantity, factor = QUANTITY_PER_COUNT[count]
         return (
             factor * self.counts[count] / max(self.totals[quantity], 1)

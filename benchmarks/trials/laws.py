@@ -97,7 +97,7 @@ This force costs as much as the position error and the speed error that define t
 
 
 def force_scale(rate_hz: float) -> float:
-    """Return the factor that cancels the reduction of the force weight at low control rates."""
+    """Return the factor that restores the force weight, which the controller reduces at a low control rate."""
     return 1.0 / largest_force_weight(1.0, 1.0 / rate_hz)
 
 

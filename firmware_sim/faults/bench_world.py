@@ -95,7 +95,7 @@ class BenchWorld:
 
     @property
     def slip_ns(self) -> int:
-        """Return the total delay behind the wall clock that the simulation will never make up [ns]."""
+        """Return the total time by which the simulation has permanently fallen behind the wall clock [ns]."""
         return self._bench.slip_ns
 
     def node_of(self, name: str) -> Any:

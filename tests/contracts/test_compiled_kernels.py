@@ -251,8 +251,8 @@ def package_copy(tmp_path: Path) -> Path:
 def run_copied_kernel(package: Path, cache: Path) -> tuple[bool, bool, bool]:
     """Run the added kernel of a copied package in another process.
 
-    Returns: The result of the kernel, whether stored code of the kernel was used, and whether its
-        code can be stored.
+    Returns: The result of the kernel, True if its machine code was loaded from a file, and True if
+        its machine code can be stored in a file.
     """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(package.parent)}
     command = [sys.executable, "-c", ASK_PROBE_CODE]

@@ -87,7 +87,7 @@ def files_for(page: str) -> Callable[[Path], None]:
 
 
 def page_cases() -> Iterator[Any]:
-    """Yield the pages that contain commands, with the markers of their tests."""
+    """Yield one test case of pytest for each page that contains commands."""
     for page, parts in EXECUTED_BLOCKS.items():
         if any(block.language == "sh" and not stays_open(block) for block in parts):
             live = page in SIMULATOR_COMMANDS or any(map(stays_open, parts))

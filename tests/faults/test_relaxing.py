@@ -125,8 +125,8 @@ def test_relaxing_raises_no_command_and_no_tension(
 
 def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: str) -> None:
     recent: list[TendonInstant] = [observe_instant(simulation)]
-    # The largest command includes commands from before the decision to relax, because a drive with
-    # a delay may execute such a command later.
+    # A drive with a delay may still execute a command from before the stop. The largest command
+    # therefore includes these commands.
     commanded = [simulation.state.view("asked").copy()]
     while simulation.state.mode == HandMode.ACTIVE:
         simulation.run_tick(requests=(STOP_REQUEST,) if simulation.k == stop_at else ())

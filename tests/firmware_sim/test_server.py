@@ -94,8 +94,8 @@ def test_the_plant_follows_the_clock_in_whole_steps(bench: ServerBench) -> None:
 def test_a_frame_samples_the_plant_at_its_exact_time(bench: ServerBench) -> None:
     """A received frame triggers a sensor reading of exactly its arrival time.
 
-    The last whole simulation step may be up to 0.5 ms older. A reading does not change the times of
-    the steps.
+    The simulation advances in steps of 0.5 ms. The reading of a sensor between two steps does not
+    change the times of the steps.
     """
     bench.turn(3.7, Frame(1, ENABLE_PAYLOAD))
     assert bench.world.t_ns == START_NS + round(3.7 * NS_PER_MS)

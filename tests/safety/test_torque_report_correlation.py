@@ -147,9 +147,9 @@ def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, size: float) -> 
 
 
 def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands (COMMAND_TICKS, 2) [N], and reports of drives that obey, on a bus that sometimes stops.
+    """Return commands (COMMAND_TICKS, 2) [N], and the torque that healthy drives report [N].
 
-    The bus stops for one to five ticks at a time, while the commands continue to change. The first
+    The bus sometimes transmits no frames for one to five ticks, while the commands continue to change. The first
     reports after a stop still show the command from before the stop.
     """
     random = np.random.default_rng(seed)

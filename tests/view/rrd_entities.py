@@ -73,6 +73,6 @@ def entities_of_file(path: Path) -> dict[str, RecordingEntity]:
 
 
 def run_info_of(path: Path) -> RunInfo:
-    """Return the description of run and hand that the viewer takes from a log."""
+    """Return the data about the run and the hand that the viewer reads from the header of a log."""
     with RunLog(path) as log:
         return RunInfo.from_header(log.header, path.stem)

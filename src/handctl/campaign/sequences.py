@@ -305,9 +305,10 @@ def violations_at_end(simulation: SimulatedRun) -> list[str]:
 
 
 def violations_on_replay(simulation: SimulatedRun, state: ControllerState, first: int) -> list[str]:
-    """Execute the inputs of a simulated run again.
+    """Execute the ticks of a simulated run again, with the same inputs.
 
-    If the repetition differs in state, frames or events, return a text about the first such tick.
+    If a tick has another state, other frames or other events than before, return a text about the
+    first tick of this kind.
     """
     for entry, out in simulation.recorded_ticks[first:]:
         state, replayed = simulation.controller.tick(state, entry)

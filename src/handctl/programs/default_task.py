@@ -231,7 +231,10 @@ def _pressing_tension(hand: Hand, name: str) -> float:
 
 
 def grasp_warnings(hand: Hand) -> tuple[str, ...]:
-    """Return one line for each reason why a hand is too weak or too one-sided for the default task."""
+    """Return one line for each reason why a hand cannot lift the object of the default task.
+
+    Either no digit closes against another digit, or a digit is too weak.
+    """
     warnings = []
     opposed = _are_digits_opposed(hand)
     if len(set(opposed.values())) == 1:

@@ -230,9 +230,9 @@ def declare_fault(
         needs_joint_encoders,
     )
     DECLARED_FAULTS.append(declared)
-    # A fault may affect several kinds of parts, such as tendons and joints. In the table of the
-    # detectors' results, the fault has one row for each kind. For the second kind, detectors add 1
-    # to the row of the first kind.
+    # A fault may concern several kinds of parts, such as tendons and joints. Detectors write their
+    # results into a table. In this table, the fault has one row for tendons and one row for joints.
+    # For the second kind of part, detectors add 1 to the row of the first kind.
     first = len(DETECTOR_ROWS)
     DETECTOR_ROWS.extend((declared, kind) for kind in per)
     return first if per else -1
