@@ -85,7 +85,10 @@ class FolderTally:
             self.places[count].append(f"{place}: {finding}")
 
     def ratio(self, count: str) -> float:
-        """Return how often something occurs, for example per 1000 words, see ``QUANTITY_PER_COUNT``."""
+        """Return how often something occurs, for example per 1000 words.
+
+        The unit of each count is in ``QUANTITY_PER_COUNT``.
+        """
         quantity, factor = QUANTITY_PER_COUNT[count]
         return (
             factor * self.counts[count] / max(self.totals[quantity], 1)
