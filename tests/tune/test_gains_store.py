@@ -1,4 +1,4 @@
-"""Test gain files on disk.
+"""Test how files with gains are written, read and restored.
 
 Every change can be undone, and a reader never sees a file that is only partly written.
 """
