@@ -44,6 +44,8 @@ class LawState(NamedTuple):
         friction_state: friction of each tendon as a fraction of its full amount, from 1 (winding
             up) to -1 (paying out). NaN if the fraction is unknown, and None before the first
             command.
+        friction_slider: travel at which the friction element of each tendon has no tension [m]. NaN
+            if it is unknown, and None before the first command.
     """
 
     setpoint: np.ndarray
@@ -54,6 +56,7 @@ class LawState(NamedTuple):
     trim: np.ndarray | None = None
     held: np.ndarray | None = None
     friction_state: np.ndarray | None = None
+    friction_slider: np.ndarray | None = None
 
     @staticmethod
     def before_first_command(n: int) -> "LawState":
@@ -130,6 +133,8 @@ def run_law_tick(
         state.set_run_integer(s.TRIMMED, 1)
     if law.friction_state is not None:
         state.view("friction_state")[...] = law.friction_state
+    if law.friction_slider is not None:
+        state.view("friction_slider")[...] = law.friction_slider
     if temperature_limit_N is not None:
         state.view("temperature")[...] = temperatures_for_limits(model, temperature_limit_N)
     if held_limit_N is not None:

@@ -64,7 +64,9 @@ def test_expected_tension_at_rest_approaches_the_load(model: HandModel) -> None:
 
 def test_a_tendon_with_almost_no_expected_tension_pays_out(model: HandModel) -> None:
     n = model.tendon_count
-    before = LawState.before_first_command(n)._replace(planned=np.full(n, 5e-324))
+    before = LawState.before_first_command(n)._replace(
+        planned=np.full(n, 5e-324), friction_slider=np.ones(n)
+    )
     law, _ = run_law_tick(
         model, before, estimate_under_tension(model, 1.0), moving_goals(model, 0.6, 0.7, 1.0), 0.5
     )

@@ -113,6 +113,7 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
         "trim",
         "torque",
         "friction_state",
+        "friction_slider",
     ):
         state.view(name)[...] = 7.0
     state.view("tension")[...] = tension
@@ -128,6 +129,7 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
         assert not part.any()
     assert (law.trim, law.held) == (None, None)
     assert np.isnan(law.friction_state).all()
+    assert np.isnan(law.friction_slider).all()
     for name, size, value in (
         ("torque", model.tendon_count, 0.0), ("tension", model.tendon_count, np.nan),
         ("joint_torque", len(model.hand.joints), 0.0), ("q", len(model.hand.joints), np.nan),

@@ -234,6 +234,8 @@ HOLD_LIMIT = _real("limit_held", "tendon", "N",
     "largest tension while safety holds the hand", initial=NAN)  # fmt: skip
 FRICTION_STATE = _real("friction_state", "tendon", "",
     "development of friction: 1 winding, -1 paying out; NaN if unknown", initial=NAN)  # fmt: skip
+FRICTION_SLIDER = _real("friction_slider", "tendon", "m", initial=NAN,
+    meaning="travel at which the friction element of a moving tendon has no tension; NaN if unknown")  # fmt: skip
 TRIMMED = _whole("trimmed", "run", "", "1 while a trim is not yet zero")
 HOLDING = _whole("holding", "run", "", "1 while safety holds the hand")
 

@@ -37,7 +37,7 @@ from handctl.core.control_law.digit_reference import (
     is_stream_running,
     is_tendon_streamed,
 )
-from handctl.core.control_law.friction_band import predict_moving_tension
+from handctl.core.control_law.friction_band import predict_moving_tension, update_friction_state
 from handctl.core.control_law.null_space import INTEGRAL_LIMIT_N, raise_tensions_to_floor
 from handctl.core.control_law.servo_commands import (
     begin_servo_commands,
@@ -122,6 +122,7 @@ def command_no_torque(x: StateTables, c: ConstantTables) -> None:
         ] = x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
         x.tendon[s.TRIM, n] = x.tendon[s.TORQUE, n] = 0.0
         x.tendon[s.TENSION_GOAL, n] = x.tendon[s.FRICTION_STATE, n] = math.nan
+        x.tendon[s.FRICTION_SLIDER, n] = math.nan
     for j in range(x.joint.shape[1]):
         x.joint[s.JOINT_TORQUE, j] = 0.0
         x.joint[s.Q_GOAL, j] = x.joint[s.DQ_GOAL, j] = math.nan
@@ -258,9 +259,10 @@ def write_motor_torques(
         x.tendon[s.TENSION_INTEGRAL, n] = integral
         if kind == MOTION:
             predict_moving_tension(x, c, n, rate, winding[n])
+            update_friction_state(x, c, n, winding[n])
         else:
             x.tendon[s.PLANNED_TENSION, n] = x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
-            x.tendon[s.FRICTION_STATE, n] = math.nan
+            x.tendon[s.FRICTION_STATE, n] = x.tendon[s.FRICTION_SLIDER, n] = math.nan
     _fade_trim(x, c)
     _write_joint_torques(x, c, trajectory, load)
 

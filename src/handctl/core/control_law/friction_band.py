@@ -1,6 +1,7 @@
-"""Prediction of the tension of a moving digit, which depends on friction.
+"""Prediction of the tension of a moving digit, which depends on friction, and the present friction.
 
-The tension filter uses the predicted tension as an input.
+The tension filter uses the predicted tension as an input. The detection of contacts uses the
+present friction.
 
 Because of friction, the tension of a moving digit is in a band around the tension that springs and
 gravity require. The tension is at the upper edge of the band while the tendon is wound, and at the
@@ -26,6 +27,10 @@ MIN_SLIDING_SPEED_M_S = 1.3 * CAPSTAN_FRICTION_SPEED_M_S
 
 Below this speed, friction rises linearly. The line approximates the tanh of the friction model.
 """
+MIN_SLIDING_FRICTION = 1e-3
+"""Friction state below which the friction is proportional to the speed."""
+MAX_SLIDING_FRICTION = 0.99
+"""Largest friction state for which the speed of the slider is computed. At 1, the speed is infinite."""
 MIN_FRICTION_N = 1e-3
 """Smallest assumed friction [N], so that the friction band has a positive width."""
 MAX_EFFICIENCY = 1.0 - 1e-9
@@ -36,9 +41,7 @@ MAX_EFFICIENCY = 1.0 - 1e-9
 def predict_moving_tension(
     x: StateTables, c: ConstantTables, n: int, rate: float, efficiency: float
 ) -> None:
-    """Predict for the next tick the tension of a moving tendon, the rate of the tension, and the friction.
-
-    The friction is a number from 1 for a tendon that is wound to -1 for a tendon that is paid out.
+    """Predict for the next tick the tension of a moving tendon, and the rate of the tension.
 
     Args:
         x: state tables, with ``PLANNED_TENSION`` of the last tick and ``FILTER_FORCE`` of the
@@ -57,26 +60,105 @@ def predict_moving_tension(
     coming_speed = x.tendon[s.SPEED, n] + 0.5 * period / c.tendon[h.MOTOR_MASS, n] * accelerating
     coming = max(load + period * c.tendon[h.LOAD_STIFFNESS, n] * rate, c.tendon[h.TENSION_FLOOR, n])
     wound = period * coming_speed
-    if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-        _predict_pair_tension(x, c, n, coming, efficiency, wound)
-        return
-    now = before if before > 0.0 else tension
-    planned = tension_after_period(
-        now,
-        coming,
-        efficiency,
-        wound,
-        c.tendon[h.TENDON_STIFFNESS, n],
-        MIN_SLIDING_SPEED_M_S * period,
-    )
+    # 0 means that the tension of the last tick is unknown.
+    is_pair = c.tendon_int[h.IS_SPOOL_PAIR, n] == 1
+    known = before != 0.0 if is_pair else before > 0.0
+    now = before if known else tension
+    planned = _tension_with_friction(c, n, now, coming, efficiency, wound, MIN_SLIDING_SPEED_M_S)
     x.tendon[s.PLANNED_TENSION, n] = planned
-    x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
+    x.tendon[s.PLANNED_TENSION_RATE, n] = (planned - before) / period if known else 0.0
+
+
+@kernel_helper
+def update_friction_state(x: StateTables, c: ConstantTables, n: int, efficiency: float) -> None:
+    """Write how far the friction of a moving tendon has developed.
+
+    The friction is a number from 1 for a tendon that is wound to -1 for a tendon that is paid out.
+    The element of the friction band is stretched by the travel of the spool, less the travel of
+    its slider. The planned tension cannot give the friction, because it adds up the estimated
+    speed: a load-cell error makes the filter expect a force on the motor that is not there, and its
+    speed is wrong by 0.1 mm/s per newton. Where a digit comes to rest, the unexplained tension then
+    resembles a contact.
+
+    Args:
+        x: state tables, with ``FRICTION_SLIDER`` of the last tick.
+        c: constants of the hand.
+        n: index of the tendon.
+        efficiency: tension at the joints, divided by the tension at the load cell, while the tendon
+            is wound.
+    """
+    stiffness = c.tendon[h.TENDON_STIFFNESS, n]
+    travel = x.tendon[s.TRAVEL, n]
+    slider = x.tendon[s.FRICTION_SLIDER, n]
+    sliding_speed = _sliding_speed(x.tendon[s.FRICTION_STATE, n])
     x.tendon[s.FRICTION_STATE, n] = math.nan
-    if before > 0.0:
-        x.tendon[s.PLANNED_TENSION_RATE, n] = (planned - before) / period
-        ratio_log = math.log(max(before, MIN_FRICTION_N) / max(load, MIN_FRICTION_N))
+    if math.isnan(slider):
+        x.tendon[s.FRICTION_SLIDER, n] = travel - x.tendon[s.TENSION, n] / stiffness
+        return
+    load = x.tendon[s.REQUIRED_TENSION, n]
+    if not c.tendon_int[h.IS_SPOOL_PAIR, n]:
+        load = max(load, c.tendon[h.TENSION_FLOOR, n])
+    stretched = stiffness * (travel - slider)
+    tension = _tension_with_friction(c, n, stretched, load, efficiency, 0.0, sliding_speed)
+    x.tendon[s.FRICTION_SLIDER, n] = travel - tension / stiffness
+    if c.tendon_int[h.IS_SPOOL_PAIR, n]:
+        lower, upper = _pair_friction_band(c, n, load, efficiency)
+        developed = (2.0 * tension - upper - lower) / (upper - lower + MIN_FRICTION_N)
+    else:
+        ratio_log = math.log(max(tension, MIN_FRICTION_N) / max(load, MIN_FRICTION_N))
         developed = -ratio_log / math.log(min(efficiency, MAX_EFFICIENCY))
-        x.tendon[s.FRICTION_STATE, n] = min(max(developed, -1.0), 1.0)
+    x.tendon[s.FRICTION_STATE, n] = min(max(developed, -1.0), 1.0)
+
+
+@kernel_helper
+def _sliding_speed(friction_state: float) -> float:
+    """Return the speed at which a line through the present friction has full friction [m/s].
+
+    The friction is the tanh of the speed. The line of ``MIN_SLIDING_SPEED_M_S`` is too low for the
+    slow motion at the end of a trajectory, and the difference would resemble a contact.
+
+    Args:
+        friction_state: present friction, from 1 to -1, or NaN if it is unknown.
+    """
+    if math.isnan(friction_state) or abs(friction_state) < MIN_SLIDING_FRICTION:
+        return CAPSTAN_FRICTION_SPEED_M_S
+    friction = min(abs(friction_state), MAX_SLIDING_FRICTION)
+    return CAPSTAN_FRICTION_SPEED_M_S * math.atanh(friction) / friction
+
+
+@kernel_helper
+def _tension_with_friction(
+    c: ConstantTables,
+    n: int,
+    present_tension: float,
+    load: float,
+    efficiency: float,
+    wound_length: float,
+    sliding_speed: float,
+) -> float:
+    """Return the tension of a tendon or the net tension of a spool pair after a period [N].
+
+    Args:
+        c: constants of the hand.
+        n: index of the tendon.
+        present_tension: present tension [N].
+        load: tension that the digit would need without friction at the end of the period [N].
+        efficiency: tension at the joints, divided by the tension at the load cell, while a tendon
+            is wound.
+        wound_length: tendon length that the spool winds in the period [m].
+        sliding_speed: speed at which the viscous slider would have full friction [m/s].
+    """
+    stiffness = c.tendon[h.TENDON_STIFFNESS, n]
+    crept_length = sliding_speed * c.run[h.PERIOD]
+    if not c.tendon_int[h.IS_SPOOL_PAIR, n]:
+        return tension_after_period(
+            present_tension, load, efficiency, wound_length, stiffness, crept_length
+        )
+    # Whenever a pair moves, one of its tendons is wound and the other is paid out.
+    lower, upper = _pair_friction_band(c, n, load, efficiency)
+    creep = stiffness * crept_length / (0.5 * (upper - lower) + MIN_FRICTION_N)
+    sticking = (present_tension + stiffness * wound_length + creep * load) / (1.0 + creep)
+    return min(max(sticking, lower), upper)
 
 
 @kernel_helper
@@ -107,43 +189,19 @@ def tension_after_period(
 
 
 @kernel_helper
-def _predict_pair_tension(
-    x: StateTables,
-    c: ConstantTables,
-    n: int,
-    coming_tension: float,
-    efficiency: float,
-    wound_length: float,
-) -> None:
-    """Write the results of ``predict_moving_tension`` for a spool pair.
-
-    Whenever the pair moves, one of its tendons is wound and the other is paid out.
+def _pair_friction_band(
+    c: ConstantTables, n: int, load: float, efficiency: float
+) -> tuple[float, float]:
+    """Return the smallest and the largest net tension of a spool pair with friction [N].
 
     Args:
-        x: state tables.
         c: constants of the hand.
         n: index of the spool pair.
-        coming_tension: net tension that the digit would require at the next tick without friction
-            [N].
-        efficiency: tension at the joints as a fraction of the tension at the load cell, while a
-            tendon is wound.
-        wound_length: tendon length that the spool winds in the period [m].
+        load: net tension that the digit would need without friction [N].
+        efficiency: tension at the joints, divided by the tension at the load cell, while a tendon
+            is wound.
     """
-    before = x.tendon[s.PLANNED_TENSION, n]
     pretension = c.tendon[h.PRETENSION, n]
-    period = c.run[h.PERIOD]
-    upper = net_tension_at_spool(coming_tension, pretension, efficiency)
-    lower = net_tension_at_spool(coming_tension, pretension, 1.0 / efficiency)
-    # 0 means that the tension of the last tick is unknown.
-    now = x.tendon[s.TENSION, n] if before == 0.0 else before
-    stiffness = c.tendon[h.TENDON_STIFFNESS, n]
-    creep = stiffness * MIN_SLIDING_SPEED_M_S * period / (0.5 * (upper - lower) + MIN_FRICTION_N)
-    sticking = (now + stiffness * wound_length + creep * coming_tension) / (1.0 + creep)
-    planned = min(max(sticking, lower), upper)
-    x.tendon[s.PLANNED_TENSION, n] = planned
-    x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
-    x.tendon[s.FRICTION_STATE, n] = math.nan
-    if before != 0.0:
-        x.tendon[s.PLANNED_TENSION_RATE, n] = (planned - before) / period
-        developed = (2.0 * before - upper - lower) / (upper - lower + MIN_FRICTION_N)
-        x.tendon[s.FRICTION_STATE, n] = min(max(developed, -1.0), 1.0)
+    upper = net_tension_at_spool(load, pretension, efficiency)
+    lower = net_tension_at_spool(load, pretension, 1.0 / efficiency)
+    return lower, upper
