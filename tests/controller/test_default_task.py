@@ -20,11 +20,11 @@ from handctl.session.tasks import load_task_for_hand
 from tests.hand.random_chains import RANDOM_CHAIN_SEEDS, random_tree
 
 
-@pytest.mark.parametrize("name", packaged_hands())
+@pytest.mark.parametrize("hand_name", packaged_hands())
 def test_the_default_task_suits_every_hand_and_reads_back_from_text(
-    name: str, tmp_path: Path
+    hand_name: str, tmp_path: Path
 ) -> None:
-    hand = load_hand(name)
+    hand = load_hand(hand_name)
     task, text = default_task(hand)
     check_task_for_hand(task, hand, "default task")
     (tmp_path / "task.toml").write_text(text)
