@@ -142,7 +142,8 @@ def closing_hand(
 ) -> ControllerState:
     """Return the state of a hand whose first digits close, with the given force at each tip [N].
 
-    ``closing_digit_count`` digits close. ``earlier_fields`` sets other fields of the state, which earlier ticks would have written.
+    ``closing_digit_count`` digits close. ``earlier_fields`` sets other fields of the state, which
+    earlier ticks would have written.
     """
     state, unit = (
         active_state(model),
