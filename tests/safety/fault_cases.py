@@ -175,7 +175,7 @@ def merge_inputs(*tick_input: TickInput) -> TickInput:
     """Combine several inputs into one input of the same tick."""
     cells: dict[str, dict[object, float]] = {}
     for one in tick_input:
-        for name, values in one.rows.items():
+        for name, values in one.state_rows.items():
             larger = min if name.endswith("_ns") and name != "late_ns" else max
             mine = cells.setdefault(name, {})
             for index, value in values.items():
@@ -336,8 +336,8 @@ CASE_BY_FAULT = {
     ),
     "N14b": FaultCase(swinging_tension(1, 0.25), swinging_tension(1, 0.25 - 1.5 * PERIOD_S), "t1", 1, RELAX, True,
                       True),
-    "N15": FaultCase(lost_frames(m7=0)._replace(rows={"lost": {(0, 7): 0b1010101010101}}),
-                lost_frames(m7=0)._replace(rows={"lost": {(0, 7): 0b10101010101}}), "m7", 1, WARN, False, True),
+    "N15": FaultCase(lost_frames(m7=0)._replace(state_rows={"lost": {(0, 7): 0b1010101010101}}),
+                lost_frames(m7=0)._replace(state_rows={"lost": {(0, 7): 0b10101010101}}), "m7", 1, WARN, False, True),
     "N16": FaultCase(tension_after_cut(30.0), tension_after_cut(14.9), "t0", 1, CUT, True, True),
     "N17": FaultCase(partial_torque_reports(1, 0.1), partial_torque_reports(1, 0.2), "m1", 1, RELAX, True, True),
     "T01": FaultCase(state_rows(measured_tension={3: 0.0}, speed={3: 0.1}),
@@ -347,10 +347,9 @@ CASE_BY_FAULT = {
     "T02b": FaultCase(slack_tendon(250), slack_tendon(249), "t3", 1, RELAX, True, True),
     "T03": FaultCase(measured_tensions(t1=50.1), measured_tensions(t0=139.9, t1=50.0), "t1", 1, RELAX, True),
     "T03b": FaultCase(measured_tensions(t1=60.1), measured_tensions(t0=159.9, t1=60.0), "t1", 1, CUT, True),
-    "T03c": FaultCase(measured_tensions(t1=50.1)._replace(rows=measured_tensions(t1=50.1).rows | RELAXING_ROWS),
-                 measured_tensions(t0=139.9,
-                                   t1=50.0)._replace(rows=measured_tensions(t0=139.9, t1=50.0).rows | RELAXING_ROWS),
-                 "t1", 1, CUT, True, True),
+    "T03c": FaultCase(merge_inputs(measured_tensions(t1=50.1), TickInput(RELAXING_ROWS)),
+                      merge_inputs(measured_tensions(t0=139.9, t1=50.0), TickInput(RELAXING_ROWS)), "t1", 1,
+                      CUT, True, True),
     "T04a": FaultCase(filtered_residuals(BALANCE, t0=5.1), filtered_residuals(BALANCE, t1=5.0), "t0", 1, WARN, False,
                       True),
     "T04b": FaultCase(filtered_residuals(BALANCE, t1=10.1), filtered_residuals(BALANCE, t0=10.0), "t1", 1, RELAX, True,

@@ -64,7 +64,8 @@ def synthetic_limits(tendon_count: int) -> SafetyLimits:
     names = [tuple(f"{letter}{i}" for i in range(tendon_count)) for letter in "tmj"]
     return SafetyLimits(
         *names, tension_trip=(140.0,) * tendon_count, drive_limit=(160.0,) * tendon_count,
-        tension_rail=244.0, tension_low=-5.0, silent_ticks=6, one_silent_ticks=4, stalled_ticks=5, frames=64, noise=1e-4,
+        tension_rail=244.0, tension_low=-5.0, silent_ticks=6, one_silent_ticks=4, stalled_ticks=5,
+        frames=64, noise=1e-4,
     )  # fmt: skip
 
 

@@ -36,7 +36,7 @@ def test_causes_of_a_drive_s_error() -> None:
         "m1": 11.0,
         "m2": 12.0,
     }
-    assert "N11" not in rested_monitor().tick(without_torque(tick_input).rows)
+    assert "N11" not in rested_monitor().tick(without_torque(tick_input).state_rows)
     rows = {
         cause: DETECTOR_ROWS[row][0].id
         for cause, row in zip(DriveFaultCause, ROW_OF_CAUSE, strict=True)
@@ -50,9 +50,13 @@ def test_causes_of_a_drive_s_error() -> None:
 
 def test_a_tension_above_its_limit_is_detected() -> None:
     nan = float("nan")
-    assert rested_monitor().tick(measured_tensions(t0=140.0, t1=50.5).rows)["T03"] == {"t1": 50.5}
-    assert "T03" not in rested_monitor().tick(measured_tensions(t0=140.0, t1=50.0).rows)
-    assert rested_monitor().tick(measured_tensions(t0=150.0, t1=nan, t2=140.5).rows)["T03"] == {
+    assert rested_monitor().tick(measured_tensions(t0=140.0, t1=50.5).state_rows)["T03"] == {
+        "t1": 50.5
+    }
+    assert "T03" not in rested_monitor().tick(measured_tensions(t0=140.0, t1=50.0).state_rows)
+    assert rested_monitor().tick(measured_tensions(t0=150.0, t1=nan, t2=140.5).state_rows)[
+        "T03"
+    ] == {
         "t0": 150.0,
         "t2": 140.5,
     }

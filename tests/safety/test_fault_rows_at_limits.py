@@ -85,17 +85,20 @@ def test_a_tension_at_the_rail_is_a_load_cell_fault_and_below_it_a_tendon_fault(
 
 def test_over_tension_remains_at_the_rail_and_below_it_only_after_relaxing() -> None:
     high = merge_inputs(INPUT_WITHOUT_TENSIONS, INPUT_AT_REST)
-    high.rows["measured_tension"][1] = EIGHT_TENDON_LIMITS.tension_rail + 1.0
+    high.state_rows["measured_tension"][1] = EIGHT_TENDON_LIMITS.tension_rail + 1.0
     assert findings_of_fault("T03c", high) == []
-    assert findings_of_fault("T03c", TickInput(high.rows | RELAXING_ROWS)) == [
+    assert findings_of_fault("T03c", TickInput(high.state_rows | RELAXING_ROWS)) == [
         ("t1", EIGHT_TENDON_LIMITS.tension_rail + 1.0)
     ]
-    assert findings_of_fault("T03c", TickInput(INPUT_WITHOUT_TENSIONS.rows | RELAXING_ROWS)) == []
+    assert (
+        findings_of_fault("T03c", TickInput(INPUT_WITHOUT_TENSIONS.state_rows | RELAXING_ROWS))
+        == []
+    )
 
 
 @pytest.mark.parametrize("fault_id", ["T03", "T03b", "T06"])
 def test_unread_tensions_cause_no_fault(fault_id: str) -> None:
     assert findings_of_fault(fault_id, INPUT_WITHOUT_TENSIONS) == []
     one = merge_inputs(INPUT_WITHOUT_TENSIONS, INPUT_AT_REST)
-    one.rows["measured_tension"][0] = 243.0 if fault_id != "T06" else 300.0
+    one.state_rows["measured_tension"][0] = 243.0 if fault_id != "T06" else 300.0
     assert [name for name, _ in findings_of_fault(fault_id, one)] == ["t0"], "one of them"

@@ -125,7 +125,7 @@ def test_just_below_its_threshold_it_never_counts(fault_id: str) -> None:
 def test_every_sign_of_a_fault_is_detected(fault_id: str) -> None:
     for tick_input in OTHER_SIGNS_BY_FAULT[fault_id]:
         _, actions, _ = check_fault_alone(
-            fault_id, *[tick_input] * CASE_BY_FAULT[fault_id].debounce
+            fault_id, *[tick_input] * CASE_BY_FAULT[fault_id].debounce_ticks
         )
         assert actions[-1] == CASE_BY_FAULT[fault_id].action
 
@@ -195,7 +195,7 @@ def test_each_row_is_one_line_for_the_operator() -> None:
         assert fault.detection
         assert "\n" not in fault.title + fault.detection
         assert fault.clears in ("by the operator", "by itself")
-        assert fault.latched == CASE_BY_FAULT[fault.id].latched
+        assert fault.latched == CASE_BY_FAULT[fault.id].is_latched
         assert fault.action < SafetyAction.RELAX or fault.latched, (
             "only a person ends a relax or a cut"
         )

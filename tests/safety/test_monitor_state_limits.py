@@ -106,7 +106,8 @@ def stuck_names(
     zero = [0.0, 0.0]
     found = monitor.tick(
         resting_tick(tension=cell_tension, **JOINTS_READ), motor_stuck=equal_readings, cell_stuck=equal_readings,
-        joint_stuck=equal_readings, motor_value=0.0, cell_value=cell_tension, joint_value=0.0, followed=changed_state.get("goal", zero),
+        joint_stuck=equal_readings, motor_value=0.0, cell_value=cell_tension, joint_value=0.0,
+        followed=changed_state.get("goal", zero),
         motor_anchor=[zero, 20.0 - np.array(changed_state.get("tension", zero))],
         cell_anchor=[20.0 - np.array(changed_state.get("pushed", zero)), [20.0, 20.0]],
         joint_anchor=np.array(changed_state.get("turned", zero)) - 20.0 / SOFT_STIFFNESS * np.array([50.0, 100.0]),

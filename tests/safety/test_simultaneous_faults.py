@@ -32,7 +32,8 @@ from tests.safety.test_fault_table import check_ticks
 FAULTS_WHILE_ARMED = [
     id_
     for id_ in CASE_BY_FAULT
-    if CASE_BY_FAULT[id_].input_with_fault.rows.get("mode", {...: HandMode.ACTIVE})[...] in (4, 5)
+    if CASE_BY_FAULT[id_].input_with_fault.state_rows.get("mode", {...: HandMode.ACTIVE})[...]
+    in (4, 5)
 ]
 FAULT_PAIRS = list(pairwise([*FAULTS_WHILE_ARMED, FAULTS_WHILE_ARMED[0]])) + [
     (a, b) for a in ("B02", "T03", "N09b") for b in FAULTS_WHILE_ARMED if a != b
