@@ -32,8 +32,10 @@ DRIVE_VARIANTS = FUZZED_DRIVES | {"mit-fd": FuzzedDrive("mit", "[motor.options]\
 EXCHANGED_TICKS = 40
 
 
-def exported_dbc(hand: Hand, bus: int = 0) -> Database:
-    text = dbc_of_bus(bus, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints)
+def exported_dbc(hand: Hand, bus_index: int = 0) -> Database:
+    text = dbc_of_bus(
+        bus_index, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints
+    )
     found = cantools.database.load_string(text, "dbc", strict=True)
     assert isinstance(found, Database)
     return found
@@ -51,7 +53,7 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[ProtocolBe
 
 
 def values_read_by_controller(
-    wired: WiredDrives, message: CyclicMessage, i: int
+    wired_drives: WiredDrives, message: CyclicMessage, drive_index: int
 ) -> dict[str, float]:
     """Return the values that the controller has decoded from a frame of drive i."""
     values = {
@@ -60,7 +62,7 @@ def values_read_by_controller(
         if signal.quantity in FIELD_BY_QUANTITY
     }
     return {
-        name: float(wired.field_view(FIELD_BY_QUANTITY[quantity])[i])
+        name: float(wired_drives.field_view(FIELD_BY_QUANTITY[quantity])[drive_index])
         for name, quantity in values.items()
     }
 

@@ -38,12 +38,12 @@ def work_folder(work_folder):
     return work_folder
 
 
-def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale):
+def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale_options):
     simulated = start_hand(
-        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale
+        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale_options
     )
     try:
-        words = ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml", *scale)
+        words = ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml", *scale_options)
         done = run_handctl(
             "replay", "drive", str(GOLDEN_LOG), *words, "--log", "again.mcap", "--json"
         )
@@ -67,9 +67,9 @@ def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale):
     np.testing.assert_allclose(new, old, rtol=0.05)
 
 
-def test_an_interrupted_replay_reports_its_progress(work_folder, scale):
+def test_an_interrupted_replay_reports_its_progress(work_folder, scale_options):
     simulated = start_hand(
-        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale
+        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale_options
     )
     words = (
         "--hand",
@@ -78,7 +78,7 @@ def test_an_interrupted_replay_reports_its_progress(work_folder, scale):
         LOCAL_BUS,
         "--calibration",
         "c.toml",
-        *scale,
+        *scale_options,
         "--log",
         "half.mcap",
         "--json",

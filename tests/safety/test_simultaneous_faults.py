@@ -54,10 +54,10 @@ def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_rep
 ) -> None:
     a, b = CASE_BY_FAULT[first_fault_id], CASE_BY_FAULT[second_fault_id]
     both = merge_inputs(a.input_with_fault, b.input_with_fault)
-    monitor, verdicts = check_ticks(*[both] * max(a.debounce, b.debounce))
+    monitor, verdicts = check_ticks(*[both] * max(a.debounce_ticks, b.debounce_ticks))
     assert verdicts[-1].action >= max(a.action, b.action)
     reported = {(f.fault.id, f.instance) for verdict in verdicts for f in verdict.findings}
-    assert {(first_fault_id, a.instance), (second_fault_id, b.instance)} <= reported
+    assert {(first_fault_id, a.faulty_part), (second_fault_id, b.faulty_part)} <= reported
     for id_, case in ((first_fault_id, a), (second_fault_id, b)):
         assert (LatchedFault(id_, case.faulty_part) in monitor.latched) == case.is_latched
 
@@ -74,9 +74,9 @@ def test_a_second_fault_neither_ends_nor_hides_the_first(
     The first fault stays latched, and the second is still reported.
     """
     a, b = CASE_BY_FAULT[first_fault_id], CASE_BY_FAULT[second_fault_id]
-    monitor, first_verdicts = check_ticks(*[a.input_with_fault] * a.debounce, INPUT_AT_REST)
-    _, verdicts = check_ticks(*[b.input_with_fault] * b.debounce, monitor=monitor)
-    expected = max(b.action, a.action if a.latched else SafetyAction.PASS)
+    monitor, first_verdicts = check_ticks(*[a.input_with_fault] * a.debounce_ticks, INPUT_AT_REST)
+    _, verdicts = check_ticks(*[b.input_with_fault] * b.debounce_ticks, monitor=monitor)
+    expected = max(b.action, a.action if a.is_latched else SafetyAction.PASS)
     assert verdicts[-1].action >= expected
     reported = [f.fault.id for verdict in (*first_verdicts, *verdicts) for f in verdict.findings]
     assert second_fault_id in reported
