@@ -114,7 +114,7 @@ def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
 
 
 def _measure_contact_detection(
-    hands: tuple[str, ...], walls: int, minutes: float, plan: JobPlan
+    hand_names: tuple[str, ...], wall_seeds: int, minutes: float, plan: JobPlan
 ) -> list[dict[str, Any]]:
     """Measure contacts with walls and false contacts in free motion, for each hand.
 
@@ -122,13 +122,15 @@ def _measure_contact_detection(
     the time in which they move.
     """
     results = collect_results(
-        contact.find_contacts, [(hand, seed) for seed in range(walls) for hand in hands], plan
+        contact.find_contacts,
+        [(hand, seed) for seed in range(wall_seeds) for hand in hand_names],
+        plan,
     )
     stretch = min(FREE_RUN_S, 60.0 * minutes)
     count = max(1, round(60.0 * minutes / stretch / contact.MOVING_FRACTION))
     free = collect_results(
-        contact.free_motion,
-        [(hand, stretch, seed) for seed in range(count) for hand in hands],
+        contact.measure_false_contacts,
+        [(hand, stretch, seed) for seed in range(count) for hand in hand_names],
         plan,
     )
     return [
@@ -137,25 +139,25 @@ def _measure_contact_detection(
             [v for j, v in results.items() if j[0] == hand],
             [v for j, v in free.items() if j[0] == hand],
         )
-        for hand in hands
+        for hand in hand_names
     ]
 
 
 def _summarise_contacts(
-    hand: str, walls: list[list[float]], rows: list[dict[str, float]]
+    hand_name: str, wall_delays: list[list[float]], false_contact_rows: list[dict[str, float]]
 ) -> dict[str, Any]:
     """Compute the results of one hand from the delays of contact events and the counts of false contacts."""
-    latency = np.array([value for values in walls for value in values])
-    if not len(latency) or not rows:
-        return {"hand": hand, "contacts": 0}
+    latency = np.array([value for values in wall_delays for value in values])
+    if not len(latency) or not false_contact_rows:
+        return {"hand": hand_name, "contacts": 0}
     return {
-        "hand": hand, "contacts": len(latency),
+        "hand": hand_name, "contacts": len(latency),
         "within_20_ms": round(float((latency <= contact.DETECTION_LIMIT_S + 1e-9).mean()), 3),
         "before_1_N": round(float((latency < 0.0).mean()), 3),
         "p95_ms": round(1e3 * float(np.sort(latency)[int(np.ceil(0.95 * len(latency))) - 1]), 1),
         "worst_ms": round(1e3 * float(latency.max()), 1),
-        "free_minutes": round(sum(row["minutes"] for row in rows), 2),
-        "false_alarms": sum(row["alarms"] for row in rows),
+        "free_minutes": round(sum(row["minutes"] for row in false_contact_rows), 2),
+        "false_alarms": sum(row["alarms"] for row in false_contact_rows),
     }  # fmt: skip
 
 

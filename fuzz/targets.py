@@ -24,20 +24,20 @@ TARGET_FACTORIES: dict[str, Callable[[Path], FuzzTarget]] = {
 }
 
 
-def seed_inputs(name: str, folder: Path) -> list[bytes]:
+def seed_inputs(target_name: str, work_folder: Path) -> list[bytes]:
     """Return the valid inputs with which the corpus of a target starts."""
-    if name in FUZZED_DRIVES:
-        return wire.recorded_inputs(name, folder)
-    if name == "hand-text":
+    if target_name in FUZZED_DRIVES:
+        return wire.recorded_inputs(target_name, work_folder)
+    if target_name == "hand-text":
         return [path.read_bytes() for path in PACKAGED_HANDS_FOLDER.glob("*.toml")]
-    if name == "log-bytes":
-        return [logs.small_log(folder).read_bytes()]
-    if name == "request":
+    if target_name == "log-bytes":
+        return [logs.write_small_log(work_folder).read_bytes()]
+    if target_name == "request":
         return [
             b'{"do": "arm"}',
             b'{"do": "move", "angle_deg": {"index": 20}}',
             b'{"do": "gains", "set": {"a": 1}}',
         ]
-    if name == "fault":
+    if target_name == "fault":
         return [b"\1\0drop node=3 p=0.05 at=3s for=2s", b"\1\0snap tendon=index_tendon"]
     return []

@@ -46,11 +46,11 @@ def page_section(result: dict[str, Any]) -> str:
     return "\n".join([*parts, "", _conclusion(result)])
 
 
-def _loop_row(law: str, row: dict[str, Any]) -> list[str]:
+def _loop_row(loop_name: str, row: dict[str, Any]) -> list[str]:
     cells = [f"{row[name]:.2f}" for name in COLUMN_BY_FIGURE]
     cells[0] += f" ± {row['rmse_spread_N']:.2f}"
     return [
-        law,
+        loop_name,
         *cells,
         f"{row['seeds']}" + (f", {row['ended']} ended early" if row["ended"] else ""),
     ]

@@ -13,8 +13,8 @@ class LogMessage(NamedTuple):
     """One message for a log: topic, type, definition of the type, time [ns], and content as plain values."""
 
     topic: str
-    kind: str
-    schema: str
+    type_name: str
+    type_definition: str
     t_ns: int
     content: dict[str, Any]
 
@@ -83,25 +83,25 @@ def rosbags_writer(path: Path) -> LibraryWriter:
     return LibraryWriter(write, bag.close, read)
 
 
-def _typed_object(store: Any, kind: str, content: dict[str, Any]) -> Any:
+def _typed_object(type_store: Any, type_name: str, content: dict[str, Any]) -> Any:
     """Convert plain values to an object of a type in the type store."""
     import numpy as np
 
     fields = {}
-    for name, (node, inner) in store.fielddefs[kind][1]:
+    for name, (node, inner) in type_store.fielddefs[type_name][1]:
         value = content[name]
         if node.name == "NAME":
-            fields[name] = _typed_object(store, inner, value)
+            fields[name] = _typed_object(type_store, inner, value)
         elif node.name == "BASE":
             fields[name] = value
         elif inner[0][0].name == "NAME":
-            fields[name] = [_typed_object(store, inner[0][1], one) for one in value]
+            fields[name] = [_typed_object(type_store, inner[0][1], one) for one in value]
         else:
             word = inner[0][1][0]
             fields[name] = (
                 list(value) if word == "string" else np.array(value, word.replace("byte", "uint8"))
             )
-    return store.types[kind](**fields)
+    return type_store.types[type_name](**fields)
 
 
 def json_mcap_writer(path: Path) -> LibraryWriter:

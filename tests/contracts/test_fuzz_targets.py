@@ -38,7 +38,7 @@ def test_seeds_of_a_corpus_are_accepted(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", FUZZED_DRIVES)
 def test_seeds_of_a_drive_s_corpus_reach_torque(name: str, tmp_path: Path) -> None:
-    motor, seen = wire.path_to_torque(name, tmp_path)
+    motor, seen = wire.states_until_torque(name, tmp_path)
     assert {one.state.phase for one in seen} >= {
         DrivePhase.SILENT,
         DrivePhase.READY,
@@ -102,6 +102,6 @@ def test_fuzzing_without_an_accepted_input_is_a_failure(
         summary = f"Done 256 runs in 2 second(s), {taken} inputs accepted, corpus of 3 inputs"
         done = subprocess.CompletedProcess([], 0, "", summary)
         monkeypatch.setattr(subprocess, "run", lambda *words, done=done, **more: done)
-        line, good = fuzz_target("log", 0, 256, blind=True)
+        line, good = fuzz_target("log", 0, 256, without_coverage=True)
         assert good == accepted
         assert ("25.0 % accepted" in line) == accepted

@@ -42,7 +42,9 @@ def enable_drive(variant_name: str) -> tuple[Drive, DriveState, int, tuple[Frame
     with TemporaryDirectory() as folder:
         path = hand_file(Path(folder), [variant.protocol], variant.options)
         lines = path.read_text().splitlines(keepends=True)
-        path.write_text("".join(line for line in lines if not line.startswith(variant.without)))
+        path.write_text(
+            "".join(line for line in lines if not line.startswith(variant.skipped_option))
+        )
         bench = ProtocolBench(path)
         bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
         bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)

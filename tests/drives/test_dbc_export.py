@@ -46,7 +46,7 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[ProtocolBe
     variant = DRIVE_VARIANTS[request.param]
     path = hand_file(tmp_path, [variant.protocol], variant.options)
     lines = path.read_text().splitlines(keepends=True)
-    path.write_text("".join(line for line in lines if not line.startswith(variant.without)))
+    path.write_text("".join(line for line in lines if not line.startswith(variant.skipped_option)))
     made = ProtocolBench(path)
     yield made
     made.simulated_hand.close()

@@ -33,7 +33,7 @@ def test_a_streamed_sine_is_followed_like_a_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(streaming, "SIMULATOR_ARGUMENTS", ["-c", SIMULATOR_CODE])
-    monkeypatch.setattr(streaming, "TRACKED_S", TRACKED_S)
+    monkeypatch.setattr(streaming, "TRACKED_DURATION_S", TRACKED_S)
     monkeypatch.setattr(streaming, "INTERPOLATION_NAMES", ("minimum_jerk",))
     calibration = tmp_path / "jamia.calibration.toml"
     write_homed_calibration(calibration, load_hand("jamia"))
