@@ -92,8 +92,8 @@ def _print_outcomes() -> None:
         for rate in args.rates:
             for seed in range(args.seeds):
                 result = run_demo_with_adapter(args.hand, adapter, rate, seed)
-                print(f"{args.hand} {adapter} {rate:g} Hz, seed {seed}: {'held' if result.held else 'NOT HELD'},"
-                      f" tracking {result.tracking_deg:.2f} deg, hold {result.hold_error_n:.2f} N, {result.end}",
+                print(f"{args.hand} {adapter} {rate:g} Hz, seed {seed}: {'held' if result.is_possible else 'NOT HELD'},"
+                      f" tracking {result.tracking_deg:.2f} deg, hold {result.hold_error_n:.2f} N, {result.end_cause}",
                       flush=True)  # fmt: skip
 
 

@@ -211,7 +211,12 @@ def case_figures(runs: list[SensingRun], period_s: float) -> dict[str, float]:
         "angle_deg": rms(np.concatenate(angle)),
         "delay_ms": float(np.median(delays)),
         "held": float(
-            np.mean([np.isfinite(r.moved_mm) and r.moved_mm < 10.0 and not r.faults for r in runs])
+            np.mean(
+                [
+                    np.isfinite(r.object_motion_mm) and r.object_motion_mm < 10.0 and not r.faults
+                    for r in runs
+                ]
+            )
         ),
     }
 

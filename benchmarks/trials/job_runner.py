@@ -22,11 +22,10 @@ class JobPlan:
     """Options for running jobs.
 
     Attributes:
-        results_folder: folder for the results of the jobs, as JSON. A job whose result is stored is not run
-            again. None means that no result is stored.
-        max_minutes: time after which no further job starts [min]. The results of the jobs that have not started are
-            left
-            out.
+        results_folder: folder for the results of the jobs, as JSON. A job whose result is stored
+            is not run again. None means that no result is stored.
+        max_minutes: time after which no further job starts [min]. The results of the jobs that have
+            not started are left out.
         worker_count: number of processes. Zero means one process per core.
     """
 

@@ -48,7 +48,7 @@ def measure_all_writers(
 ) -> dict[str, Any]:
     """Measure the CPU time of all log writers. Also record with handctl for a longer time."""
     run = synthetic_run.synthetic_header("jamia11", RATE_HZ)
-    ticks = [packed_tick(*tick) for tick in synthetic_run.SyntheticTicks(run, duration_s)]
+    ticks = [packed_tick(*tick) for tick in synthetic_run.SyntheticRunTicks(run, duration_s)]
     writers = {"handctl": measure_handctl(log_folder / "ours.mcap", run, ticks)}
     messages = decode_messages(log_folder / "ours.mcap")
     for name, make in LIBRARY_WRITERS.items():

@@ -60,7 +60,7 @@ def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
     """
     ticks = [
         packed_tick(*tick)
-        for tick in synthetic_run.SyntheticTicks(
+        for tick in synthetic_run.SyntheticRunTicks(
             synthetic_run.synthetic_header(HAND_NAME, RATE_HZ), PREPARED_RUN_S
         )
     ]

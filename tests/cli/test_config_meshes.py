@@ -25,7 +25,7 @@ from handctl.session.plan import RunChoice, make_plan
 from tests.cli.command_refusals import refusal_line, refusal_lines
 from tests.cli.test_config_import import TRIPOD_URDF
 from tests.hand.mesh_files import (
-    assert_same_places,
+    assert_same_corners,
     corners_of_hand,
     hand_with_meshes,
     tetrahedron_triangles,
@@ -205,7 +205,7 @@ def test_exported_meshes_come_back_to_their_places(
     }
     q = np.zeros(len(hand.joints))
     expected = corners_of_hand(hand, work_folder / "hand", q)
-    assert_same_places(corners_of_hand(again, work_folder / "mine", q), expected)
+    assert_same_corners(corners_of_hand(again, work_folder / "mine", q), expected)
 
 
 def write_ros_package(work_folder: Path) -> Path:
@@ -316,4 +316,4 @@ def test_the_largest_visual_mesh_of_a_body_is_imported_from_a_model(
         pose = [digit[f"link_mesh_{key}"][link] for key in ("position_m", "rpy_deg")]
         shown = LinkMesh("", "", "", (digit["link_mesh_scale"][link],) * 3, *map(tuple, pose))
         found = shown.place((1e3 if link == 0 else 1.0) * tetrahedron_triangles())
-        assert_same_places({"": expected}, {"": found})
+        assert_same_corners({"": expected}, {"": found})

@@ -15,7 +15,12 @@ from handctl.cli.main import main
 from handctl.core.gains.gains import Gains
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, hand_content, load_hand
-from tests.hand.test_hand_file_refusals import content_leaves, is_number, key_path_text, with_value
+from tests.hand.test_hand_file_refusals import (
+    content_leaves,
+    content_with_value,
+    is_number,
+    key_path_text,
+)
 
 ABSENT_BUS = "local:does-not-exist"
 SAMPLE_STEP = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
@@ -123,7 +128,7 @@ def content_without_key(file_content, key_path, renamed_key=None):
 
     If ``renamed_key`` is given, store the value of the removed key under the key ``renamed_key``.
     """
-    file_content = with_value(file_content, key_path, None)
+    file_content = content_with_value(file_content, key_path, None)
     parent = file_content
     for key in key_path[:-1]:
         parent = parent[key]
@@ -162,7 +167,7 @@ def text_with_mistake(file_content, key_path, mistake_kind):
     for key in key_path:
         old = old[key]
     return toml_text_of(
-        with_value(
+        content_with_value(
             file_content,
             key_path,
             ALWAYS_WRONG[mistake_kind]

@@ -30,7 +30,7 @@ from tests.controller.synthetic_states import (
     estimate_under_tension,
     slack_hand_estimate,
 )
-from tests.hand.many_motors import fifteen_motors
+from tests.hand.many_motors import fifteen_motor_hand
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +162,7 @@ def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> No
 @pytest.fixture(scope="module")
 def fifteen_motor_model() -> HandModel:
     return HandModel.from_hand(
-        hand_from_content(fifteen_motors(), "a hand of 15 motors"), Gains(), 50.0
+        hand_from_content(fifteen_motor_hand(), "a hand of 15 motors"), Gains(), 50.0
     )
 
 

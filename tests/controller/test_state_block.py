@@ -50,7 +50,7 @@ from handctl.session.tasks import load_task_for_hand
 from tests.conftest import NIGHTLY
 from tests.controller.controller_bench import ControllerBench
 from tests.controller.synthetic_states import uncompiled_function
-from tests.hand.many_motors import fifteen_motors
+from tests.hand.many_motors import fifteen_motor_hand
 
 RANDOM_HAND_SEEDS = range(6)
 
@@ -238,7 +238,7 @@ def random_hand(seed: int) -> HandModel:
     and friction of these digits are varied at random.
     """
     rng = random.Random(seed)
-    raw: dict[str, Any] = fifteen_motors()
+    raw: dict[str, Any] = fifteen_motor_hand()
     if seed % 3:
         raw = hand_content(("jamia", "jamia11")[seed % 3 - 1])
     digits = [digit["name"] for digit in raw["digit"]]

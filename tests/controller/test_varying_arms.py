@@ -22,7 +22,7 @@ from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.conftest import NIGHTLY
 from tests.controller.synthetic_states import active_state
-from tests.hand.varying_arms import with_varying_arms
+from tests.hand.varying_arms import hand_with_varying_arms
 
 PACKAGED_HANDS = packaged_hands()
 RATE_HZ = 400.0
@@ -61,7 +61,7 @@ def _arm_and_slope(
 
 @cache
 def model_of(hand_name: str, arm_variation: float = 0.3) -> HandModel:
-    return HandModel.from_hand(with_varying_arms(hand_name, arm_variation), Gains(), RATE_HZ)
+    return HandModel.from_hand(hand_with_varying_arms(hand_name, arm_variation), Gains(), RATE_HZ)
 
 
 @pytest.mark.parametrize("hand_name", PACKAGED_HANDS)
@@ -175,8 +175,8 @@ def test_arms_by_angle_track_better_than_constant_arms(hand_name: str, seed: int
     The controller for comparison uses the mean moment arms R. This controller computes the
     excursions as R q.
     """
-    hand = with_varying_arms(hand_name, 0.3, encoders=False)
-    constant = with_varying_arms(hand_name, 0.0, encoders=False)
+    hand = hand_with_varying_arms(hand_name, 0.3, with_joint_encoders=False)
+    constant = hand_with_varying_arms(hand_name, 0.0, with_joint_encoders=False)
     with_arms = tracking_error_deg(HandModel.from_hand(hand, Gains(), RATE_HZ), hand, seed)
     with_mean = tracking_error_deg(HandModel.from_hand(constant, Gains(), RATE_HZ), hand, seed)
     assert with_arms < 1.0

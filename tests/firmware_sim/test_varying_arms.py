@@ -10,7 +10,7 @@ from firmware_sim.hand_description import load_hand
 from firmware_sim.plant.drivetrain import _taken_up, step_drivetrain
 from firmware_sim.plant.motor import Motor
 from firmware_sim.plant.tendon import TendonRouting
-from tests.hand.varying_arms import with_varying_arms
+from tests.hand.varying_arms import hand_with_varying_arms
 
 STEP_S = 0.5e-3
 
@@ -23,7 +23,7 @@ def test_the_joints_get_the_work_that_the_tendons_do(hand_name: str, tmp_path: P
     rate. The simulated hand of this test has no friction and no damping.
     """
     path = tmp_path / "hand.toml"
-    path.write_text(with_varying_arms(hand_name, 0.3).to_toml())
+    path.write_text(hand_with_varying_arms(hand_name, 0.3).to_toml())
     hand = load_hand(str(path))
     specs = [replace(spec, friction=0.0, damping=0.0) for spec in hand.every_tendon]
     names = [motor.name for motor in hand.motors]

@@ -14,7 +14,7 @@ import pytest
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import StatusWatcher
-from tests.replay.grasp_repetition import mean_angle_differences, tensions_held
+from tests.replay.grasp_repetition import mean_angle_differences, mean_held_tensions
 from tests.replay.short_runs import CYLINDER_SCENE
 from tests.runtime.processes import (
     LOCAL_BUS,
@@ -63,7 +63,7 @@ def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale_options):
         apart = mean_angle_differences(before, after)
         assert np.percentile(apart, 99, axis=0).max() < 1.0
         assert apart.max() < 2.0, "a digit may leave the object one tick late"
-        old, new = tensions_held(before, after)
+        old, new = mean_held_tensions(before, after)
     np.testing.assert_allclose(new, old, rtol=0.05)
 
 

@@ -13,7 +13,7 @@ from handctl.core.calibration import Calibration, TendonCalibration
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.session.calibration import write_calibration
-from tests.replay.grasp_repetition import mean_angle_differences, tensions_held
+from tests.replay.grasp_repetition import mean_angle_differences, mean_held_tensions
 from tests.replay.short_runs import CYLINDER_SCENE
 
 HANDCTL_COMMAND = Path(sys.executable).with_name("handctl")
@@ -65,7 +65,7 @@ def test_a_golden_grasp_repeats_on_vcan(tmp_path: Path) -> None:
     result = json.loads(ran.stdout)
     angles = {name: row["rms"] for name, row in result["joint_deg"].items()}
     with RunLog(GOLDEN_LOG) as before, RunLog(tmp_path / "again.mcap") as after:
-        apart, (old, new) = mean_angle_differences(before, after), tensions_held(before, after)
+        apart, (old, new) = mean_angle_differences(before, after), mean_held_tensions(before, after)
     summary = f"mean angles of the digits {apart.max():.2f} deg at most, joints {max(angles.values()):.2f} deg rms, "
     print(summary + f"tensions {100 * abs(new / old - 1).max():.1f} % apart")
     assert max(angles.values()) < 1.0, angles
