@@ -17,20 +17,20 @@ import time
 from functools import cache
 
 import numpy as np
-from trials import estimation_page, page
+from trials import control_page, estimation_page
 from trials.alternative_filters import (
     AVERAGE_WEIGHTS,
     TENSION_RATE_NOISES,
     cell_only_estimate,
     exponential_average,
 )
-from trials.hands import SPREAD_DIGITS_SUFFIX, hand_by_name
+from trials.benchmark_hands import SPREAD_DIGITS_SUFFIX, hand_by_name
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
-from trials.lockstep import RATES_HZ, LockstepTrial, TrialRecord, run_trial
-from trials.plants import FURTHER_PLANT_FACTORS, PHASES_TO_CONTACT, PLANT_FACTORS
+from trials.lockstep_trial import RATES_HZ, LockstepTrial, TrialRecord, run_trial
 from trials.reference_filter import CELL_DRIFT_VARIANCE_N2_PER_S, reference_sigma
-from trials.regimes import REGIME_NAMES, regime_masks
 from trials.script_program import ScriptProgram, ScriptStep
+from trials.simulated_plants import FURTHER_PLANT_FACTORS, PHASES_TO_CONTACT, PLANT_FACTORS
+from trials.tendon_regimes import REGIME_NAMES, regime_masks
 
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
@@ -311,7 +311,7 @@ def main() -> None:
     result["wall_s"] = time.monotonic() - start
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
     if args.page:
-        page.write_part("estimation", estimation_page.page_section(result))
+        control_page.write_part("estimation", estimation_page.page_section(result))
         estimation_page.draw_picture(result)
 
 

@@ -14,11 +14,11 @@ import json
 import math
 
 import numpy as np
-from trials import page, tracking
-from trials.hands import FINGERTIP_LOAD, SIDEWAYS_SUFFIX
+from trials import control_page, tracking
+from trials.benchmark_hands import FINGERTIP_LOAD, SIDEWAYS_SUFFIX
+from trials.control_laws import GRAVITY_LAWS
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
-from trials.laws import GRAVITY_LAWS
-from trials.lockstep import RATES_HZ, LockstepTrial, run_trial
+from trials.lockstep_trial import RATES_HZ, LockstepTrial, run_trial
 
 TUNED_LAW_BY_GRAVITY_LAW = dict(
     zip(GRAVITY_LAWS, ("+ gravity and springs",) * 2 + ("+ full computed torque",) * 2, strict=True)
@@ -125,7 +125,7 @@ the tracking table that keep their margins, and there is no force loop. The erro
 angle of a digit from its setpoint, measured in the plant. The columns *steady* have the digit with the largest error.
 All numbers are means over the seeds, with their spread.
 
-{page.markdown_table(head, rows)}
+{control_page.markdown_table(head, rows)}
 
 {_benefit_text(result)}
 """
@@ -180,7 +180,7 @@ def main() -> None:
     result = measure_gravity_compensation(args.seeds, job_plan_of(args))
     print(json.dumps(result, indent=2) if args.json else page_section(result))
     if args.page:
-        page.write_part("gravity", page_section(result))
+        control_page.write_part("gravity", page_section(result))
 
 
 if __name__ == "__main__":

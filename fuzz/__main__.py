@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from fuzz.drives import FUZZED_DRIVES
+from fuzz.fuzzed_drives import FUZZED_DRIVES
 
 OUTPUT_FOLDER = Path("build/fuzz")
 DONE_PATTERN = re.compile(r"Done (\d+) runs in (\d+) second(?:\(s\), (\d+) inputs accepted)?")
@@ -71,12 +71,12 @@ def fuzz_target(
         f"-max_len={MAX_INPUT_BYTES[target_name]}",
     ]
     limits += ["-rss_limit_mb=4096", "-timeout=20", f"-artifact_prefix={crashes}/"]
-    command = [sys.executable, "-m", "fuzz.one", target_name, str(corpus), *limits]
+    command = [sys.executable, "-m", "fuzz.fuzz_with_coverage", target_name, str(corpus), *limits]
     if without_coverage:
         command = [
             sys.executable,
             "-m",
-            "fuzz.blind",
+            "fuzz.fuzz_without_coverage",
             target_name,
             str(corpus),
             str(crashes),

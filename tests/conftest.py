@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.machine_stall_meter import StallMeter
 from tests.slow_tests import DurationRecorder, tests_slower_than
-from tests.stall_meter import StallMeter
 
 pytest_plugins = ("pytester",)
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from grasps.objects import GRASP_CASES
-from grasps.trial import simulate_grasp, task_program
+from grasps.grasp_objects import GRASP_CASES
+from grasps.grasp_trial import simulate_grasp, task_program
 from handctl.programs.task import HoldPhase
 from handctl.programs.task_program import TaskProgram
 

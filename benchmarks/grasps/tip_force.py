@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from grasps.contact import WALL_SCENE, program_of_phases
-from grasps.trial import hand_model, simulate_grasp
+from grasps.contact_detection import WALL_SCENE, program_of_phases
+from grasps.grasp_trial import hand_model, simulate_grasp
 
 COMMANDED_FORCES_N = (2.0, 4.0, 6.0)
 HOLD_DURATION_S = 0.8

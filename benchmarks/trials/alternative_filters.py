@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from trials.lockstep import FloatArray
+from trials.lockstep_trial import FloatArray
 
 AVERAGE_WEIGHTS = np.concatenate((np.arange(0.05, 0.5, 0.05), np.arange(0.5, 1.01, 0.1)))
 """Candidates for the weight of the newest sample in the average.

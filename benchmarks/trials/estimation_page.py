@@ -3,7 +3,7 @@
 import numpy as np
 
 from handctl.output import save_figure
-from trials.page import FIGURES_FOLDER, markdown_table
+from trials.control_page import FIGURES_FOLDER, markdown_table
 
 KEY_BY_COLUMN = {
     "at the sample: filter": "filtered",

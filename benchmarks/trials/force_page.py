@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from trials.page import markdown_table
+from trials.control_page import markdown_table
 
 COLUMN_BY_FIGURE = {
     "rmse_N": "RMSE [N]",

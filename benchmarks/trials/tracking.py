@@ -29,13 +29,13 @@ from handctl.report.summary import mean_angles
 from handctl.tune.loops.design import keeps_required_margins, linear_factors
 from handctl.tune.loops.linear import LoopKind
 from handctl.tune.search.ensemble import draw_ensemble
-from trials import force, force_page, page, tracking_page
-from trials.hands import SPREAD_DIGITS_SUFFIX, hand_by_name
+from trials import control_page, force_page, force_step, tracking_page
+from trials.benchmark_hands import SPREAD_DIGITS_SUFFIX, hand_by_name
+from trials.control_laws import ABLATION_LAWS
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
-from trials.laws import ABLATION_LAWS
-from trials.lockstep import RATES_HZ, LockstepTrial, TrialRecord, run_trial
-from trials.plants import PLANT_FACTORS
+from trials.lockstep_trial import RATES_HZ, LockstepTrial, TrialRecord, run_trial
 from trials.script_program import ScriptProgram, ScriptStep
+from trials.simulated_plants import PLANT_FACTORS
 
 MEASURED_HANDS = ("jamia", "jamia11")
 MOTION_TIMES_S = {"slow": 1.5, "medium": 0.5, "fast": 0.15}
@@ -387,11 +387,13 @@ def main() -> None:
             *counts, plan, MEASURED_HANDS[:1] if args.quick else MEASURED_HANDS
         )
     if "force" in args.parts and not args.quick:
-        result["force"] = force.measure_force(MEASURED_HANDS, args.seeds, args.wrong_seeds, plan)
+        result["force"] = force_step.measure_force(
+            MEASURED_HANDS, args.seeds, args.wrong_seeds, plan
+        )
     result["wall_s"] = time.monotonic() - start
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
     if args.page and "tracking" in result:
-        page.write_part(
+        control_page.write_part(
             "tracking",
             tracking_page.page_section(
                 result["tracking"], (PD_LAW, SPRINGS_LAW, BEST_LAW, MISPRINTED_LAW)
@@ -399,4 +401,4 @@ def main() -> None:
         )
         tracking_page.draw_picture(result["tracking"])
     if args.page and "force" in result:
-        page.write_part("force", force_page.page_section(result["force"]))
+        control_page.write_part("force", force_page.page_section(result["force"]))

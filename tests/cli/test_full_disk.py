@@ -8,7 +8,7 @@ from pathlib import Path
 
 from handctl.cli.main import main
 from handctl.session.verdict import _copy_truth
-from tests.report.invented_run import JAMIA_HAND, write_truth, zero_truth
+from tests.report.generated_run import JAMIA_HAND, write_truth, zero_truth
 
 GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
 FULL_DEVICE = Path("/dev/full")

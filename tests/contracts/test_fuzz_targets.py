@@ -11,9 +11,9 @@ import pytest
 from mcap.opcode import Opcode
 
 from firmware_sim.hand_description import SimulatorError
-from fuzz import blind, files, logs, texts, wire
+from fuzz import file_targets, frame_targets, fuzz_without_coverage, log_targets, text_targets
 from fuzz.__main__ import MAX_INPUT_BYTES, fuzz_target
-from fuzz.drives import FUZZED_DRIVES
+from fuzz.fuzzed_drives import FUZZED_DRIVES
 from fuzz.targets import TARGET_FACTORIES, seed_inputs
 from handctl.drives.contract import DrivePhase
 
@@ -38,16 +38,16 @@ def test_seeds_of_a_corpus_are_accepted(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", FUZZED_DRIVES)
 def test_seeds_of_a_drive_s_corpus_reach_torque(name: str, tmp_path: Path) -> None:
-    motor, seen = wire.states_until_torque(name, tmp_path)
+    motor, seen = frame_targets.states_until_torque(name, tmp_path)
     assert {one.state.phase for one in seen} >= {
         DrivePhase.SILENT,
         DrivePhase.READY,
         DrivePhase.ENABLED,
     }
-    ours = wire.selectable_identifiers(motor, seen)
+    ours = frame_targets.selectable_identifiers(motor, seen)
     for data in seed_inputs(name, tmp_path):
         state, t_ns, recorded = seen[data[0]]
-        sent = [frame for frame, _ in wire.frames_of_input(data, ours, t_ns)]
+        sent = [frame for frame, _ in frame_targets.frames_of_input(data, ours, t_ns)]
         assert [(frame.can_id, frame.data) for frame in sent] == [
             (frame.can_id, frame.data) for frame in recorded
         ]
@@ -60,9 +60,11 @@ def test_a_changed_field_of_a_log_is_found_by_its_check(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     error_lines: list[str] = []
-    monkeypatch.setattr(files, "check_one_line", lambda error: error_lines.append(str(error)))
+    monkeypatch.setattr(
+        file_targets, "check_one_line", lambda error: error_lines.append(str(error))
+    )
     target = TARGET_FACTORIES["log"](tmp_path)
-    parts = logs._log_parts(tmp_path / "small.mcap")
+    parts = log_targets._log_parts(tmp_path / "small.mcap")
     messages = (
         (i, at)
         for i, part in enumerate(parts)
@@ -85,7 +87,7 @@ def test_the_fuzz_target_rejects_an_empty_or_two_line_refusal(
     def refuse_with_text(*_: object) -> None:
         raise SimulatorError(text)
 
-    monkeypatch.setattr(texts, "parse_fault", refuse_with_text)
+    monkeypatch.setattr(text_targets, "parse_fault", refuse_with_text)
     target = TARGET_FACTORIES["fault"](tmp_path)
     with pytest.raises(AssertionError):
         target(b"")
@@ -94,7 +96,7 @@ def test_the_fuzz_target_rejects_an_empty_or_two_line_refusal(
 def test_fuzzing_without_an_accepted_input_is_a_failure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert blind.feed_inputs(
+    assert fuzz_without_coverage.feed_inputs(
         lambda data: data > b"b", iter([b"a", b"b", b"c"] * 100), tmp_path, 0.0, 256
     ) == (256, 85)
     monkeypatch.chdir(tmp_path)

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from tests.stall_meter import StallMeter
+from tests.machine_stall_meter import StallMeter
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 REPEATED_TEST = """

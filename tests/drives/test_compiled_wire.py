@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
-from fuzz.drives import FUZZED_DRIVES, FuzzedDrive
+from fuzz.fuzzed_drives import FUZZED_DRIVES, FuzzedDrive
 from handctl.drives import readback
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import NO_STEADY_STATUS, Drive, DrivePhase, DriveState, DriveTarget

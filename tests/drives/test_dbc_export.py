@@ -12,7 +12,7 @@ import cantools
 import pytest
 from cantools.database import Database
 
-from fuzz.drives import FUZZED_DRIVES, FuzzedDrive
+from fuzz.fuzzed_drives import FUZZED_DRIVES, FuzzedDrive
 from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.dbc_export import HOST_NODE_NAME, SENSOR_NODE_NAME, dbc_of_bus

@@ -12,7 +12,7 @@ import pytest
 from handctl.report.lift_judgement import MAX_SLIP_MM, judge_lift, lift_failure
 from handctl.report.summary import summarise_run
 from handctl.report.truth_record import TruthRecord
-from tests.report.invented_run import JAMIA_HAND, GeneratedRunLog, set_truth_column, zero_truth
+from tests.report.generated_run import JAMIA_HAND, GeneratedRunLog, set_truth_column, zero_truth
 
 TICK_COUNT = 400
 SINK_START_TICK, SINK_END_TICK = 200, 350

@@ -12,7 +12,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.output import save_figure
 from handctl.report.run_figure import MARK_WIDTH_FRACTION, _mark_positions, draw_run
 from handctl.report.truth_record import TruthRecord
-from tests.report.invented_run import GeneratedRunLog, set_truth_column, zero_truth
+from tests.report.generated_run import GeneratedRunLog, set_truth_column, zero_truth
 
 
 def generated_run_of(hand_name: str, with_values: bool) -> GeneratedRunLog:

@@ -14,7 +14,7 @@ from handctl.report.summary import (
     root_mean_square,
     summarise_run,
 )
-from tests.report.invented_run import (
+from tests.report.generated_run import (
     JAMIA_HAND,
     PERIOD_NS,
     GeneratedRunLog,

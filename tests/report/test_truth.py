@@ -8,7 +8,7 @@ import pytest
 
 from handctl.errors import LogError
 from handctl.report.truth_record import TruthRecord, copy_truth, read_truth
-from tests.report.invented_run import JAMIA_HAND, set_truth_column, write_truth, zero_truth
+from tests.report.generated_run import JAMIA_HAND, set_truth_column, write_truth, zero_truth
 
 
 @pytest.fixture

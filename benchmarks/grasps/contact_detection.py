@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from grasps.trial import GraspRun, hand_model, simulate_grasp
+from grasps.grasp_trial import GraspRun, hand_model, simulate_grasp
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 

@@ -23,7 +23,7 @@ from handctl.hand.description import Hand
 from handctl.programs.program import Program
 from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.session.simulate import SimulatorSettings
-from trials.hands import hand_by_name, hand_file_of, packaged_name
+from trials.benchmark_hands import hand_by_name, hand_file_of, packaged_name
 
 RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
 """Default control rate of each hand [Hz]. One classical CAN bus can carry these rates."""

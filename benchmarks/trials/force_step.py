@@ -17,11 +17,17 @@ from handctl.core.gains.gains import Gains, MotionGains, TensionGains
 from handctl.document import validate_content
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from trials import plants
+from trials import simulated_plants
+from trials.control_laws import controller_on_raw_tension, force_scale
 from trials.job_runner import JobPlan, collect_results
-from trials.laws import controller_on_raw_tension, force_scale
-from trials.lockstep import RATES_HZ, LockstepTrial, TrialRecord, run_trial, unchanged_controller
-from trials.plants import PHASES_TO_CONTACT
+from trials.lockstep_trial import (
+    RATES_HZ,
+    LockstepTrial,
+    TrialRecord,
+    run_trial,
+    unchanged_controller,
+)
+from trials.simulated_plants import PHASES_TO_CONTACT
 
 LOW_TENSION_N = 15.0
 HIGH_TENSION_N = 40.0
@@ -42,7 +48,7 @@ FORCE_TASK = {
     ],
 }  # fmt: skip
 FORCE_PLANTS = {
-    plant: wrong for plant, wrong in plants.PLANT_FACTORS.items() if "mass" not in wrong
+    plant: wrong for plant, wrong in simulated_plants.PLANT_FACTORS.items() if "mass" not in wrong
 }
 """Simulated hands of the force step.
 

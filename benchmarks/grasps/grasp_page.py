@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from grasps import payload, slip
-from grasps.objects import MAX_OBJECT_MOTION_M
+from grasps import payload
+from grasps.grasp_objects import MAX_OBJECT_MOTION_M
 from handctl.output import save_figure
 
 DOCS_FOLDER = Path(__file__).parents[2] / "docs"
@@ -134,7 +134,7 @@ def _slip_table(rows: list[dict[str, Any]]) -> str:
         lost = [row["lost_at_N"] for row in tried if row["lost_at_N"] is not None]
         noticed = [row["first_event_mm"] for row in tried if row["first_event_mm"] is not None]
         table.append([
-            hand, f"up to {slip.SLIP_LIMIT_N:g} N" if answered else "no",
+            hand, f"up to {slip_reaction.SLIP_LIMIT_N:g} N" if answered else "no",
             f"{len(lost)} of {len(tried)}" + (f", from {min(lost):.1f} N" if lost else ""),
             _range_text([min(row["motion_mm"], 99.0) for row in tried], 1),
             _range_text(noticed, 2) or "never",

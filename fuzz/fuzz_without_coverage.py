@@ -1,4 +1,6 @@
-"""Fuzz one target without measuring coverage: ``python -m fuzz.blind TARGET CORPUS FOUND SECONDS RUNS LONGEST``.
+"""Fuzz one target without measuring coverage.
+
+    python -m fuzz.fuzz_without_coverage TARGET CORPUS FOUND SECONDS RUNS LONGEST
 
 Coverage-guided fuzzing has collected a corpus of inputs before. This program changes these inputs
 at random. Fuzzing without coverage (blind fuzzing) is a few times faster, and therefore tests more

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from fuzz.mutate import ByteSource, mutated_content, paths_of_values
+from fuzz.document_mutation import ByteSource, mutated_content, paths_of_values
 from handctl.controller.bus_load import bus_loads
 from handctl.core.calibration import calibration_from
 from handctl.core.gains.gains import Gains, GainsFile, GainsProvenance

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from fuzz import files
-from fuzz.mutate import ByteSource
+from fuzz import file_targets
+from fuzz.document_mutation import ByteSource
 from handctl.core.tick_types import TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.read.chunk_reader import schemas_and_channels
@@ -70,7 +70,7 @@ def _is_readable(path: Path) -> bool:
     try:
         read_whole_log(path)
     except LogError as error:
-        files.check_one_line(error)
+        file_targets.check_one_line(error)
         return False
     return True
 

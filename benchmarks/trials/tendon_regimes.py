@@ -6,7 +6,7 @@ The classes (regimes) are free, reversal, impact, hold, beyond 200 N, and slack.
 import numpy as np
 from numpy.typing import NDArray
 
-from trials.lockstep import FloatArray, TrialRecord
+from trials.lockstep_trial import FloatArray, TrialRecord
 
 REVERSAL_S = 0.05
 """Half width of the time window around a reversal of the winding direction [s]."""

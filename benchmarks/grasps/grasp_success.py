@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from grasps.objects import GRASP_CASES, GRAVITY_DIRECTIONS, MAX_OBJECT_MOTION_M, GraspCase
-from grasps.trial import GraspRun, simulate_grasp, stage_motions, task_program
+from grasps.grasp_objects import GRASP_CASES, GRAVITY_DIRECTIONS, MAX_OBJECT_MOTION_M, GraspCase
+from grasps.grasp_trial import GraspRun, simulate_grasp, stage_motions, task_program
 
 TASK_BY_GRASP = {
     ("jamia", "power"): "grasp",
