@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from grasps import payload
+from grasps import payload, slip_reaction
 from grasps.grasp_objects import MAX_OBJECT_MOTION_M
 from handctl.output import save_figure
 

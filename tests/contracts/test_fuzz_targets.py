@@ -21,31 +21,33 @@ DOCUMENT_TARGETS = ("hand", "task", "trajectory", "gains", "calibration", "log")
 """Fuzz targets that change a document. An empty fuzz input leaves the document unchanged."""
 
 
-@pytest.mark.parametrize("name", DOCUMENT_TARGETS)
-def test_an_unchanged_document_is_accepted(name: str, tmp_path: Path) -> None:
-    assert TARGET_FACTORIES[name](tmp_path)(b"")
+@pytest.mark.parametrize("target_name", DOCUMENT_TARGETS)
+def test_an_unchanged_document_is_accepted(target_name: str, tmp_path: Path) -> None:
+    assert TARGET_FACTORIES[target_name](tmp_path)(b"")
 
 
-@pytest.mark.parametrize("name", [*FUZZED_DRIVES, "hand-text", "log-bytes", "request", "fault"])
-def test_seeds_of_a_corpus_are_accepted(name: str, tmp_path: Path) -> None:
-    target = TARGET_FACTORIES[name](tmp_path)
-    seeds = seed_inputs(name, tmp_path)
+@pytest.mark.parametrize(
+    "target_name", [*FUZZED_DRIVES, "hand-text", "log-bytes", "request", "fault"]
+)
+def test_seeds_of_a_corpus_are_accepted(target_name: str, tmp_path: Path) -> None:
+    target = TARGET_FACTORIES[target_name](tmp_path)
+    seeds = seed_inputs(target_name, tmp_path)
     assert seeds
-    assert all(target(seed[: MAX_INPUT_BYTES[name]]) for seed in seeds), (
+    assert all(target(seed[: MAX_INPUT_BYTES[target_name]]) for seed in seeds), (
         "inputs of the largest length are accepted"
     )
 
 
-@pytest.mark.parametrize("name", FUZZED_DRIVES)
-def test_seeds_of_a_drive_s_corpus_reach_torque(name: str, tmp_path: Path) -> None:
-    motor, seen = frame_targets.states_until_torque(name, tmp_path)
+@pytest.mark.parametrize("target_name", FUZZED_DRIVES)
+def test_seeds_of_a_drive_s_corpus_reach_torque(target_name: str, tmp_path: Path) -> None:
+    motor, seen = frame_targets.states_until_torque(target_name, tmp_path)
     assert {one.state.phase for one in seen} >= {
         DrivePhase.SILENT,
         DrivePhase.READY,
         DrivePhase.ENABLED,
     }
     ours = frame_targets.selectable_identifiers(motor, seen)
-    for data in seed_inputs(name, tmp_path):
+    for data in seed_inputs(target_name, tmp_path):
         state, t_ns, recorded = seen[data[0]]
         sent = [frame for frame, _ in frame_targets.frames_of_input(data, ours, t_ns)]
         assert [(frame.can_id, frame.data) for frame in sent] == [
@@ -80,12 +82,12 @@ def test_a_changed_field_of_a_log_is_found_by_its_check(
     assert "telemetry and ticks do not belong together" in error_lines[0]
 
 
-@pytest.mark.parametrize("text", ["", "two\nlines"])
+@pytest.mark.parametrize("refusal_text", ["", "two\nlines"])
 def test_the_fuzz_target_rejects_an_empty_or_two_line_refusal(
-    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    refusal_text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse_with_text(*_: object) -> None:
-        raise SimulatorError(text)
+        raise SimulatorError(refusal_text)
 
     monkeypatch.setattr(text_targets, "parse_fault", refuse_with_text)
     target = TARGET_FACTORIES["fault"](tmp_path)

@@ -33,7 +33,7 @@ def scene_file() -> None:
     SCENE_FILE.write_text(CYLINDER_SCENE.format(friction=0.5))
 
 
-def _write_homed_calibration(path: Path) -> None:
+def _write_homed_calibration(calibration_file: Path) -> None:
     """Write the calibration of a simulated hand that starts with known motor zeros."""
     hand, made = load_hand("jamia"), datetime.datetime.now(datetime.UTC)
     no_offset = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
@@ -41,7 +41,7 @@ def _write_homed_calibration(path: Path) -> None:
     made_with = Calibration(
         hand="jamia", identity=hand.identity, made=made.isoformat(), tendon=tendons
     )
-    write_calibration(path, made_with)
+    write_calibration(calibration_file, made_with)
 
 
 @pytest.mark.nightly

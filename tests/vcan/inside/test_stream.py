@@ -51,7 +51,7 @@ class GuestStoppedError(Exception):
     """Error for a run that ended because the only core of the guest was busy."""
 
 
-def measure_tracking(time_scale: float, calibration: Path) -> dict[str, Any]:
+def measure_tracking(time_scale: float, calibration_file: Path) -> dict[str, Any]:
     """Measure the tracking error of a stream, and the tracking error of the same motion in a task.
 
     Raises:
@@ -60,7 +60,7 @@ def measure_tracking(time_scale: float, calibration: Path) -> dict[str, Any]:
     """
     try:
         return streaming.measure_tracking(
-            "socketcan:vcan0", time_scale, (calibration, HOMED_OPTIONS)
+            "socketcan:vcan0", time_scale, (calibration_file, HOMED_OPTIONS)
         )
     except UnconfirmedError as error:  # the controller ended before it received a request
         raise GuestStoppedError from error
