@@ -103,7 +103,7 @@ mutation: $(EXTRA) ## mutants of safety, decoders, checks and filter; survivors 
 	rm -rf mutants
 	mkdir -p build
 	$(BIN)/mutmut run --max-children $(WORKERS) > build/mutation.txt 2>&1 || { tail -n 20 build/mutation.txt; exit 1; }
-	$(BIN)/python -m fuzz.survivors
+	$(BIN)/python -m fuzz.mutation_survivors
 
 # The whole of it would be `make soak HOURS=24`, which nobody has run yet (docs/evidence/soak.md).
 HOURS ?= 0.05

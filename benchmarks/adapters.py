@@ -23,18 +23,20 @@ from handctl.cli.runs import demo
 class AdapterRunOutcome(NamedTuple):
     """Outcome of a run: is the control rate possible, tracking error [deg], tension error [N], cause of the end."""
 
-    held: bool
+    is_possible: bool
     tracking_deg: float
     hold_error_n: float
-    end: str
+    end_cause: str
 
 
-def run_demo_with_adapter(hand: str, adapter: str, rate: float, seed: int) -> AdapterRunOutcome:
+def run_demo_with_adapter(
+    hand_name: str, adapter_class: str, rate_hz: float, seed: int
+) -> AdapterRunOutcome:
     """Run the demo of a hand through a simulated adapter at a control rate [Hz]."""
     run = demo.run
 
     def at_rate(args: argparse.Namespace) -> int:
-        args.rate = rate  # `handctl demo` has no option that selects an adapter.
+        args.rate = rate_hz  # `handctl demo` has no option that selects an adapter.
         return run(args)
 
     output, errors = io.StringIO(), io.StringIO()
@@ -43,12 +45,12 @@ def run_demo_with_adapter(hand: str, adapter: str, rate: float, seed: int) -> Ad
             "demo",
             "--lockstep",
             "--hand",
-            hand,
+            hand_name,
             "--json",
             "--log",
             str(Path(folder) / "run.mcap"),
         ]
-        words += ["--wire", f"adapter={adapter}", f"seed={seed}"]
+        words += ["--wire", f"adapter={adapter_class}", f"seed={seed}"]
         demo.run = at_rate
         try:
             with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
@@ -90,8 +92,8 @@ def _print_outcomes() -> None:
         for rate in args.rates:
             for seed in range(args.seeds):
                 result = run_demo_with_adapter(args.hand, adapter, rate, seed)
-                print(f"{args.hand} {adapter} {rate:g} Hz, seed {seed}: {'held' if result.held else 'NOT HELD'},"
-                      f" tracking {result.tracking_deg:.2f} deg, hold {result.hold_error_n:.2f} N, {result.end}",
+                print(f"{args.hand} {adapter} {rate:g} Hz, seed {seed}: {'held' if result.is_possible else 'NOT HELD'},"
+                      f" tracking {result.tracking_deg:.2f} deg, hold {result.hold_error_n:.2f} N, {result.end_cause}",
                       flush=True)  # fmt: skip
 
 

@@ -68,7 +68,7 @@ def use_one_core() -> str:
     return f"core {core}, SCHED_FIFO"
 
 
-def measure_both_buses(ticks: int) -> dict:
+def measure_both_buses(tick_count: int) -> dict:
     """Measure the exchange on both buses.
 
     For a bus that is not available, the result contains the reason.
@@ -78,18 +78,18 @@ def measure_both_buses(ticks: int) -> dict:
         floor = compile_reference(Path(short))
         how = use_one_core()
         return {
-            "local": measure_bus("local", floor, ticks),
-            "vcan": measure_vcan(floor, ticks),
+            "local": measure_bus("local", floor, tick_count),
+            "vcan": measure_vcan(floor, tick_count),
             "on": how,
         }
 
 
-def compile_reference(folder: Path) -> str:
+def compile_reference(build_folder: Path) -> str:
     """Compile the C program and return its path. Return an empty string if there is no compiler."""
     compiler = shutil.which("cc")
     if compiler is None:
         return ""
-    target = folder / "floor"
+    target = build_folder / "floor"
     subprocess.run(
         [compiler, "-O2", "-o", str(target), str(BENCHMARKS_FOLDER / "exchange" / "floor.c")],
         check=True,
@@ -97,7 +97,7 @@ def compile_reference(folder: Path) -> str:
     return str(target)
 
 
-def measure_vcan(floor: str, ticks: int) -> dict:
+def measure_vcan(c_program: str, tick_count: int) -> dict:
     """Measure the exchange on vcan0."""
     sys.path.insert(0, str(BENCHMARKS_FOLDER.parent))
     from tests.vcan import uml_guest
@@ -106,12 +106,12 @@ def measure_vcan(floor: str, ticks: int) -> dict:
     if not kind:
         return {"skipped": reason}
     output: list[str] = []
-    command = [sys.executable, __file__, "--one", "vcan", floor, str(ticks // 5)]
+    command = [sys.executable, __file__, "--one", "vcan", c_program, str(tick_count // 5)]
     status = uml_guest.run_with_vcan(command, timeout_s=240.0, report_line=output.append)
     return json.loads(output[-1]) if status == 0 else {"skipped": f"status {status}: {output[-1:]}"}
 
 
-def measure_bus(medium: str, floor: str, ticks: int) -> dict:
+def measure_bus(bus_kind: str, c_program: str, tick_count: int) -> dict:
     """Measure wall time and CPU time of each alternative, for each number of motors [us].
 
     For an alternative that cannot run, the result contains the reason.
@@ -124,7 +124,9 @@ def measure_bus(medium: str, floor: str, ticks: int) -> dict:
     for motors in MOTOR_COUNTS:
         rounds: dict = {}
         for _ in range(MEASUREMENT_ROUNDS):
-            for name, row in measure_round(medium, floor, motors, ticks // MEASUREMENT_ROUNDS):
+            for name, row in measure_round(
+                bus_kind, c_program, motors, tick_count // MEASUREMENT_ROUNDS
+            ):
                 rounds.setdefault(name, []).append(row)
         result[str(motors)] = add_ratios(
             {name: combine_rounds(rows) for name, rows in rounds.items()}
@@ -132,15 +134,15 @@ def measure_bus(medium: str, floor: str, ticks: int) -> dict:
     return result
 
 
-def combine_rounds(rows: list[dict]) -> dict:
+def combine_rounds(round_rows: list[dict]) -> dict:
     """Combine the rounds of one alternative into a row: shortest wall time, and mean CPU time."""
-    if "skipped" in rows[0]:
-        return rows[0]
-    wall, used = ([row[key] for row in rows] for key in ("wall_us", "cpu_us"))
+    if "skipped" in round_rows[0]:
+        return round_rows[0]
+    wall, used = ([row[key] for row in round_rows] for key in ("wall_us", "cpu_us"))
     return {"wall_us": min(wall), "cpu_us": statistics.fmean(used)}
 
 
-def measure_round(medium: str, floor: str, motors: int, ticks: int):
+def measure_round(bus_kind: str, c_program: str, motor_count: int, tick_count: int):
     """Measure the alternatives one after another, and yield the name and the times of each."""
     sys.path.insert(0, str(BENCHMARKS_FOLDER))
     from exchange.package_clients import CLIENT_BY_PACKAGE
@@ -148,41 +150,51 @@ def measure_round(medium: str, floor: str, motors: int, ticks: int):
     from exchange.torque_exchanges import EXCHANGE_BY_NAME
 
     warnings.simplefilter("ignore")  # The clients print warnings.
-    if floor:
+    if c_program:
         yield (
             C_REFERENCE,
-            measure_c_program(floor, medium, MOTORS_BY_MEDIUM[medium][2], motors, ticks),
+            measure_c_program(
+                c_program, bus_kind, MOTORS_BY_MEDIUM[bus_kind][2], motor_count, tick_count
+            ),
         )
-        if medium == "local":
-            yield PACKET_PER_FRAME, measure_c_program(floor, "packets", "-", motors, ticks)
+        if bus_kind == "local":
+            yield (
+                PACKET_PER_FRAME,
+                measure_c_program(c_program, "packets", "-", motor_count, tick_count),
+            )
     for name, make in {**EXCHANGE_BY_NAME, **CLIENT_BY_PACKAGE}.items():
-        with motors_on(medium) as (peer, interface, channel):
+        with motors_on(bus_kind) as (peer, interface, channel):
             try:
-                made = make(interface, channel, motors)
+                made = make(interface, channel, motor_count)
             except (ImportError, ValueError) as error:
                 yield name, {"skipped": str(error)}
                 continue
             yield (
                 name,
                 measure_client(
-                    made, peer, motors, ticks if name in EXCHANGE_BY_NAME else max(50, ticks // 5)
+                    made,
+                    peer,
+                    motor_count,
+                    tick_count if name in EXCHANGE_BY_NAME else max(50, tick_count // 5),
                 ),
             )
 
 
-def measure_c_program(floor: str, medium: str, channel: str, motors: int, ticks: int) -> dict:
+def measure_c_program(
+    c_program: str, bus_kind: str, channel: str, motor_count: int, tick_count: int
+) -> dict:
     """Measure the C program on a bus: wall time and CPU time of a tick [us]."""
-    words = [floor, medium, channel, str(motors), str(ticks)]
+    words = [c_program, bus_kind, channel, str(motor_count), str(tick_count)]
     out = subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
     return {"wall_us": int(out[0]) / 1e3, "cpu_us": int(out[1]) / 1e3}
 
 
-def measure_client(client, peer, motors: int, ticks: int) -> dict:
+def measure_client(client, simulated_motors, motor_count: int, tick_count: int) -> dict:
     """Measure how long sending and receiving take in a tick [us].
 
     Return the median wall time and the mean CPU time. Python's garbage collection is off.
     """
-    torques = [0.01 * i for i in range(motors)]
+    torques = [0.01 * i for i in range(motor_count)]
 
     def measure_ticks(clock, count: int) -> list[int]:
         """Measure the time of each of ``count`` ticks, minus the time for reading the clock.
@@ -195,42 +207,44 @@ def measure_client(client, peer, motors: int, ticks: int) -> dict:
             a = clock()
             client.send(torques)
             b = clock()
-            peer.send_replies(motors, client.reply_of)
+            simulated_motors.send_replies(motor_count, client.reply_of)
             c = clock()
             got = client.receive()
             times.append(b - a + clock() - c - 2 * looking)
-            assert len(got) == motors
+            assert len(got) == motor_count
         return times
 
-    measure_ticks(time.perf_counter_ns, max(20, ticks // 10))
+    measure_ticks(time.perf_counter_ns, max(20, tick_count // 10))
     gc.collect()
     gc.disable()
-    wall = measure_ticks(time.perf_counter_ns, ticks)
-    used = measure_ticks(time.thread_time_ns, ticks)
+    wall = measure_ticks(time.perf_counter_ns, tick_count)
+    used = measure_ticks(time.thread_time_ns, tick_count)
     gc.enable()
     client.close()
     return {"wall_us": statistics.median(wall) / 1e3, "cpu_us": statistics.fmean(used) / 1e3}
 
 
-def add_ratios(rows: dict) -> dict:
+def add_ratios(row_by_name: dict) -> dict:
     """Add ratios to each row.
 
     One kind of ratio is the wall time divided by that of each C program, and the other is the
     speed-up over python-can.
     """
-    reference = rows[REFERENCE_ALTERNATIVE]
-    for row in rows.values():
+    reference = row_by_name[REFERENCE_ALTERNATIVE]
+    for row in row_by_name.values():
         if "skipped" not in row:
             row["times_floor"] = (
-                row["wall_us"] / rows[C_REFERENCE]["wall_us"] if C_REFERENCE in rows else None
+                row["wall_us"] / row_by_name[C_REFERENCE]["wall_us"]
+                if C_REFERENCE in row_by_name
+                else None
             )
             row["times_packets"] = (
-                row["wall_us"] / rows[PACKET_PER_FRAME]["wall_us"]
-                if PACKET_PER_FRAME in rows
+                row["wall_us"] / row_by_name[PACKET_PER_FRAME]["wall_us"]
+                if PACKET_PER_FRAME in row_by_name
                 else None
             )
             row["times_faster_than_python_can"] = reference["wall_us"] / row["wall_us"]
-    return rows
+    return row_by_name
 
 
 def print_results(result: dict) -> None:

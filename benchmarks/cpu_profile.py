@@ -37,14 +37,14 @@ and rotors.
 ProfiledFunction = tuple[str, int, str]
 
 
-def cpu_time_fractions(work: Callable[[], None]) -> dict[str, float]:
+def cpu_time_fractions(profiled_work: Callable[[], None]) -> dict[str, float]:
     """Measure the fraction of CPU time that each part of the program takes.
 
     The profiler slows down Python calls, but not compiled code. The measured fraction of compiled
     code is therefore too small.
     """
     profile = cProfile.Profile()
-    profile.runcall(work)
+    profile.runcall(profiled_work)
     stats = pstats.Stats(profile).stats
     total: dict[str, float] = defaultdict(float)
     for function, (_, _, self_s, _, _) in stats.items():
@@ -55,7 +55,7 @@ def cpu_time_fractions(work: Callable[[], None]) -> dict[str, float]:
 
 
 def _parts_of_function(
-    stats: dict, function: ProfiledFunction, depth: int
+    profile_stats: dict, function: ProfiledFunction, depth: int
 ) -> Iterator[tuple[str, float]]:
     """Yield each part to which a function belongs, with the fraction of the function's time for this part.
 
@@ -66,11 +66,11 @@ def _parts_of_function(
     part = next(
         (part for part, marks in PART_MARKS.items() if any(mark in name for mark in marks)), None
     )
-    callers = stats[function][4]
+    callers = profile_stats[function][4]
     if part or not callers or not depth:
         yield part or "other", 1.0
         return
     whole = sum(times[3] for times in callers.values()) or 1.0
     for caller, times in callers.items():
-        for owner, fraction in _parts_of_function(stats, caller, depth - 1):
+        for owner, fraction in _parts_of_function(profile_stats, caller, depth - 1):
             yield owner, fraction * times[3] / whole

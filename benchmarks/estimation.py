@@ -17,20 +17,20 @@ import time
 from functools import cache
 
 import numpy as np
-from trials import estimation_page, page
+from trials import control_page, estimation_page
 from trials.alternative_filters import (
     AVERAGE_WEIGHTS,
     TENSION_RATE_NOISES,
     cell_only_estimate,
     exponential_average,
 )
-from trials.hands import CLEAR_SUFFIX, hand_by_name
+from trials.benchmark_hands import SPREAD_DIGITS_SUFFIX, hand_by_name
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
-from trials.lockstep import RATES_HZ, LockstepTrial, TrialRecord, run_trial
-from trials.plants import FURTHER_PLANT_FACTORS, PHASES_TO_CONTACT, PLANT_FACTORS
+from trials.lockstep_trial import RATES_HZ, LockstepTrial, TrialRecord, run_trial
 from trials.reference_filter import CELL_DRIFT_VARIANCE_N2_PER_S, reference_sigma
-from trials.regimes import REGIME_NAMES, regime_masks
 from trials.script_program import ScriptProgram, ScriptStep
+from trials.simulated_plants import FURTHER_PLANT_FACTORS, PHASES_TO_CONTACT, PLANT_FACTORS
+from trials.tendon_regimes import REGIME_NAMES, regime_masks
 
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
@@ -84,21 +84,27 @@ RATIO_COLUMNS = (
 )
 
 
-def trials_of_seed(hand: str, plant: str, seed: int) -> list[LockstepTrial]:
+def trials_of_seed(hand_name: str, plant_name: str, seed: int) -> list[LockstepTrial]:
     """Return the trials of one hand, with one set of simulated parameters and one seed."""
-    if hand == "jamia_bench":
+    if hand_name == "jamia_bench":
         return [
-            LockstepTrial(hand, _task_program(STRONG_GRASP), seed, SCENE_NAME, TRIED_PLANTS[plant])
+            LockstepTrial(
+                hand_name, _task_program(STRONG_GRASP), seed, SCENE_NAME, TRIED_PLANTS[plant_name]
+            )
         ]
-    free = LockstepTrial(hand + CLEAR_SUFFIX, MOTION_SCRIPT, seed, None, TRIED_PLANTS[plant])
+    free = LockstepTrial(
+        hand_name + SPREAD_DIGITS_SUFFIX, MOTION_SCRIPT, seed, None, TRIED_PLANTS[plant_name]
+    )
     return [
         free,
-        LockstepTrial(hand, _task_program(GRASP_TASK), seed, SCENE_NAME, TRIED_PLANTS[plant]),
+        LockstepTrial(
+            hand_name, _task_program(GRASP_TASK), seed, SCENE_NAME, TRIED_PLANTS[plant_name]
+        ),
     ]
 
 
-def _task_program(content: dict) -> TaskProgram:
-    return TaskProgram(validate_content(content, Task, "benchmark"))
+def _task_program(task_content: dict) -> TaskProgram:
+    return TaskProgram(validate_content(task_content, Task, "benchmark"))
 
 
 def squared_error_sums(job: tuple[str, str, int]) -> dict[str, dict[str, list[float]]]:
@@ -119,9 +125,9 @@ def squared_error_sums(job: tuple[str, str, int]) -> dict[str, dict[str, list[fl
     return sums
 
 
-def _sum_and_count(values: np.ndarray, mask: np.ndarray) -> list[float]:
-    """Return the sum and the number of the values that ``mask`` selects, without NaN."""
-    values_in_regime = values[mask]
+def _sum_and_count(values: np.ndarray, is_selected: np.ndarray) -> list[float]:
+    """Return the sum and the number of the values that ``is_selected`` selects, without NaN."""
+    values_in_regime = values[is_selected]
     values_in_regime = values_in_regime[~np.isnan(values_in_regime)]
     return [float(values_in_regime.sum()), float(len(values_in_regime))]
 
@@ -132,14 +138,14 @@ def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarra
     The quantities are the squared error of each estimator, the variance of the reference filter
     [N^2], the NIS, and the innovations.
     """
-    numbers = record.numbers
+    numbers = record.telemetry
     period_ns = int(record.t_ns[1] - record.t_ns[0])
     real = record.tension()
     before = record.tension(period_ns)
     raw = numbers["tension_raw"]
     period = period_ns * 1e-9
     model = record.controller.model
-    result = {"filtered": record.filtered - before, "raw": raw - before}
+    result = {"filtered": record.filtered_tension - before, "raw": raw - before}
     result |= {"estimate": numbers["tension"] - real, "raw now": raw - real}
     result |= {f"average {w:g}": exponential_average(raw, float(w)) - real for w in AVERAGE_WEIGHTS}
     noise = float(model.space.tension_noise[0])
@@ -160,9 +166,9 @@ def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarra
 
 
 @cache
-def _reference_sigmas(hand: str, is_held: bool) -> np.ndarray:
+def _reference_sigmas(hand_name: str, is_held: bool) -> np.ndarray:
     """Return the standard deviations of the reference filter, at the last sample and at present (N, 2) [N]."""
-    name = hand.removesuffix(CLEAR_SUFFIX)
+    name = hand_name.removesuffix(SPREAD_DIGITS_SUFFIX)
     model = HandModel.from_hand(hand_by_name(name), Gains(), RATES_HZ[name])
     return np.array([reference_sigma(model, i, is_held) for i in range(model.tendon_count)])
 
@@ -213,15 +219,17 @@ def _means_of_quantities(sums: dict[str, list[float]]) -> dict[str, float]:
     return {name: sum(parts[::2]) / max(sum(parts[1::2]), 1.0) for name, parts in sums.items()}
 
 
-def measure_estimators(seeds: int, wrong_seeds: int, plants: list[str], plan: JobPlan) -> dict:
+def measure_estimators(
+    seed_count: int, wrong_plant_seed_count: int, plant_names: list[str], plan: JobPlan
+) -> dict:
     """Measure all tables.
 
-    In the result, ``seeds`` is the number of seeds that were computed for each case within the time
+    In the result, ``seed_count`` is the number of seeds that were computed for each case within the time
     of the plan.
     """
-    cases = [(hand, plant) for plant in plants for hand in MEASURED_HANDS]
+    cases = [(hand, plant) for plant in plant_names for hand in MEASURED_HANDS]
     cases.insert(len(MEASURED_HANDS), ("jamia_bench", "as known"))
-    counts = [seeds if case[1] == "as known" else wrong_seeds for case in cases]
+    counts = [seed_count if case[1] == "as known" else wrong_plant_seed_count for case in cases]
     # Sort the jobs by seed. A benchmark that is stopped early then has results for the same number
     # of seeds in each case.
     jobs = [
@@ -303,7 +311,7 @@ def main() -> None:
     result["wall_s"] = time.monotonic() - start
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
     if args.page:
-        page.write_part("estimation", estimation_page.page_section(result))
+        control_page.write_part("estimation", estimation_page.page_section(result))
         estimation_page.draw_picture(result)
 
 

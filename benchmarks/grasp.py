@@ -2,7 +2,7 @@
 
 ``python benchmarks/grasp.py [--quick | --full] [--json] [--seeds N] [--keep FOLDER] [--page]``.
 Controller and simulated hand run in lockstep, and the results are true values from the simulator.
-``grasps/objects.py`` contains the objects and disturbances, which were fixed before any tuning.
+``grasps/grasp_objects.py`` contains the objects and disturbances, which were fixed before any tuning.
 With ``--full``, every object is grasped. ``--page`` writes docs/evidence/control-grasps.md and its
 picture.
 """
@@ -12,8 +12,8 @@ import json
 from typing import Any
 
 import numpy as np
-from grasps import contact, page, payload, slip, success, tip_force
-from grasps.objects import GRASP_CASES
+from grasps import contact_detection, grasp_page, grasp_success, payload, slip_reaction, tip_force
+from grasps.grasp_objects import GRASP_CASES
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 
 MEASURED_HANDS = ("jamia", "jamia11")
@@ -70,8 +70,8 @@ def main() -> None:
     args = parser.parse_args()
     result = measure_grasps(args, job_plan_of(args))
     if args.page:
-        page.write_page(result)
-    print(json.dumps(result, indent=1)) if args.json else print(page.tables_text(result))
+        grasp_page.write_page(result)
+    print(json.dumps(result, indent=1)) if args.json else print(grasp_page.tables_text(result))
 
 
 def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
@@ -86,7 +86,7 @@ def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
     result: dict[str, Any] = {}
     if "success" in parts:
         tries = [(hand, i, seed) for seed in seeds for i in which for hand in hands]
-        result["success"] = list(collect_results(success.measure_grasp, tries, plan).values())
+        result["success"] = list(collect_results(grasp_success.measure_grasp, tries, plan).values())
     if "payload" in parts and not args.quick:
         loads = [
             (hand, along, seed)
@@ -99,7 +99,7 @@ def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
         slips = [
             (hand, answered, seed) for seed in seeds for hand in hands for answered in (False, True)
         ]
-        result["slip"] = list(collect_results(slip.measure_slip, slips, plan).values())
+        result["slip"] = list(collect_results(slip_reaction.measure_slip, slips, plan).values())
     if "tip" in parts:
         found = collect_results(
             tip_force.measure_tip_force, [(hand, seed) for seed in seeds for hand in hands], plan
@@ -114,7 +114,7 @@ def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
 
 
 def _measure_contact_detection(
-    hands: tuple[str, ...], walls: int, minutes: float, plan: JobPlan
+    hand_names: tuple[str, ...], wall_seeds: int, minutes: float, plan: JobPlan
 ) -> list[dict[str, Any]]:
     """Measure contacts with walls and false contacts in free motion, for each hand.
 
@@ -122,13 +122,15 @@ def _measure_contact_detection(
     the time in which they move.
     """
     results = collect_results(
-        contact.find_contacts, [(hand, seed) for seed in range(walls) for hand in hands], plan
+        contact_detection.find_contacts,
+        [(hand, seed) for seed in range(wall_seeds) for hand in hand_names],
+        plan,
     )
     stretch = min(FREE_RUN_S, 60.0 * minutes)
-    count = max(1, round(60.0 * minutes / stretch / contact.MOVING_FRACTION))
+    count = max(1, round(60.0 * minutes / stretch / contact_detection.MOVING_FRACTION))
     free = collect_results(
-        contact.free_motion,
-        [(hand, stretch, seed) for seed in range(count) for hand in hands],
+        contact_detection.measure_false_contacts,
+        [(hand, stretch, seed) for seed in range(count) for hand in hand_names],
         plan,
     )
     return [
@@ -137,25 +139,25 @@ def _measure_contact_detection(
             [v for j, v in results.items() if j[0] == hand],
             [v for j, v in free.items() if j[0] == hand],
         )
-        for hand in hands
+        for hand in hand_names
     ]
 
 
 def _summarise_contacts(
-    hand: str, walls: list[list[float]], rows: list[dict[str, float]]
+    hand_name: str, wall_delays: list[list[float]], false_contact_rows: list[dict[str, float]]
 ) -> dict[str, Any]:
     """Compute the results of one hand from the delays of contact events and the counts of false contacts."""
-    latency = np.array([value for values in walls for value in values])
-    if not len(latency) or not rows:
-        return {"hand": hand, "contacts": 0}
+    latency = np.array([value for values in wall_delays for value in values])
+    if not len(latency) or not false_contact_rows:
+        return {"hand": hand_name, "contacts": 0}
     return {
-        "hand": hand, "contacts": len(latency),
-        "within_20_ms": round(float((latency <= contact.DETECTION_LIMIT_S + 1e-9).mean()), 3),
+        "hand": hand_name, "contacts": len(latency),
+        "within_20_ms": round(float((latency <= contact_detection.DETECTION_LIMIT_S + 1e-9).mean()), 3),
         "before_1_N": round(float((latency < 0.0).mean()), 3),
         "p95_ms": round(1e3 * float(np.sort(latency)[int(np.ceil(0.95 * len(latency))) - 1]), 1),
         "worst_ms": round(1e3 * float(latency.max()), 1),
-        "free_minutes": round(sum(row["minutes"] for row in rows), 2),
-        "false_alarms": sum(row["alarms"] for row in rows),
+        "free_minutes": round(sum(row["minutes"] for row in false_contact_rows), 2),
+        "false_alarms": sum(row["alarms"] for row in false_contact_rows),
     }  # fmt: skip
 
 

@@ -14,13 +14,13 @@ import json
 import math
 
 import numpy as np
-from trials import page, tracking
-from trials.hands import FINGERTIP_LOAD, SIDE_SUFFIX
+from trials import control_page, tracking
+from trials.benchmark_hands import FINGERTIP_LOAD, SIDEWAYS_SUFFIX
+from trials.control_laws import GRAVITY_LAWS
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
-from trials.laws import GRAVITY_LAWS
-from trials.lockstep import RATES_HZ, LockstepTrial, run_trial
+from trials.lockstep_trial import RATES_HZ, LockstepTrial, run_trial
 
-WEIGHTS_LAW = dict(
+TUNED_LAW_BY_GRAVITY_LAW = dict(
     zip(GRAVITY_LAWS, ("+ gravity and springs",) * 2 + ("+ full computed torque",) * 2, strict=True)
 )
 """For each control law of this benchmark, a control law of the tracking benchmark with the same LQR weights.
@@ -39,16 +39,17 @@ def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
     """
     hand, law, seed = job
     gains = GRAVITY_LAWS[law].gains(
-        *tracking.tuned_weights(hand, WEIGHTS_LAW[law], with_margins=True), RATES_HZ[hand]
+        *tracking.tuned_weights(hand, TUNED_LAW_BY_GRAVITY_LAW[law], with_margins=True),
+        RATES_HZ[hand],
     )
     trial = LockstepTrial(
-        hand + SIDE_SUFFIX,
+        hand + SIDEWAYS_SUFFIX,
         tracking.motion_script(MEASURED_SPEEDS),
         seed,
         None,
         None,
         gains,
-        change=GRAVITY_LAWS[law].change,
+        change_controller=GRAVITY_LAWS[law].change_controller,
     )
     record = run_trial(trial)
     if record.failure:
@@ -56,7 +57,7 @@ def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
     return tracking.tracking_figures(record, MEASURED_SPEEDS)
 
 
-def measure_gravity_compensation(seeds: int, plan: JobPlan) -> dict:
+def measure_gravity_compensation(seed_count: int, plan: JobPlan) -> dict:
     """Measure the tracking errors for each hand, control law and speed.
 
     Return their mean and their range over the seeds.
@@ -65,13 +66,13 @@ def measure_gravity_compensation(seeds: int, plan: JobPlan) -> dict:
         (hand, law, k)
         for hand in tracking.MEASURED_HANDS
         for law in GRAVITY_LAWS
-        for k in range(seeds)
+        for k in range(seed_count)
     ]
     results = collect_results(run_gravity_trial, jobs, plan)
     result: dict = {}
     for hand in tracking.MEASURED_HANDS:
         for law in GRAVITY_LAWS:
-            rows = [results[hand, law, k] for k in range(seeds) if (hand, law, k) in results]
+            rows = [results[hand, law, k] for k in range(seed_count) if (hand, law, k) in results]
             result.setdefault(hand, {})[law] = {
                 speed: {
                     name: _over_seeds([row[speed][name] for row in rows]) for name in FIGURE_LABELS
@@ -81,10 +82,10 @@ def measure_gravity_compensation(seeds: int, plan: JobPlan) -> dict:
     return result
 
 
-def _over_seeds(values: list[float]) -> dict[str, float]:
-    good = [value for value in values if np.isfinite(value)]
+def _over_seeds(errors: list[float]) -> dict[str, float]:
+    good = [value for value in errors if np.isfinite(value)]
     mean, spread = (float(np.mean(good)), float(np.std(good))) if good else (float("nan"),) * 2
-    return {"mean": mean, "spread": spread, "seeds": len(values), "ended": len(values) - len(good)}
+    return {"mean": mean, "spread": spread, "seeds": len(errors), "ended": len(errors) - len(good)}
 
 
 def page_section(result: dict) -> str:
@@ -124,7 +125,7 @@ the tracking table that keep their margins, and there is no force loop. The erro
 angle of a digit from its setpoint, measured in the plant. The columns *steady* have the digit with the largest error.
 All numbers are means over the seeds, with their spread.
 
-{page.markdown_table(head, rows)}
+{control_page.markdown_table(head, rows)}
 
 {_benefit_text(result)}
 """
@@ -151,9 +152,9 @@ def _benefit_text(result: dict) -> str:
     )
 
 
-def _reduction_text(without: dict, compensated: dict) -> str:
-    before = without["rmse_deg"]
-    after = compensated["rmse_deg"]
+def _reduction_text(row_without: dict, compensated_row: dict) -> str:
+    before = row_without["rmse_deg"]
+    after = compensated_row["rmse_deg"]
     change = before["mean"] - after["mean"]
     spread = math.hypot(before["spread"], after["spread"])
     return f"{change:+.3f} ± {spread:.3f} deg" + (
@@ -179,7 +180,7 @@ def main() -> None:
     result = measure_gravity_compensation(args.seeds, job_plan_of(args))
     print(json.dumps(result, indent=2) if args.json else page_section(result))
     if args.page:
-        page.write_part("gravity", page_section(result))
+        control_page.write_part("gravity", page_section(result))
 
 
 if __name__ == "__main__":

@@ -25,22 +25,22 @@ from firmware_sim.scene.scene import load_scene
 
 MEASURED_HANDS = ("jamia", "jamia11", "t42")
 SCENE_BY_ENVIRONMENT = {"Track": None, "Grasp": "cylinder:33"}
-TORQUE_N_M = 0.05
+BARE_JOINT_TORQUE_N_M = 0.05
 STEP_COUNT = 2000
 QUICK_STEP_COUNT = 300
 RESET_COUNT = 10
 PROCESS_COUNT = 2
 
 
-class BareEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class PlainMujocoEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
     """Environment with only the rigid bodies.
 
     An action consists of joint torques. An observation consists of joint angles and rates.
     """
 
-    def __init__(self, hand: str, scene: str | None, step_s: float) -> None:
+    def __init__(self, hand_name: str, scene_name: str | None, step_s: float) -> None:
         """Build the model."""
-        self.plant = Plant(load_hand(hand), load_scene(scene), homed=True)
+        self.plant = Plant(load_hand(hand_name), load_scene(scene_name), homed=True)
         self.engine = self.plant.engine
         self.count = round(step_s / STEP_S)
         joints = len(self.engine.q)
@@ -57,7 +57,7 @@ class BareEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
         """Apply the joint torques of an action for one action period."""
-        self.engine.applied[:] = TORQUE_N_M * action
+        self.engine.applied[:] = BARE_JOINT_TORQUE_N_M * action
         mujoco.mj_step(self.engine._model, self.engine._data, nstep=self.count)
         return self._observation(), 0.0, False, False, {}
 
@@ -82,21 +82,23 @@ def main() -> None:
     print(json.dumps(rows, indent=2)) if args.json else print_results(rows)
 
 
-def measure_environment(hand: str, name: str, steps: int) -> dict[str, Any]:
+def measure_environment(hand_name: str, environment_name: str, step_count: int) -> dict[str, Any]:
     """Measure handctl and the MuJoCo environment for one hand."""
     options = {
-        "hand": hand,
-        **({"diameter_mm": (33.0, 33.0)} if name == "Grasp" else {"span": (0.0, 0.05)}),
+        "hand": hand_name,
+        **({"diameter_mm": (33.0, 33.0)} if environment_name == "Grasp" else {"span": (0.0, 0.05)}),
     }
-    kind = f"handctl/{name}-v0"
+    kind = f"handctl/{environment_name}-v0"
     env = gymnasium.make(kind, **options)
-    bare = BareEnv(hand, SCENE_BY_ENVIRONMENT[name], env.unwrapped.step_s)
-    stepping_s = step_cpu_s(env, steps)
-    bare_s = step_cpu_s(bare, steps)
+    bare = PlainMujocoEnvironment(
+        hand_name, SCENE_BY_ENVIRONMENT[environment_name], env.unwrapped.step_s
+    )
+    stepping_s = step_cpu_s(env, step_count)
+    bare_s = step_cpu_s(bare, step_count)
     step_s = env.unwrapped.step_s
     vector = AsyncVectorEnv([lambda: gymnasium.make(kind, **options)] * PROCESS_COUNT)
     return {
-        "hand": hand,
+        "hand": hand_name,
         "environment": kind,
         "control_rate_hz": 1.0 / env.unwrapped.model.period,
         "steps_per_s": 1.0 / stepping_s,
@@ -104,23 +106,23 @@ def measure_environment(hand: str, name: str, steps: int) -> dict[str, Any]:
         "bare_steps_per_s": 1.0 / bare_s,
         "fraction_of_bare": bare_s / stepping_s,
         "processes": PROCESS_COUNT,
-        "vector_steps_per_s": vector_steps_per_s(vector, steps // PROCESS_COUNT),
+        "vector_steps_per_s": vector_steps_per_s(vector, step_count // PROCESS_COUNT),
         "reset_ms": 1e3 * reset_cpu_s(env),
         "bare_reset_ms": 1e3 * reset_cpu_s(bare),
     }
 
 
-def random_action(space: gymnasium.spaces.Box, rng: np.random.Generator) -> np.ndarray:
+def random_action(action_space: gymnasium.spaces.Box, rng: np.random.Generator) -> np.ndarray:
     """Return a random action that keeps the hand nearly open."""
-    return np.asarray(-1.0 + 0.1 * rng.uniform(0.0, 1.0, space.shape), np.float32)
+    return np.asarray(-1.0 + 0.1 * rng.uniform(0.0, 1.0, action_space.shape), np.float32)
 
 
-def step_cpu_s(env: gymnasium.Env, steps: int) -> float:
+def step_cpu_s(env: gymnasium.Env, step_count: int) -> float:
     """Return the CPU time of a step [s]. The time of resets is not included."""
     rng = np.random.default_rng(0)
     env.reset(seed=0)
     took = 0.0
-    for _ in range(steps):
+    for _ in range(step_count):
         action = random_action(env.action_space, rng)
         begin = time.process_time()
         _, _, ended, truncated, info = env.step(action)
@@ -129,7 +131,7 @@ def step_cpu_s(env: gymnasium.Env, steps: int) -> float:
             raise RuntimeError(f"the episode ended: {info}")
         if truncated:
             env.reset()
-    return took / steps
+    return took / step_count
 
 
 def reset_cpu_s(env: gymnasium.Env) -> float:
@@ -140,18 +142,18 @@ def reset_cpu_s(env: gymnasium.Env) -> float:
     return (time.process_time() - begin) / RESET_COUNT
 
 
-def vector_steps_per_s(vector: AsyncVectorEnv, steps: int) -> float:
+def vector_steps_per_s(environments: AsyncVectorEnv, step_count: int) -> float:
     """Measure how many steps all processes together make per second of wall time.
 
     The time of resets is included.
     """
     rng = np.random.default_rng(0)
-    vector.reset(seed=0)
+    environments.reset(seed=0)
     begin = time.monotonic()
-    for _ in range(steps):
-        vector.step(random_action(vector.action_space, rng))
-    rate = PROCESS_COUNT * steps / (time.monotonic() - begin)
-    vector.close()
+    for _ in range(step_count):
+        environments.step(random_action(environments.action_space, rng))
+    rate = PROCESS_COUNT * step_count / (time.monotonic() - begin)
+    environments.close()
     return rate
 
 

@@ -27,11 +27,11 @@ from handctl.session.simulate import SimulatedRun
 
 OPERATOR_DELAY_S = 2.0
 """Time from the fault until the operator stops the run [s]."""
-AFTER_STOP_S = 1.5
+TIME_AFTER_STOP_S = 1.5
 """Time from the stop by the operator to the end of the run [s]."""
 STOP_REQUEST = '{"do": "stop"}'
-HOLD_N = 90.0
-FAST_RISE_N_PER_S = 60.0
+HIGH_HOLD_TENSION_N = 90.0
+FAST_TENSION_RATE_N_PER_S = 60.0
 FREE_STAGE = "free"
 LOW_HOLD_STAGE = "hold 24"
 RISING_STAGE = "rising"
@@ -72,36 +72,37 @@ def rising_hold_task() -> dict[str, Any]:
     rise = {
         "kind": "hold",
         "name": "rise",
-        "tension_N": HOLD_N,
-        "rate_N_per_s": FAST_RISE_N_PER_S,
+        "tension_N": HIGH_HOLD_TENSION_N,
+        "rate_N_per_s": FAST_TENSION_RATE_N_PER_S,
         "duration_s": 60.0,
     }
     other["phase"].append(rise)
     return other
 
 
-def is_at_stage(stage: str, out: Any, first: int) -> bool:
+def is_at_stage(stage_name: str, tick_output: Any, first_tick: int) -> bool:
     """Return True if a run has reached a stage.
 
-    ``first`` is the number of ticks of the free motion so far.
+    ``first_tick`` is the number of ticks of the free motion so far.
     """
-    tension = float(out.telemetry.tension.max())
-    if stage == FREE_STAGE:
-        return bool(out.phase == "free" and first > 100)
-    if stage == LOW_HOLD_STAGE:
-        return bool(out.phase == "hold" and tension > 20.0)
+    tension = float(tick_output.telemetry.tension.max())
+    if stage_name == FREE_STAGE:
+        return bool(tick_output.phase == "free" and first_tick > 100)
+    if stage_name == LOW_HOLD_STAGE:
+        return bool(tick_output.phase == "hold" and tension > 20.0)
     return bool(
-        out.phase == "rise" and tension > (40.0 if stage == RISING_STAGE else 0.95 * HOLD_N)
+        tick_output.phase == "rise"
+        and tension > (40.0 if stage_name == RISING_STAGE else 0.95 * HIGH_HOLD_TENSION_N)
     )
 
 
-def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
+def run_with_fault(simulation: SimulatedRun, fault_text: str) -> dict[str, Any]:
     """Inject a fault, and continue the run to its end.
 
     Return the identifiers of the reported faults, the delay of the reaction [ms], and the largest
     true tension [N].
     """
-    simulation.simulated_hand.inject(text)
+    simulation.simulated_hand.inject(fault_text)
     start = simulation.k
     detected = []
     reacted = -1.0
@@ -109,7 +110,7 @@ def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
     stopped = 0.0
     watched, end = (
         round(s * 1e9 / simulation.period_ns)
-        for s in (OPERATOR_DELAY_S, OPERATOR_DELAY_S + AFTER_STOP_S)
+        for s in (OPERATOR_DELAY_S, OPERATOR_DELAY_S + TIME_AFTER_STOP_S)
     )
     for i in range(end):
         stops = i == watched and reacted < 0

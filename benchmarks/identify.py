@@ -36,7 +36,7 @@ from handctl.session.simulate import SimulatorSettings
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.identify import TendonResult, identify_tendons
 
-ResultRow = dict[str, Any]
+FitResultRow = dict[str, Any]
 
 MAX_PARAMETER_ERROR = 0.3
 MAX_ARM_ERROR = 0.1
@@ -60,13 +60,13 @@ DETUNED_GAIN_KEYS = ("motion.position_error_m", "motion.speed_error_m_s", "motio
              "tension.speed_error_m_s", "tension.force_N", "tension.integral_per_s")  # fmt: skip
 
 
-def gains_for(hand: Hand, digit: str, seed: int) -> Gains:
+def gains_for(hand: Hand, digit_name: str, seed: int) -> Gains:
     """Return random gains for a digit with springs, and the packaged gains for other digits."""
     packaged = packaged_gains(hand.name)
-    return draw_gains(packaged, seed) if hand.digit_named(digit).has_springs else packaged
+    return draw_gains(packaged, seed) if hand.digit_named(digit_name).has_springs else packaged
 
 
-def draw_plant(seed: int, sprung: bool = True) -> dict[str, float]:
+def draw_plant(seed: int, with_springs: bool = True) -> dict[str, float]:
     """Draw random factors that multiply the parameters of a simulated hand.
 
     For digits without springs, also draw a factor for the moment arms.
@@ -78,49 +78,58 @@ def draw_plant(seed: int, sprung: bool = True) -> dict[str, float]:
     }
     return (
         factors
-        if sprung
+        if with_springs
         else factors | {"moment_arm": chance.uniform(1.0 - MAX_ARM_ERROR, 1.0 + MAX_ARM_ERROR)}
     )
 
 
-def draw_gains(packaged: Gains, seed: int) -> Gains:
+def draw_gains(packaged_gains: Gains, seed: int) -> Gains:
     """Draw random gains, which differ from the packaged gains by up to a factor of 3."""
     chance = random.Random(f"gains {seed}")
     values = {}
     for key in DETUNED_GAIN_KEYS:
         section, _, name = key.partition(".")
-        values[key] = getattr(getattr(packaged, section), name) * MAX_GAIN_FACTOR ** chance.uniform(
-            -1.0, 1.0
-        )
-    return with_values(packaged, values, "detuned")
+        values[key] = getattr(
+            getattr(packaged_gains, section), name
+        ) * MAX_GAIN_FACTOR ** chance.uniform(-1.0, 1.0)
+    return with_values(packaged_gains, values, "detuned")
 
 
-def true_parameters(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float]:
+def true_parameters(
+    hand: Hand, tendon_name: str, plant_factors: dict[str, float]
+) -> dict[str, float]:
     """Return the true values of the parameters that the identification of a tendon estimates."""
-    known = hand.tendon[hand.tendon_names.index(tendon)]
-    motor = hand.motor_of(tendon)
+    known = hand.tendon[hand.tendon_names.index(tendon_name)]
+    motor = hand.motor_of(tendon_name)
     # Without load cells all forces are identified in units of the commanded torque.
-    unit = 1.0 if known.pretension_N is None else factors["torque_constant"]
+    unit = 1.0 if known.pretension_N is None else plant_factors["torque_constant"]
     values = {
-        "tendon_stiffness": known.stiffness_N_per_m * factors["stiffness"] / unit,
-        "motor_inertia": motor.inertia_kg_m2 * factors["motor_inertia"] / unit,
-        "motor_coulomb": motor.coulomb_N_m * factors["friction"] / unit,
-        "motor_viscous": motor.viscous_N_m_s_per_rad * factors["damping"] / unit,
-        "capstan": known.friction_coefficient * factors["friction"],
+        "tendon_stiffness": known.stiffness_N_per_m * plant_factors["stiffness"] / unit,
+        "motor_inertia": motor.inertia_kg_m2 * plant_factors["motor_inertia"] / unit,
+        "motor_coulomb": motor.coulomb_N_m * plant_factors["friction"] / unit,
+        "motor_viscous": motor.viscous_N_m_s_per_rad * plant_factors["damping"] / unit,
+        "capstan": known.friction_coefficient * plant_factors["friction"],
     }
     if known.pretension_N is None:
-        values["torque_gain"] = factors["torque_constant"]
+        values["torque_gain"] = plant_factors["torque_constant"]
     else:
         values["pretension"] = known.pretension_N / unit
     # A digit without springs has no spring stiffness to identify. The fit estimates its moment arms
     # instead.
-    name = "moment_arm" if "moment_arm" in factors else "spring_stiffness"
-    return values | {name: factors["moment_arm" if "moment_arm" in factors else "spring"]}
+    name = "moment_arm" if "moment_arm" in plant_factors else "spring_stiffness"
+    return values | {
+        name: plant_factors["moment_arm" if "moment_arm" in plant_factors else "spring"]
+    }
 
 
 def excite_and_fit(
-    hand_name: str, digit: str, seed: int, factors: dict[str, float], gains: Gains, folder: Path
-) -> tuple[dict[str, TendonResult], ResultRow]:
+    hand_name: str,
+    digit_name: str,
+    seed: int,
+    plant_factors: dict[str, float],
+    gains: Gains,
+    log_folder: Path,
+) -> tuple[dict[str, TendonResult], FitResultRow]:
     """Move one digit of a simulated hand and fit the parameters of this digit.
 
     Return the fit, and a row with the CPU time or the reason for a failure.
@@ -128,27 +137,27 @@ def excite_and_fit(
     Args:
         hand_name: name of a packaged hand or path of a hand file. Controller and simulator use the
             same file.
-        digit: name of the digit.
+        digit_name: name of the digit.
         seed: seed of the simulated noise, slack and offsets. factors: factors that multiply
             parameters of the simulated hand.
         gains: gains of the controller.
-        folder: folder for the log.
+        log_folder: folder for the log.
     """
     hand = load_hand(hand_name)
     plan = RunPlan(hand, gains, default_rate(hand), ())
-    log = folder / f"{seed}.mcap"
+    log = log_folder / f"{seed}.mcap"
     controller = make_controller(
-        plan, ExciteProgram(excitation_steps(hand, (digit,))), None, arm_at_once=True
+        plan, ExciteProgram(excitation_steps(hand, (digit_name,))), None, arm_at_once=True
     )
     began = time.process_time()
-    with SimulatorSettings(hand_name, None, seed, factors, homed=True).lockstep_clock(
+    with SimulatorSettings(hand_name, None, seed, plant_factors, homed=True).lockstep_clock(
         plan.period_ns
     ) as clock:
         held = HoldLimit()
         outcome = run_lockstep(plan, controller, log, clock, held)
-    row: ResultRow = {
+    row: FitResultRow = {
         "seed": seed,
-        "digit": digit,
+        "digit": digit_name,
         "simulated_s": outcome.state.k * 1e-9 * plan.period_ns,
     }
     row["excite_cpu_s"] = time.process_time() - began
@@ -161,17 +170,19 @@ def excite_and_fit(
     return result, row
 
 
-def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> ResultRow:
+def measure_digit(
+    seed: int, digit_name: str, log_folder: Path, hand_name: str = "jamia"
+) -> FitResultRow:
     """Move one digit of a random hand and fit the parameters of this digit.
 
     Return a row with the error and the confidence interval of every parameter, or with the reason
     for a failure.
     """
     hand = load_hand(hand_name)
-    sprung = hand.digit_named(digit).has_springs
+    sprung = hand.digit_named(digit_name).has_springs
     factors = draw_plant(seed, sprung)
     result, row = excite_and_fit(
-        hand_name, digit, seed, factors, gains_for(hand, digit, seed), folder
+        hand_name, digit_name, seed, factors, gains_for(hand, digit_name, seed), log_folder
     )
     if not result:
         return row
@@ -198,35 +209,40 @@ def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia")
     return row
 
 
-def compare_parameter(name: str, tendon: str, real: float, result: TendonResult) -> ResultRow:
+def compare_parameter(
+    parameter_name: str, tendon_name: str, true_value: float, result: TendonResult
+) -> FitResultRow:
     """Compare an identified parameter with its true value.
 
     The returned error and half widths of confidence intervals are fractions of the true value.
     """
-    identified = name in result.identifiability.names
-    error = result.fit.parameter_values[name] / real - 1.0
-    width = result.fit.half_widths[name] / real
-    together = result.fit.half_widths_of(max(1, len(result.identifiability.names)))[name] / real
+    identified = parameter_name in result.identifiability.names
+    error = result.fit.parameter_values[parameter_name] / true_value - 1.0
+    width = result.fit.half_widths[parameter_name] / true_value
+    together = (
+        result.fit.half_widths_of(max(1, len(result.identifiability.names)))[parameter_name]
+        / true_value
+    )
     return {
-        "name": name,
-        "tendon": tendon,
+        "name": parameter_name,
+        "tendon": tendon_name,
         "error": error,
         "half_width": width,
         "half_width_all_at_once": together,
         "identified": identified,
         "covered": identified and abs(error) <= width,
         "covered_all_at_once": identified and abs(error) <= together,
-        "within": identified and abs(error) <= PARAMETER_TOLERANCES[name],
+        "within": identified and abs(error) <= PARAMETER_TOLERANCES[parameter_name],
     }
 
 
-def summarise_results(rows: list[ResultRow]) -> ResultRow:
+def summarise_results(rows: list[FitResultRow]) -> FitResultRow:
     """Count, for every parameter, the accurate fits and the confidence intervals that contain the true value.
 
     Also summarise the errors of the fits.
     """
     good = [row["parameters"] for row in rows if "failure" not in row]
-    result: ResultRow = {
+    result: FitResultRow = {
         "seeds": len(rows),
         "failed": [row for row in rows if "failure" in row],
         "parameters": {},
@@ -253,7 +269,7 @@ def summarise_results(rows: list[ResultRow]) -> ResultRow:
     return result
 
 
-def collect_rows(args: argparse.Namespace) -> list[ResultRow]:
+def collect_rows(args: argparse.Namespace) -> list[FitResultRow]:
     """Return the rows of all requested seeds.
 
     Compute only rows that the file of results does not contain yet.

@@ -19,8 +19,8 @@ import numpy as np
 from cpu_profile import cpu_time_fractions
 from lockstep_stack import RATE_BY_HAND_HZ, FreeMotionSetup, GraspSetup, LockstepStack
 
-SIMULATED_S = 4.0
-QUICK_SIMULATED_S = 1.2
+SIMULATED_TIME_S = 4.0
+QUICK_SIMULATED_TIME_S = 1.2
 RUNS_PER_CASE = 4
 
 
@@ -30,15 +30,15 @@ class BodyRollout(NamedTuple):
     Attributes:
         torque: (steps, joints) torque that tendons apply to each joint [N m].
         damping: (steps, tendons) damping of each tendon [N s/m].
-        table: (steps, bodies, 3) position of the table [m].
-        end: (joints,) joint angles after the last step [rad].
+        table_height: (steps, bodies, 3) position of the table [m].
+        final_angles: (joints,) joint angles after the last step [rad].
         contacts: mean number of contacts in a simulation step.
     """
 
     torque: np.ndarray
     damping: np.ndarray
-    table: np.ndarray
-    end: np.ndarray
+    table_height: np.ndarray
+    final_angles: np.ndarray
     contacts: float
 
 
@@ -53,7 +53,7 @@ def main() -> None:
     result = {
         hand: {
             name: measure_lockstep_speed(
-                hand, rate, name, QUICK_SIMULATED_S if args.quick else SIMULATED_S
+                hand, rate, name, QUICK_SIMULATED_TIME_S if args.quick else SIMULATED_TIME_S
             )
             for name in SETUP_BY_SCENE
         }
@@ -65,47 +65,52 @@ def main() -> None:
 SETUP_BY_SCENE = {"free": FreeMotionSetup, "contact": GraspSetup}
 
 
-def measure_lockstep_speed(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
+def measure_lockstep_speed(
+    hand_name: str, rate_hz: float, scene_name: str, simulated_s: float
+) -> dict:
     """Measure the CPU times of one hand in one scene."""
-    made = SETUP_BY_SCENE[scene]
-    rollout = record_rollout(LockstepStack(hand, rate_hz, made), seconds)
+    made = SETUP_BY_SCENE[scene_name]
+    rollout = record_rollout(LockstepStack(hand_name, rate_hz, made), simulated_s)
     bare = sum_of_shortest(
-        repeat_rollout(LockstepStack(hand, rate_hz, made), rollout) for _ in range(RUNS_PER_CASE)
+        repeat_rollout(LockstepStack(hand_name, rate_hz, made), rollout)
+        for _ in range(RUNS_PER_CASE)
     )
     whole = sum_of_shortest(
-        LockstepStack(hand, rate_hz, made).run(seconds) for _ in range(RUNS_PER_CASE)
+        LockstepStack(hand_name, rate_hz, made).run(simulated_s) for _ in range(RUNS_PER_CASE)
     )
     peer = sum_of_shortest(
-        LockstepStack(hand, rate_hz, made).simulator_tick_times(seconds)
+        LockstepStack(hand_name, rate_hz, made).simulator_tick_times(simulated_s)
         for _ in range(RUNS_PER_CASE // 2)
     )
-    ticks = round(seconds * rate_hz)
+    ticks = round(simulated_s * rate_hz)
     return {
         "rate_hz": rate_hz,
-        "simulated_s": seconds,
+        "simulated_s": simulated_s,
         "contacts": rollout.contacts,
-        "bare_times_real_time": seconds / bare,
-        "whole_times_real_time": seconds / whole,
+        "bare_times_real_time": simulated_s / bare,
+        "whole_times_real_time": simulated_s / whole,
         "share_of_bare": bare / whole,
         "bare_us_a_tick": bare / ticks * 1e6,
         "rest_us_a_tick": (whole - bare) / ticks * 1e6,
         "simulator_us_a_tick": (peer - bare) / ticks * 1e6,
-        "spent": cpu_time_fractions(lambda: LockstepStack(hand, rate_hz, made).run(seconds)),
+        "spent": cpu_time_fractions(
+            lambda: LockstepStack(hand_name, rate_hz, made).run(simulated_s)
+        ),
     }
 
 
-def sum_of_shortest(runs: Iterable[list[float]]) -> float:
+def sum_of_shortest(times_by_run: Iterable[list[float]]) -> float:
     """Find the shortest time of each tick or step among several equal runs.
 
     Return the sum of these times [s].
     """
-    return sum(map(min, zip(*runs, strict=True)))
+    return sum(map(min, zip(*times_by_run, strict=True)))
 
 
-def record_rollout(stack: LockstepStack, seconds: float) -> BodyRollout:
+def record_rollout(lockstep_stack: LockstepStack, simulated_s: float) -> BodyRollout:
     """Run controller and simulator, and record the forces on the bodies."""
-    engine = stack.engine
-    plant = stack.peer.world.plant
+    engine = lockstep_stack.engine
+    plant = lockstep_stack.peer.world.plant
     advance = plant.advance
     rows = []
     contacts = []
@@ -118,32 +123,34 @@ def record_rollout(stack: LockstepStack, seconds: float) -> BodyRollout:
             contacts.append(engine._data.ncon)
 
     plant.advance = step_by_step
-    stack.run(seconds)
+    lockstep_stack.run(simulated_s)
     torque, damping, table = (np.array(column) for column in zip(*rows, strict=True))
     return BodyRollout(torque, damping, table, engine.q.copy(), float(np.mean(contacts)))
 
 
-def repeat_rollout(stack: LockstepStack, rollout: BodyRollout) -> list[float]:
+def repeat_rollout(lockstep_stack: LockstepStack, rollout: BodyRollout) -> list[float]:
     """Repeat a recorded motion with MuJoCo alone. Return the CPU time of each step [s].
 
     Raises:
         RuntimeError: the repeated motion differs from the recorded motion.
     """
-    engine = stack.engine
+    engine = lockstep_stack.engine
     step = engine.step
     applied = engine.applied
     damping = engine.tendon_damping
     table = engine._data.mocap_pos
     took = []
     now = time.process_time
-    for torque, slope, place in zip(rollout.torque, rollout.damping, rollout.table, strict=True):
+    for torque, slope, place in zip(
+        rollout.torque, rollout.damping, rollout.table_height, strict=True
+    ):
         before = now()
         applied[:] = torque
         damping[:] = slope
         table[:] = place
         step()
         took.append(now() - before)
-    if not np.array_equal(engine.q, rollout.end):
+    if not np.array_equal(engine.q, rollout.final_angles):
         raise RuntimeError("the repeated motion differs from the recorded motion")
     return took
 

@@ -62,35 +62,35 @@ class LockstepStack:
     """
 
     def __init__(
-        self, hand: str, rate_hz: float, scene: type[FreeMotionSetup | GraspSetup]
+        self, hand_name: str, rate_hz: float, setup: type[FreeMotionSetup | GraspSetup]
     ) -> None:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "task.toml"
-            path.write_text(TASK_HEAD + scene.task * scene.repeat)
+            path.write_text(TASK_HEAD + setup.task * setup.repeat)
             program = TaskProgram(load_task(path))
         controller = make_controller(
-            load_hand(hand), Gains(), rate_hz, program, None, arm_at_once=True
+            load_hand(hand_name), Gains(), rate_hz, program, None, arm_at_once=True
         )
         self._open = ExitStack()
         self.simulation = self._open.enter_context(
-            SimulatorSettings(hand, scene.scene, homed=True).begin_run(controller)
+            SimulatorSettings(hand_name, setup.scene, homed=True).begin_run(controller)
         )
         self.simulation.record_ticks = False
         self.peer = self.simulation.simulated_hand
         self.engine = self.peer.world.plant.engine
 
-    def run(self, seconds: float) -> list[float]:
+    def run(self, simulated_s: float) -> list[float]:
         """Run for a simulated time [s]. Return the CPU time of each tick [s]."""
         tick = self.simulation.run_tick
         took = []
         now = time.process_time
-        for _ in range(round(seconds * 1e9) // self.simulation.period_ns):
+        for _ in range(round(simulated_s * 1e9) // self.simulation.period_ns):
             before = now()
             tick()
             took.append(now() - before)
         return took
 
-    def simulator_tick_times(self, seconds: float) -> list[float]:
+    def simulator_tick_times(self, simulated_s: float) -> list[float]:
         """Run for a simulated time [s].
 
         Return the CPU time of the simulator in each tick, including MuJoCo [s].
@@ -107,5 +107,5 @@ class LockstepStack:
             return answers
 
         clock._exchange = timed
-        self.run(seconds)
+        self.run(simulated_s)
         return took

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-LATENESS_HZ = 500.0
-MAX_MISSED = 0.01
-RATE_STEP = 0.85
+LATENESS_RATE_HZ = 500.0
+MAX_MISSED_FRACTION = 0.01
+RATE_REDUCTION = 0.85
 """The search for the highest rate multiplies a rate that was too high by this factor."""
 LOOP_MODULES = {"ours": "loops.handctl_loop", "usual": "loops.handwritten_loop"}
 """For each key in the results, the module of its loop."""
@@ -48,33 +48,39 @@ def main() -> None:
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
 
-def measure_loops(seconds: float, quick: bool) -> dict:
+def measure_loops(duration_s: float, quick: bool) -> dict:
     """Measure the lateness of ticks, the behaviour at fixed rates and the highest rate, with 4 and 11 motors."""
     result: dict = {"motors": {}}
     for hand, motors in (("jamia", 4), ("jamia11", 11)):
         with simulated_drives(hand) as bus:
             if motors == 4:
-                ours = measure_in_child("ours", hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
-                bare = measure_in_child("bare", hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
+                ours = measure_in_child("ours", hand, bus, 2 * duration_s, LATENESS_RATE_HZ)[
+                    "late_us"
+                ]
+                bare = measure_in_child("bare", hand, bus, 2 * duration_s, LATENESS_RATE_HZ)[
+                    "late_us"
+                ]
                 result["lateness_us"] = {
-                    "rate_hz": LATENESS_HZ,
+                    "rate_hz": LATENESS_RATE_HZ,
                     "handctl": ours,
                     "bare_sleep": bare,
                 }
             if motors == 11:
                 result["at_rate"] = {
-                    rate: measure_in_child("ours", hand, bus, 2 * seconds if quick else 30.0, rate)
+                    rate: measure_in_child(
+                        "ours", hand, bus, 2 * duration_s if quick else 30.0, rate
+                    )
                     for rate in (500.0, 1000.0)
                 }
                 with both_cores_loaded():
                     result["loaded_us"] = {
-                        which: measure_in_child(which, hand, bus, 2 * seconds, LATENESS_HZ)[
+                        which: measure_in_child(which, hand, bus, 2 * duration_s, LATENESS_RATE_HZ)[
                             "late_us"
                         ]
                         for which in ("ours", "bare_spin")
                     }
             rates = {
-                which: free_and_highest_rate(which, hand, bus, seconds, quick)
+                which: free_and_highest_rate(which, hand, bus, duration_s, quick)
                 for which in ("ours", "usual")
             }
         result["motors"][motors] = rates | {
@@ -83,33 +89,40 @@ def measure_loops(seconds: float, quick: bool) -> dict:
     return result
 
 
-def free_and_highest_rate(which: str, hand: str, bus: str, seconds: float, quick: bool) -> dict:
+def free_and_highest_rate(
+    loop_name: str, hand_name: str, bus_name: str, duration_s: float, quick: bool
+) -> dict:
     """Measure ticks per second without deadlines, and the highest rate with deadlines.
 
     At the highest rate, less than 1 % of the deadlines are missed.
     """
-    free = measure_in_child(which, hand, bus, seconds, 0.0)["hz"]
+    free = measure_in_child(loop_name, hand_name, bus_name, duration_s, 0.0)["hz"]
     rate = (0.6 if quick else 0.9) * free
     for _ in range(1 if quick else 12):
-        if measure_in_child(which, hand, bus, seconds, rate)["missed"] < MAX_MISSED:
+        if (
+            measure_in_child(loop_name, hand_name, bus_name, duration_s, rate)["missed"]
+            < MAX_MISSED_FRACTION
+        ):
             return {"free_hz": free, "held_hz": rate}
-        rate *= RATE_STEP
+        rate *= RATE_REDUCTION
     return {"free_hz": free, "held_hz": None}
 
 
-def rate_ratio(rates: dict, name: str) -> float | None:
+def rate_ratio(rates: dict, rate_name: str) -> float | None:
     """Return the rate of handctl divided by the rate of the hand-written loop.
 
     Return None if all rates were too high for one of the loops.
     """
-    ours = rates["ours"][name]
-    baseline = rates["usual"][name]
+    ours = rates["ours"][rate_name]
+    baseline = rates["usual"][rate_name]
     return ours / baseline if ours and baseline else None
 
 
-def measure_in_child(which: str, hand: str, bus: str, seconds: float, rate_hz: float) -> dict:
+def measure_in_child(
+    loop_name: str, hand_name: str, bus_name: str, duration_s: float, rate_hz: float
+) -> dict:
     """Run one measurement in a separate process and return its result."""
-    words = ["--one", which, hand, bus, str(seconds), str(rate_hz)]
+    words = ["--one", loop_name, hand_name, bus_name, str(duration_s), str(rate_hz)]
     out = subprocess.run(
         [sys.executable, __file__, *words], capture_output=True, text=True, timeout=120
     )
@@ -118,18 +131,20 @@ def measure_in_child(which: str, hand: str, bus: str, seconds: float, rate_hz: f
     return json.loads(out.stdout)
 
 
-def measure_in_this_process(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
+def measure_in_this_process(
+    loop_name: str, hand_name: str, bus_name: str, duration_text: str, rate_text: str
+) -> dict:
     """Run one measurement in this process. ``measure_in_child`` has started the process."""
     sys.path.insert(0, str(Path(__file__).parent))
     log = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{os.getpid()}.log"
-    if which == "bare":
-        outcome = bare_sleep(float(seconds), float(rate))
-    elif which == "bare_spin":
-        outcome = bare_spin(float(seconds), float(rate))
+    if loop_name == "bare":
+        outcome = measure_bare_sleep(float(duration_text), float(rate_text))
+    elif loop_name == "bare_spin":
+        outcome = measure_bare_spin(float(duration_text), float(rate_text))
     else:
-        run = __import__(LOOP_MODULES[which], fromlist=["run_loop"]).run_loop
+        run = __import__(LOOP_MODULES[loop_name], fromlist=["run_loop"]).run_loop
         try:
-            outcome = run(hand, bus, float(seconds), float(rate) or None, log)
+            outcome = run(hand_name, bus_name, float(duration_text), float(rate_text) or None, log)
         except RuntimeError:  # At this rate the controller could not even set up the drives.
             outcome = 0.0, 1.0, []
     hz, missed, late, *more = outcome
@@ -148,7 +163,7 @@ def percentiles_us(times_ns: list[int]) -> dict:
     )
 
 
-def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
+def measure_bare_spin(duration_s: float, rate_hz: float) -> tuple[float, float, list[int]]:
     """Measure how late the controller's clock ends a wait, without the work of a tick.
 
     The clock sleeps until shortly before a deadline. With real-time priority, the clock then polls
@@ -162,7 +177,7 @@ def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
     clock.start()
     late = []
     k = 1
-    while k < seconds * rate_hz:
+    while k < duration_s * rate_hz:
         late.append(clock.wait(k))
         k += 1 + late[-1] // round(1e9 / rate_hz)
     return rate_hz, 0.0, late
@@ -180,14 +195,14 @@ def both_cores_loaded():
             process.wait()
 
 
-def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
+def measure_bare_sleep(duration_s: float, rate_hz: float) -> tuple[float, float, list[int]]:
     """Measure how late ``time.sleep`` ends, without the work of a tick and with the priority of the control loop."""
     from handctl.runtime.clocks.priority import request_priority
 
     request_priority()
     start = time.monotonic_ns()
     late = []
-    for k in range(1, int(seconds * rate_hz)):
+    for k in range(1, int(duration_s * rate_hz)):
         deadline = start + int(k * 1e9 / rate_hz)
         time.sleep(max(0, deadline - time.monotonic_ns()) / 1e9)
         late.append(time.monotonic_ns() - deadline)
@@ -195,12 +210,12 @@ def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]
 
 
 @contextmanager
-def simulated_drives(hand: str):
+def simulated_drives(hand_name: str):
     """Start simulated drives on a bus and return its name."""
     command = [
         sys.executable,
         str(Path(__file__).parent / "loops" / "simulated_drives.py"),
-        hand,
+        hand_name,
         "b",
     ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)

@@ -20,7 +20,7 @@ import handctl.gym  # noqa: F401  # registers the environments
 from handctl.gym.track import TrackEnv
 from handctl.hand.hand_loading import packaged_hands
 
-Array = NDArray[np.float64]
+FloatArray = NDArray[np.float64]
 ANY_SPEED_DEG_S = 1e6
 """Largest rate of change of the targets [deg/s].
 
@@ -30,36 +30,46 @@ WALK_STEP = 0.125
 """Standard deviation of a step of the random walk, as a fraction of the range of a joint."""
 
 
-def draw_action(random: np.random.Generator, last: Array, step: int) -> Array:
+def draw_action(
+    random_source: np.random.Generator, last_action: FloatArray, step_index: int
+) -> FloatArray:
     """Return a random action that does not depend on the last action."""
-    return random.uniform(-1.0, 1.0, len(last))
+    return random_source.uniform(-1.0, 1.0, len(last_action))
 
 
-def draw_or_keep_action(random: np.random.Generator, last: Array, step: int) -> Array:
+def draw_or_keep_action(
+    random_source: np.random.Generator, last_action: FloatArray, step_index: int
+) -> FloatArray:
     """Return either the last action or, at random moments, a new random action."""
     return (
-        random.uniform(-1.0, 1.0, len(last)) if step == 0 or random.random() < 1.0 / 17.0 else last
+        random_source.uniform(-1.0, 1.0, len(last_action))
+        if step_index == 0 or random_source.random() < 1.0 / 17.0
+        else last_action
     )
 
 
-def take_random_step(random: np.random.Generator, last: Array, step: int) -> Array:
+def take_random_step(
+    random_source: np.random.Generator, last_action: FloatArray, step_index: int
+) -> FloatArray:
     """Return the next action of a random walk from the last action."""
-    return np.clip(last + random.normal(0.0, 2.0 * WALK_STEP, len(last)), -1.0, 1.0)
+    return np.clip(
+        last_action + random_source.normal(0.0, 2.0 * WALK_STEP, len(last_action)), -1.0, 1.0
+    )
 
 
-ACTION_SOURCES: dict[str, Callable[[np.random.Generator, Array, int], Array]] = {
+ACTION_SOURCES: dict[str, Callable[[np.random.Generator, FloatArray, int], FloatArray]] = {
     "noise": draw_action,
     "steps": draw_or_keep_action,
     "walk": take_random_step,
 }
 
 
-def stream_random_targets(env: TrackEnv, kind: str, seed: int) -> tuple[str, float]:
+def stream_random_targets(env: TrackEnv, source_name: str, seed: int) -> tuple[str, float]:
     """Stream random targets to a hand until the episode ends or a fault ends it.
 
     Args:
         env: environment of the hand.
-        kind: name of the random targets.
+        source_name: name of the random targets.
         seed: seed of the simulated hand and of the targets.
 
     Returns:
@@ -71,7 +81,7 @@ def stream_random_targets(env: TrackEnv, kind: str, seed: int) -> tuple[str, flo
     largest = 0.0
     step = 0
     while True:
-        action = ACTION_SOURCES[kind](random, action, step)
+        action = ACTION_SOURCES[source_name](random, action, step)
         _, _, ended, truncated, information = env.step(action.astype(np.float32))
         largest = max(
             largest,

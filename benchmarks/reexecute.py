@@ -39,12 +39,12 @@ def main() -> None:
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
 
-def measure_log(path: Path, passes: int) -> dict:
+def measure_log(log_path: Path, pass_count: int) -> dict:
     """Measure the re-execution of one log."""
-    with RunLog(path) as log:
+    with RunLog(log_path) as log:
         controller = rebuild_controller(log)
         gc.disable()  # In a run, the control loop also disables the garbage collector.
-        runs = [execute_once(log, controller) for _ in range(passes)]
+        runs = [execute_once(log, controller) for _ in range(pass_count)]
         gc.enable()
         ticks = len(log)
         period_us = log.header.period_ns / 1e3

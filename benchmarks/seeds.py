@@ -31,7 +31,7 @@ DemoCase = tuple[str, str, int]
 """Hand, protocol and seed of a run."""
 
 
-def run_demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
+def run_demo(hand_name: str, protocol: str, seed: int) -> dict[str, Any]:
     """Run `handctl demo` once and return the errors in this run.
 
     If the run does not pass, the result includes the reason.
@@ -41,7 +41,7 @@ def run_demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="handctl-seeds-") as folder:
         words = [
             "--hand",
-            hand,
+            hand_name,
             "--protocol",
             protocol,
             "--seed",
@@ -52,7 +52,7 @@ def run_demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
         ]
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             code = handctl(["demo", "--lockstep", *words])
-    figures: dict[str, Any] = {"hand": hand, "protocol": protocol, "seed": seed, "exit": code}
+    figures: dict[str, Any] = {"hand": hand_name, "protocol": protocol, "seed": seed, "exit": code}
     text = out.getvalue()
     if not text:
         return figures | {"why": err.getvalue().strip().rpartition("\n")[2]}
@@ -65,7 +65,7 @@ def run_demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
     return figures | {"why": failure_reason(figures, result)}
 
 
-def figure_limits(hand: str, duration_s: float) -> dict[str, float]:
+def figure_limits(hand_name: str, duration_s: float) -> dict[str, float]:
     """Return the limits of the errors in a run.
 
     No sensor of the hand can reveal the drift of a load cell. The limit of the tension error is
@@ -73,13 +73,13 @@ def figure_limits(hand: str, duration_s: float) -> dict[str, float]:
     """
     drift = (
         DRIFT_SIGMAS
-        * load_hand(hand).sensor_node.tension_bias_drift_N
+        * load_hand(hand_name).sensor_node.tension_bias_drift_N
         * math.sqrt(duration_s / 100.0)
     )
     return FIGURE_LIMITS | {"tension_error_N": max(FIGURE_LIMITS["tension_error_N"], drift)}
 
 
-def failure_reason(figures: dict[str, Any], run_result: dict[str, Any]) -> str:
+def failure_reason(run_figures: dict[str, Any], run_result: dict[str, Any]) -> str:
     """Describe why a run does not pass. Return an empty string if it passes."""
     if run_result["failure"] or run_result["missed"] or run_result["frames_lost"]:
         return (
@@ -88,11 +88,11 @@ def failure_reason(figures: dict[str, Any], run_result: dict[str, Any]) -> str:
         )
     if min(run_result["contact_force_n"].values()) <= 0.5:
         return "a digit does not hold the object"
-    allowed = figure_limits(figures["hand"], run_result["simulated_s"])
+    allowed = figure_limits(run_figures["hand"], run_result["simulated_s"])
     return ", ".join(
-        f"{name} {figures[name]:.2f}"
+        f"{name} {run_figures[name]:.2f}"
         for name, limit in allowed.items()
-        if not figures[name] < limit
+        if not run_figures[name] < limit
     )
 
 

@@ -27,8 +27,8 @@ from handctl.session.simulate import SimulatorSettings, homed_controller
 
 PAGE_FILE = Path(__file__).parents[1] / "docs" / "evidence" / "control-sensing.md"
 RATE_BY_HAND_HZ = {"jamia": 500.0, "n_plus_1": 250.0}
-DIAMETER_M = {"jamia": 0.035, "n_plus_1": 0.042}
-PRESHAPE_DEG = {"jamia": (8.0, 0.0), "n_plus_1": (4.0, 0.0)}
+CYLINDER_DIAMETER_M = {"jamia": 0.035, "n_plus_1": 0.042}
+PRESHAPE_ANGLES_DEG = {"jamia": (8.0, 0.0), "n_plus_1": (4.0, 0.0)}
 """Angles of fingers and thumb before closing [deg]. At these angles the digits do not touch the object yet."""
 SENSOR_SETS = {
     "load cells and joint encoders": (True, True),
@@ -45,10 +45,10 @@ SENSING_CASES = [
 
 The hand jamia has no joint encoders, so it has no cases with joint encoders.
 """
-CONTACT_N = 0.3
+CONTACT_FORCE_N = 0.3
 """A digit is in contact when its true force on the object is above this force [N]."""
 MOVING_PHASES = ("home", "preshape", "open")
-SETTLED_S = 1.0
+SETTLING_TIME_S = 1.0
 """Time from the start of a hold until the tensions have settled [s]."""
 INJECTED_FAULTS = {
     "a tendon tears": "snap tendon={tendon} at=4s",
@@ -64,23 +64,23 @@ INJECTED_FAULTS = {
 """Name and command of each injected fault. The faults act on parts that every hand of the benchmark has."""
 
 
-def hand_with_sensors(name: str, sensors: str) -> Hand:
+def hand_with_sensors(hand_name: str, sensor_set: str) -> Hand:
     """Return a packaged hand that has only the given sensors."""
-    cells, encoders = SENSOR_SETS[sensors]
-    content: dict[str, Any] = hand_content(name)
+    cells, encoders = SENSOR_SETS[sensor_set]
+    content: dict[str, Any] = hand_content(hand_name)
     if not cells and not encoders:
         del content["sensor_node"]
-        return hand_from_content(content, name)
+        return hand_from_content(content, hand_name)
     node = content["sensor_node"]
     content["sensor_node"] = (
         node | ({} if cells else {"tendons": []}) | ({} if encoders else {"joints": []})
     )
-    return hand_from_content(content, name)
+    return hand_from_content(content, hand_name)
 
 
 def grasp_task_of(hand: Hand) -> Task:
     """Return the task with which a hand grasps the cylinder."""
-    finger, thumb = PRESHAPE_DEG[hand.name]
+    finger, thumb = PRESHAPE_ANGLES_DEG[hand.name]
     preshape = {name: thumb if name == "thumb" else finger for name in hand.digit_names}
     phases = (
         {"kind": "move", "name": "home", "angle_deg": 0.0, "duration_s": 0.4},
@@ -107,12 +107,12 @@ def grasp_task_of(hand: Hand) -> Task:
     )
 
 
-def cylinder_scene_of(name: str) -> str:
+def cylinder_scene_of(hand_name: str) -> str:
     """Return a scene with a cylinder on a table in front of the palm.
 
     The table sinks when the hand holds the cylinder.
     """
-    diameter = DIAMETER_M[name]
+    diameter = CYLINDER_DIAMETER_M[hand_name]
     return (
         f'name = "cylinder"\n[object]\nshape = "cylinder"\ndiameter_m = {diameter}\nlength_m = 0.093\nmass_kg = 0.15\n'
         f"friction = 0.5\nposition_m = [{diameter / 2 + 0.002}, 0.0, 0.0]\n"
@@ -128,23 +128,25 @@ class SensingRun:
     error: list[np.ndarray] = field(default_factory=list)
     sigma: list[np.ndarray] = field(default_factory=list)
     angle: list[np.ndarray] = field(default_factory=list)
-    touched_s: dict[str, float] = field(default_factory=dict)
-    found_s: dict[str, float] = field(default_factory=dict)
+    first_touch_s: dict[str, float] = field(default_factory=dict)
+    contact_report_s: dict[str, float] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)
-    moved_mm: float = float("nan")
+    object_motion_mm: float = float("nan")
 
 
-def run_grasp(model: HandModel, scene: str, task: Task, seed: int, fault: str = "") -> SensingRun:
+def run_grasp(
+    model: HandModel, scene_name: str, task: Task, seed: int, fault_text: str = ""
+) -> SensingRun:
     """Run the grasp on a simulated hand whose motor zeros are known."""
     record = SensingRun()
     names = model.hand.digit_names
-    with SimulatorSettings(model.hand, scene, seed, homed=True).begin_run(
+    with SimulatorSettings(model.hand, scene_name, seed, homed=True).begin_run(
         homed_controller(model, TaskProgram(task))
     ) as run:
         run.record_ticks = False
         plant = run.simulated_hand.world.plant
-        if fault:
-            run.simulated_hand.inject(fault)
+        if fault_text:
+            run.simulated_hand.inject(fault_text)
         start = np.array(plant.engine.object_pose()[:3])
         for entry, out in run.run_ticks(30.0):
             t = entry.k * model.period
@@ -152,18 +154,18 @@ def run_grasp(model: HandModel, scene: str, task: Task, seed: int, fault: str = 
                 if event.name == "fault":
                     record.faults.append(event.text.split()[0])
                 elif event.name == "contact":
-                    record.found_s.setdefault(event.where, t)
+                    record.contact_report_s.setdefault(event.where, t)
             forces = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
             for name, force in zip(names, forces.tolist(), strict=True):
-                if force > CONTACT_N and out.phase == "close":
-                    record.touched_s.setdefault(name, t)
+                if force > CONTACT_FORCE_N and out.phase == "close":
+                    record.first_touch_s.setdefault(name, t)
             if run.state.mode == HandMode.ACTIVE:
                 record.phase.append(out.phase)
                 record.error.append(run.state.view("tension") - np.array(plant.tensions()))
                 record.sigma.append(run.state.view("sigma").copy())
                 record.angle.append(run.state.view("q") - plant.engine.q)
                 if out.phase == "hold":
-                    record.moved_mm = 1e3 * float(
+                    record.object_motion_mm = 1e3 * float(
                         np.linalg.norm(np.array(plant.engine.object_pose()[:3]) - start)
                     )
     return record
@@ -174,7 +176,7 @@ def rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
 
 
-def case_figures(records: list[SensingRun], period: float) -> dict[str, float]:
+def case_figures(runs: list[SensingRun], period_s: float) -> dict[str, float]:
     """Compute the results of one case from the records of all its runs."""
     moving = []
     held = []
@@ -182,12 +184,12 @@ def case_figures(records: list[SensingRun], period: float) -> dict[str, float]:
     scaled = []
     angle = []
     delays = []
-    for record in records:
+    for record in runs:
         phase = np.array(record.phase)
         error = np.array(record.error)
         width = np.array(record.sigma)
         in_motion = np.isin(phase, MOVING_PHASES)
-        holding = np.flatnonzero(phase == "hold")[round(SETTLED_S / period) :]
+        holding = np.flatnonzero(phase == "hold")[round(SETTLING_TIME_S / period_s) :]
         moving.append(error[in_motion])
         held.append(error[holding])
         sigma.append(width[holding])
@@ -197,9 +199,9 @@ def case_figures(records: list[SensingRun], period: float) -> dict[str, float]:
         scaled.append(error[taut] / width[taut])
         angle.append(np.degrees(np.array(record.angle)[in_motion]))
         delays += [
-            1e3 * (t - record.touched_s[name])
-            for name, t in record.found_s.items()
-            if name in record.touched_s
+            1e3 * (t - record.first_touch_s[name])
+            for name, t in record.contact_report_s.items()
+            if name in record.first_touch_s
         ]
     return {
         "moving_N": rms(np.concatenate(moving)),
@@ -210,22 +212,25 @@ def case_figures(records: list[SensingRun], period: float) -> dict[str, float]:
         "delay_ms": float(np.median(delays)),
         "held": float(
             np.mean(
-                [np.isfinite(r.moved_mm) and r.moved_mm < 10.0 and not r.faults for r in records]
+                [
+                    np.isfinite(r.object_motion_mm) and r.object_motion_mm < 10.0 and not r.faults
+                    for r in runs
+                ]
             )
         ),
     }
 
 
-def measure_sensing(seeds: int) -> dict[str, Any]:
+def measure_sensing(seed_count: int) -> dict[str, Any]:
     """Measure all cases without faults, and the injected faults on jamia with and without load cells."""
-    result: dict[str, Any] = {"seeds": seeds, "cases": [], "faults": {}}
+    result: dict[str, Any] = {"seeds": seed_count, "cases": [], "faults": {}}
     for name, sensors in SENSING_CASES:
         model = HandModel.from_hand(
             hand_with_sensors(name, sensors), Gains(), RATE_BY_HAND_HZ[name]
         )
         records = [
             run_grasp(model, cylinder_scene_of(name), grasp_task_of(model.hand), seed)
-            for seed in range(seeds)
+            for seed in range(seed_count)
         ]
         result["cases"].append(
             {"hand": name, "sensors": sensors, **case_figures(records, model.period)}

@@ -19,8 +19,8 @@ from lockstep_stack import RATE_BY_HAND_HZ, LockstepStack
 from handctl.campaign.run_stages import hand_with_protocol
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 
-SIMULATED_S = 3.0
-QUICK_SIMULATED_S = 1.2
+SIMULATED_TIME_S = 3.0
+QUICK_SIMULATED_TIME_S = 1.2
 RUNS_PER_CASE = 4
 CLOCK_READS = 10_000
 
@@ -31,7 +31,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="shorter runs")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
-    seconds = QUICK_SIMULATED_S if args.quick else SIMULATED_S
+    seconds = QUICK_SIMULATED_TIME_S if args.quick else SIMULATED_TIME_S
     rows = []
     for hand in RATE_BY_HAND_HZ:
         for protocol in GUARDED_PROTOCOLS:
@@ -43,45 +43,49 @@ def main() -> None:
         print(json.dumps(rows, indent=2))
 
 
-def measure_simulator_cpu(hand: str, protocol: str, scene: str, seconds: float) -> dict:
+def measure_simulator_cpu(
+    hand_name: str, protocol: str, scene_name: str, simulated_s: float
+) -> dict:
     """Measure one hand with drives of one protocol in one scene."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "hand.toml"
-        path.write_text(hand_with_protocol(hand, protocol).to_toml())
+        path.write_text(hand_with_protocol(hand_name, protocol).to_toml())
 
         def new_stack() -> LockstepStack:
-            return LockstepStack(str(path), RATE_BY_HAND_HZ[hand], SETUP_BY_SCENE[scene])
+            return LockstepStack(str(path), RATE_BY_HAND_HZ[hand_name], SETUP_BY_SCENE[scene_name])
 
-        rollout = record_rollout(new_stack(), seconds)
+        rollout = record_rollout(new_stack(), simulated_s)
         bare = sum_of_shortest(repeat_rollout(new_stack(), rollout) for _ in range(RUNS_PER_CASE))
         peer = sum_of_shortest(
-            new_stack().simulator_tick_times(seconds) for _ in range(RUNS_PER_CASE)
+            new_stack().simulator_tick_times(simulated_s) for _ in range(RUNS_PER_CASE)
         )
-    ticks = round(seconds * RATE_BY_HAND_HZ[hand])
+    ticks = round(simulated_s * RATE_BY_HAND_HZ[hand_name])
     steps = len(rollout.torque)
-    bare_us = (bare - steps * clock_s()) / ticks * 1e6
-    exchange_us = (peer - ticks * clock_s()) / ticks * 1e6
+    bare_us = (bare - steps * clock_read_cpu_s()) / ticks * 1e6
+    exchange_us = (peer - ticks * clock_read_cpu_s()) / ticks * 1e6
     return {
-        "hand": hand,
+        "hand": hand_name,
         "protocol": protocol,
-        "scene": scene,
+        "scene": scene_name,
         "bare_us_per_tick": bare_us,
         "exchange_us_per_tick": exchange_us,
         "behind_the_wire_us_per_tick": exchange_us - bare_us,
     }
 
 
-def clock_s() -> float:
+def clock_read_cpu_s() -> float:
     """Measure the CPU time of two successive readings of the clock [s]."""
     now = time.process_time
     return min(-(now() - now()) for _ in range(CLOCK_READS))
 
 
-def print_case(row: dict) -> None:
+def print_case(case_row: dict) -> None:
     """Print one result as text."""
     print(
-        f"{row['hand']:8} {row['protocol']:7} {row['scene']:8} mj_step {row['bare_us_per_tick']:6.1f} us, exchange "
-        f"{row['exchange_us_per_tick']:6.1f} us, behind the wire {row['behind_the_wire_us_per_tick']:5.1f} us per tick",
+        f"{case_row['hand']:8} {case_row['protocol']:7} {case_row['scene']:8} "
+        f"mj_step {case_row['bare_us_per_tick']:6.1f} us, exchange "
+        f"{case_row['exchange_us_per_tick']:6.1f} us, "
+        f"behind the wire {case_row['behind_the_wire_us_per_tick']:5.1f} us per tick",
         flush=True,
     )
 

@@ -55,7 +55,7 @@ def main() -> None:
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
 
-def measure_starts(repeats: int, folder: Path) -> dict[str, list[StartTime]]:
+def measure_starts(repeat_count: int, work_folder: Path) -> dict[str, list[StartTime]]:
     """Start the programs many times, one after the other, and return the times of all starts of each program."""
     command = [sys.executable, "-m", "firmware_sim", "bus", BUS_NAME]
     hub = subprocess.Popen(
@@ -70,12 +70,12 @@ def measure_starts(repeats: int, folder: Path) -> dict[str, list[StartTime]]:
         ),
     }
     for name, hand in HAND_BY_RUN.items():
-        measures[name] = partial(until_first_frame, hand, folder)
+        measures[name] = partial(time_until_first_frame, hand, work_folder)
     try:
         for one in measures.values():
             one()  # The first start is not counted, because it compiles code and fills the disk cache.
         times: dict[str, list[StartTime]] = {name: [] for name in measures}
-        for _ in range(repeats):
+        for _ in range(repeat_count):
             for name, one in measures.items():
                 times[name].append(one())
         return times
@@ -104,16 +104,24 @@ def process_cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def until_first_frame(hand: str, folder: Path) -> StartTime:
+def time_until_first_frame(hand_name: str, work_folder: Path) -> StartTime:
     """Return the wall time and CPU time from the start of ``handctl run`` to its first frame."""
     from handctl.runtime.buses.local import connect_to_hub
 
     listener = connect_to_hub(BUS_NAME)
-    words = ["run", "--hand", hand, "--bus", f"local:{BUS_NAME}", "--log", str(folder / "run.mcap")]
+    words = [
+        "run",
+        "--hand",
+        hand_name,
+        "--bus",
+        f"local:{BUS_NAME}",
+        "--log",
+        str(work_folder / "run.mcap"),
+    ]
     begin = time.monotonic()
     run = subprocess.Popen(
         [sys.executable, "-m", "handctl.cli", *words],
-        cwd=folder,
+        cwd=work_folder,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
@@ -127,7 +135,7 @@ def until_first_frame(hand: str, folder: Path) -> StartTime:
         run.terminate()
         run.wait()
         listener.close()
-        (folder / "run.mcap").unlink(missing_ok=True)
+        (work_folder / "run.mcap").unlink(missing_ok=True)
 
 
 def print_results(result: dict[str, list[StartTime]]) -> None:

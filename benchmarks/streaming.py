@@ -34,34 +34,34 @@ from handctl.runtime.clocks.shared import PAUSED_INDEX
 from handctl.runtime.paths import clock_path
 
 STREAMED_DIGIT = "index"
-RATE_HZ = 100.0
-MIDDLE_DEG = 30.0
-SWING_DEG = 20.0
+STREAM_RATE_HZ = 100.0
+SINE_MIDDLE_DEG = 30.0
+SINE_AMPLITUDE_DEG = 20.0
 READY_TIMEOUT_S = 120.0
-GOOD_STREAM_S = 0.5
+GOOD_STREAM_DURATION_S = 0.5
 """Duration of the correct stream before and after a misbehaviour, on the clock of the simulated hand [s]."""
-MISBEHAVIOUR_S = 0.4
+MISBEHAVIOUR_DURATION_S = 0.4
 """Duration of a misbehaviour, on the clock of the simulated hand [s]."""
-TRACKED_S = 4.0
+TRACKED_DURATION_S = 4.0
 """Duration of the streamed motion, and of the same motion in a task [s].
 
 Errors of the first second are not counted.
 """
-KNOT_S = 0.04
+TRAJECTORY_KNOT_INTERVAL_S = 0.04
 """A task repeats the streamed motion by a spline through given angles.
 
-``KNOT_S`` is the time from one given angle to the next [s]. The spline differs from the streamed
+``TRAJECTORY_KNOT_INTERVAL_S`` is the time from one given angle to the next [s]. The spline differs from the streamed
 sine by less than 0.001 deg.
 """
-AFTER_KILL_S = 2.0
+TIME_AFTER_KILL_S = 2.0
 """Time that a hand gets to relax after its client was killed, on the clock of the simulated hand [s]."""
 TARGET_REPEATS = 5
 """Number of times that a repeating client sends each target."""
-LATENCY_S = 10.0
-QUICK_LATENCY_S = 2.0
+LATENCY_DURATION_S = 10.0
+QUICK_LATENCY_DURATION_S = 2.0
 """Duration of the latency measurement with ``--quick`` [s].
 
-Without this option, it lasts ``LATENCY_S``.
+Without this option, it lasts ``LATENCY_DURATION_S``.
 """
 BENCHMARK_PARTS = ("clients", "tracking", "latency")
 SIMULATOR_ARGUMENTS = ["-m", "firmware_sim"]
@@ -73,26 +73,26 @@ CommissionedHand = tuple[Path, tuple[str, ...]]
 
 def sine_angle_deg(t: float) -> float:
     """Return the angle of the streamed motion at a time [deg]. The motion is a sine of 1 Hz."""
-    return MIDDLE_DEG + SWING_DEG * math.sin(2.0 * math.pi * t)
+    return SINE_MIDDLE_DEG + SINE_AMPLITUDE_DEG * math.sin(2.0 * math.pi * t)
 
 
-class BadClient:
+class MisbehavingClient:
     """A stream of targets for one digit, into which the caller can put wrong targets.
 
     The targets bypass the checks of ``TargetStream.send``.
     """
 
-    def __init__(self, hand: HandClient, stream: TargetStream, scale: float) -> None:
+    def __init__(self, hand: HandClient, stream: TargetStream, time_scale: float) -> None:
         """Begin to send targets through an open stream.
 
         Args:
             hand: client of the hand.
             stream: open stream of the client.
-            scale: ratio of the time of the simulated hand to wall time.
+            time_scale: ratio of the time of the simulated hand to wall time.
         """
         self.hand = hand
         self.stream = stream
-        self.scale = scale
+        self.scale = time_scale
         self.began_s = time.monotonic()
         self.number = 0
 
@@ -102,35 +102,41 @@ class BadClient:
         return (time.monotonic() - self.began_s) * self.scale
 
     def send(
-        self, value: float, number: int | None = None, age_s: float = 0.0, space: int = 1
+        self,
+        target_value: float,
+        sequence_number: int | None = None,
+        age_s: float = 0.0,
+        target_space: int = 1,
     ) -> None:
         """Send a value as a target, with any number, and with any age on the clock of the simulated hand [s]."""
-        self.number += number is None
+        self.number += sequence_number is None
         sent_ns = time.monotonic_ns() - round(1e9 * age_s / self.scale)
-        values = np.full(space, value)
-        self.stream._sender.send(self.number if number is None else number, sent_ns, values)
+        values = np.full(target_space, target_value)
+        self.stream._sender.send(
+            self.number if sequence_number is None else sequence_number, sent_ns, values
+        )
 
-    def send_good_targets(self, seconds: float) -> None:
+    def send_good_targets(self, duration_s: float) -> None:
         """Stream targets of the correct motion for a time [s]."""
-        for _ in self.periods(seconds):
+        for _ in self.periods(duration_s):
             self.send(sine_angle_deg(self.t_s + self.stream.horizon_s))
 
-    def periods(self, seconds: float) -> Iterator[int]:
+    def periods(self, duration_s: float) -> Iterator[int]:
         """Yield the number of each period of the stream, and sleep until the next period."""
-        for i in range(round(seconds * RATE_HZ)):
+        for i in range(round(duration_s * STREAM_RATE_HZ)):
             yield i
             self.stream.sleep()
 
 
-def stream_while_paused(client: BadClient) -> None:
+def stream_while_paused(client: MisbehavingClient) -> None:
     """Stream the correct motion, while the parent process stops or kills this process."""
     print("pause", flush=True)
-    client.send_good_targets(2.0 * MISBEHAVIOUR_S)
+    client.send_good_targets(2.0 * MISBEHAVIOUR_DURATION_S)
 
 
-def flood_with_targets(client: BadClient) -> None:
+def flood_with_targets(client: MisbehavingClient) -> None:
     """Send 10,000 targets of the correct motion a second."""
-    end = client.t_s + MISBEHAVIOUR_S
+    end = client.t_s + MISBEHAVIOUR_DURATION_S
     while client.t_s < end:
         began = time.monotonic_ns()
         client.send(sine_angle_deg(client.t_s + client.stream.horizon_s))
@@ -138,65 +144,65 @@ def flood_with_targets(client: BadClient) -> None:
             pass
 
 
-def send_constant(value: float) -> Any:
+def send_constant(target_value: float) -> Any:
     """Return a misbehaviour that replaces every target by the same value."""
 
-    def misbehave(client: BadClient) -> None:
-        for _ in client.periods(MISBEHAVIOUR_S):
-            client.send(value)
+    def misbehave(client: MisbehavingClient) -> None:
+        for _ in client.periods(MISBEHAVIOUR_DURATION_S):
+            client.send(target_value)
 
     return misbehave
 
 
-def send_late_targets(seconds: float) -> Any:
+def send_late_targets(delay_s: float) -> Any:
     """Return a misbehaviour that sends each target late.
 
     The time stamp is the time at which the target was due.
     """
 
-    def misbehave(client: BadClient) -> None:
-        for _ in client.periods(MISBEHAVIOUR_S):
+    def misbehave(client: MisbehavingClient) -> None:
+        for _ in client.periods(MISBEHAVIOUR_DURATION_S):
             client.send(
-                sine_angle_deg(client.t_s + client.stream.horizon_s - seconds), age_s=seconds
+                sine_angle_deg(client.t_s + client.stream.horizon_s - delay_s), age_s=delay_s
             )
 
     return misbehave
 
 
-def repeat_targets(client: BadClient) -> None:
+def repeat_targets(client: MisbehavingClient) -> None:
     """Send each target five times with the same number."""
-    for _ in client.periods(MISBEHAVIOUR_S):
+    for _ in client.periods(MISBEHAVIOUR_DURATION_S):
         value = sine_angle_deg(client.t_s + client.stream.horizon_s)
         client.send(value)
         for _ in range(TARGET_REPEATS - 1):
-            client.send(value, number=client.number)
+            client.send(value, sequence_number=client.number)
 
 
-def swap_targets(client: BadClient) -> None:
+def swap_targets(client: MisbehavingClient) -> None:
     """Send the targets of two successive periods in the wrong order, again and again."""
-    for i in client.periods(MISBEHAVIOUR_S):
+    for i in client.periods(MISBEHAVIOUR_DURATION_S):
         if i % 2:
             client.number += 2
             value = sine_angle_deg(client.t_s + client.stream.horizon_s)
-            client.send(value, number=client.number)
-            client.send(value, number=client.number - 1, age_s=1.0 / RATE_HZ)
+            client.send(value, sequence_number=client.number)
+            client.send(value, sequence_number=client.number - 1, age_s=1.0 / STREAM_RATE_HZ)
 
 
-def jump_randomly(client: BadClient) -> None:
+def jump_randomly(client: MisbehavingClient) -> None:
     """Send random angles like a faulty policy. Some of them are beyond the range of the joints."""
     draw = random.Random(0)
-    for _ in client.periods(MISBEHAVIOUR_S):
+    for _ in client.periods(MISBEHAVIOUR_DURATION_S):
         client.send(draw.uniform(-30.0, 130.0))
 
 
-def exceed_tension_limit(client: BadClient) -> None:
+def exceed_tension_limit(client: MisbehavingClient) -> None:
     """Send a target tension far beyond the limit."""
-    for _ in client.periods(MISBEHAVIOUR_S):
+    for _ in client.periods(MISBEHAVIOUR_DURATION_S):
         client.send(1000.0)
 
 
 CLIENT_BEHAVIOURS: dict[str, tuple[str, Any]] = {
-    "good": ("no misbehaviour", lambda client: client.send_good_targets(MISBEHAVIOUR_S)),
+    "good": ("no misbehaviour", lambda client: client.send_good_targets(MISBEHAVIOUR_DURATION_S)),
     "paused-50": ("stopped for 50 ms", stream_while_paused),
     "paused-500": ("stopped for 500 ms", stream_while_paused),
     "flooding": ("10,000 targets a second", flood_with_targets),
@@ -217,50 +223,58 @@ If a client is killed, the run ends.
 """
 
 
-def run_client(name: str, bus: str, scale: float, words: list[str]) -> None:
-    """Stream as the client ``name``.
+def run_client(
+    client_name: str, bus_name: str, time_scale: float, behaviour_words: list[str]
+) -> None:
+    """Stream as the client ``client_name``.
 
     Print the first and the last tick of the client's misbehaviour, and how many targets were
     accepted and refused.
     """
-    with handctl.connect("jamia", bus, *words) as hand:
-        hand.move({STREAMED_DIGIT: MIDDLE_DEG}, duration_s=0.5)
-        space = "tension" if name == "straining" else "digit"
-        names = [hand.description.tendon_names[0]] if name == "straining" else [STREAMED_DIGIT]
-        with hand.stream(RATE_HZ, space, names, interpolation="linear") as stream:
-            client = BadClient(hand, stream, scale)
-            if name != "straining":
-                client.send_good_targets(GOOD_STREAM_S)
+    with handctl.connect("jamia", bus_name, *behaviour_words) as hand:
+        hand.move({STREAMED_DIGIT: SINE_MIDDLE_DEG}, duration_s=0.5)
+        space = "tension" if client_name == "straining" else "digit"
+        names = (
+            [hand.description.tendon_names[0]] if client_name == "straining" else [STREAMED_DIGIT]
+        )
+        with hand.stream(STREAM_RATE_HZ, space, names, interpolation="linear") as stream:
+            client = MisbehavingClient(hand, stream, time_scale)
+            if client_name != "straining":
+                client.send_good_targets(GOOD_STREAM_DURATION_S)
             start = hand.observe().k
-            CLIENT_BEHAVIOURS[name][1](client)
+            CLIENT_BEHAVIOURS[client_name][1](client)
             seen = hand.observe()
             print(json.dumps({"from": start, "to": seen.k, **seen.stream._asdict()}), flush=True)
-            if name != "straining":
-                client.send_good_targets(GOOD_STREAM_S)
+            if client_name != "straining":
+                client.send_good_targets(GOOD_STREAM_DURATION_S)
 
 
 class HandProcess:
     """Simulated hand in a separate process that stores its files in a folder.
 
     Attributes:
-        folder: folder of the files.
+        work_folder: folder of the files.
         log, truth: paths of the log and of the simulator's truth file.
         words: options of ``handctl run``.
     """
 
     def __init__(
-        self, folder: Path, bus: str, scale: float, homed: CommissionedHand | None
+        self,
+        work_folder: Path,
+        bus_name: str,
+        time_scale: float,
+        commissioned_hand: CommissionedHand | None,
     ) -> None:
         """Start the hand. The arguments are those of ``hand_process``."""
-        self.bus = bus
-        self.scale = scale
-        self.folder = folder
-        self.log = folder / "run.mcap"
-        self.truth = folder / "hand.truth"
-        scaled = ["--time-scale", f"{scale:g}"]
+        self.bus = bus_name
+        self.scale = time_scale
+        self.folder = work_folder
+        self.log = work_folder / "run.mcap"
+        self.truth = work_folder / "hand.truth"
+        scaled = ["--time-scale", f"{time_scale:g}"]
         self.words = [
             "--calibration",
-            str(homed[0] if homed else folder / "c.toml"),
+            str(commissioned_hand[0] if commissioned_hand else work_folder / "c.toml"),
             "--log",
             str(self.log),
             *scaled,
@@ -270,12 +284,12 @@ class HandProcess:
             "--hand",
             "jamia",
             "--bus",
-            bus,
+            bus_name,
             "--scene",
             "none",
             *scaled,
         ]
-        command += homed[1] if homed else ()
+        command += commissioned_hand[1] if commissioned_hand else ()
         self._process = subprocess.Popen(
             [sys.executable, *command, "--truth", str(self.truth)],
             stdout=subprocess.PIPE,
@@ -310,18 +324,18 @@ class HandProcess:
 
 @contextmanager
 def hand_process(
-    bus: str, scale: float, homed: CommissionedHand | None = None
+    bus_name: str, time_scale: float, commissioned_hand: CommissionedHand | None = None
 ) -> Iterator[HandProcess]:
     """Run a simulated hand within a ``with`` block.
 
     Args:
-        bus: bus of the hand.
-        scale: ratio of the time of the simulated hand to wall time.
-        homed: calibration and options of a commissioned hand. None means that a new hand is
+        bus_name: bus of the hand.
+        time_scale: ratio of the time of the simulated hand to wall time.
+        commissioned_hand: calibration and options of a commissioned hand. None means that a new hand is
             commissioned first.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as folder:
-        one = HandProcess(Path(folder), bus, scale, homed)
+        one = HandProcess(Path(folder), bus_name, time_scale, commissioned_hand)
         try:
             yield one
         finally:
@@ -332,7 +346,10 @@ def hand_process(
 
 
 def measure_clients(
-    names: list[str], bus: str, scale: float, homed: CommissionedHand | None = None
+    client_names: list[str],
+    bus_name: str,
+    time_scale: float,
+    commissioned_hand: CommissionedHand | None = None,
 ) -> dict[str, Any]:
     """Let clients stream to a hand, one after another. Return a row of the printed table for each client.
 
@@ -340,12 +357,12 @@ def measure_clients(
     killed. A client that will be killed is therefore the last one of its hand.
     """
     shared = sorted(
-        (name for name in names if name != "killed-owner"), key=lambda name: name == "killed"
+        (name for name in client_names if name != "killed-owner"), key=lambda name: name == "killed"
     )
-    groups = [shared, [name for name in names if name == "killed-owner"]]
+    groups = [shared, [name for name in client_names if name == "killed-owner"]]
     rows: dict[str, Any] = {}
     for group in filter(None, groups):
-        with hand_process(bus, scale, homed) as place:
+        with hand_process(bus_name, time_scale, commissioned_hand) as place:
             windows, start_ns = _run_clients(place, group)
             place.close()
             truth = read_truth(place.truth)
@@ -357,20 +374,22 @@ def measure_clients(
     return rows
 
 
-def _run_clients(place: HandProcess, names: list[str]) -> tuple[dict[str, Any], int]:
+def _run_clients(
+    hand_process_run: HandProcess, client_names: list[str]
+) -> tuple[dict[str, Any], int]:
     """Run clients on one hand.
 
     Return the ticks and counts of each misbehaviour, and the start of the run on the hand's clock
     [ns].
     """
-    if names == ["killed-owner"]:
-        window, start_ns = _run_one_client(place, names[0], None)
-        return {names[0]: window}, start_ns
+    if client_names == ["killed-owner"]:
+        window, start_ns = _run_one_client(hand_process_run, client_names[0], None)
+        return {client_names[0]: window}, start_ns
     windows: dict[str, Any] = {}
-    hand = place.connect().open()
+    hand = hand_process_run.connect().open()
     try:
-        for name in names:
-            windows[name], start_ns = _run_one_client(place, name, hand)
+        for name in client_names:
+            windows[name], start_ns = _run_one_client(hand_process_run, name, hand)
     finally:
         try:
             hand.close()
@@ -383,44 +402,52 @@ def _run_clients(place: HandProcess, names: list[str]) -> tuple[dict[str, Any], 
 
 
 def _run_one_client(
-    place: HandProcess, name: str, owner: HandClient | None
+    hand_process_run: HandProcess, client_name: str, owning_client: HandClient | None
 ) -> tuple[dict[str, Any], int]:
     """Run one client in a separate process.
 
     For some clients, the function pauses or kills this process.
     """
-    words = place.words if owner is None else []
-    command = [sys.executable, __file__, "--client", name, place.bus, f"{place.scale:g}", *words]
+    words = hand_process_run.words if owning_client is None else []
+    command = [
+        sys.executable,
+        __file__,
+        "--client",
+        client_name,
+        hand_process_run.bus,
+        f"{hand_process_run.scale:g}",
+        *words,
+    ]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert child.stdout
     try:
-        if CLIENT_BEHAVIOURS[name][1] is not stream_while_paused:
+        if CLIENT_BEHAVIOURS[client_name][1] is not stream_while_paused:
             out = child.communicate(timeout=READY_TIMEOUT_S)[0]
-            assert child.returncode == 0, f"{name}: the client failed"
-            return json.loads(out), run_start_ns(owner, place)
-        assert child.stdout.readline() == "pause\n", f"{name}: no stream"
-        watcher = owner or handctl.connect("jamia", place.bus).open()
-        time.sleep(0.1 / place.scale)
+            assert child.returncode == 0, f"{client_name}: the client failed"
+            return json.loads(out), run_start_ns(owning_client, hand_process_run)
+        assert child.stdout.readline() == "pause\n", f"{client_name}: no stream"
+        watcher = owning_client or handctl.connect("jamia", hand_process_run.bus).open()
+        time.sleep(0.1 / hand_process_run.scale)
         window = {"from": watcher.observe().k, "to": None}
-        start_ns = run_start_ns(watcher, place)
-        if name.startswith("killed"):
+        start_ns = run_start_ns(watcher, hand_process_run)
+        if client_name.startswith("killed"):
             child.kill()
-            time.sleep(AFTER_KILL_S / place.scale)
-            if owner is None:
+            time.sleep(TIME_AFTER_KILL_S / hand_process_run.scale)
+            if owning_client is None:
                 watcher.close()
             return window, start_ns
         child.send_signal(signal.SIGSTOP)
-        time.sleep(float(name.partition("-")[2]) / 1e3 / place.scale)
+        time.sleep(float(client_name.partition("-")[2]) / 1e3 / hand_process_run.scale)
         child.send_signal(signal.SIGCONT)
         out = child.communicate(timeout=READY_TIMEOUT_S)[0]
-        assert child.returncode == 0, f"{name}: the client failed"
+        assert child.returncode == 0, f"{client_name}: the client failed"
         return json.loads(out), start_ns
     finally:
         child.kill()
         child.wait()
 
 
-def run_start_ns(hand: HandClient | None, place: HandProcess) -> int:
+def run_start_ns(hand: HandClient | None, hand_process_run: HandProcess) -> int:
     """Return the start time of the run (t = 0) on the clock of the simulated hand [ns].
 
     An observation is published only at the end of a tick. A start time from an observation is
@@ -431,16 +458,18 @@ def run_start_ns(hand: HandClient | None, place: HandProcess) -> int:
     starts_ns = list[int]()
     for _ in range(50):
         seen = hand.observe(wait=True)
-        starts_ns.append(place.simulated_time_ns(seen.published_ns) - seen.t_ns - seen.late_ns)
+        starts_ns.append(
+            hand_process_run.simulated_time_ns(seen.published_ns) - seen.t_ns - seen.late_ns
+        )
     return min(starts_ns)
 
 
 def _client_row(
-    log: RunLog, truth: TruthRecord, window: dict[str, Any], start_ns: int
+    log: RunLog, truth: TruthRecord, misbehaviour: dict[str, Any], start_ns: int
 ) -> dict[str, Any]:
     """Return one row of the table: mode, faults, largest true tension and largest speeds during a misbehaviour."""
-    last = int(log.k[-1]) if window["to"] is None else window["to"]
-    inside = (log.k >= window["from"]) & (log.k <= last)
+    last = int(log.k[-1]) if misbehaviour["to"] is None else misbehaviour["to"]
+    inside = (log.k >= misbehaviour["from"]) & (log.k <= last)
     first_ns, last_ns = log.t_ns[inside][[0, -1]]
     rows = truth.values[(truth.t_ns >= first_ns + start_ns) & (truth.t_ns <= last_ns + start_ns)]
     tensions = [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]
@@ -456,7 +485,10 @@ def _client_row(
         "tension_N": float(rows[:, tensions].max()),
         "speed_deg_s": float(np.degrees(np.abs(rows[:, rates].mean(axis=1)).max())),
         "joint_speed_deg_s": float(np.degrees(np.abs(rows[:, rates]).max())),
-        **{name: window.get(name) for name in ("sent", "accepted", "clipped", "late", "refused")},
+        **{
+            name: misbehaviour.get(name)
+            for name in ("sent", "accepted", "clipped", "late", "refused")
+        },
     }
 
 
@@ -464,7 +496,7 @@ def _client_row(
 
 
 def measure_tracking(
-    bus: str, scale: float, homed: CommissionedHand | None = None
+    bus_name: str, time_scale: float, commissioned_hand: CommissionedHand | None = None
 ) -> dict[str, Any]:
     """Compare the tracking error of a streamed sine with that of the same motion in a task.
 
@@ -472,16 +504,18 @@ def measure_tracking(
     states how late the ticks were, because late ticks show that the machine was busy.
     """
     began_ns: dict[str, int] = {}
-    with hand_process(bus, scale, homed) as place:
+    with hand_process(bus_name, time_scale, commissioned_hand) as place:
         task = place.folder / "sine.toml"
         task.write_text(_sine_task(), "utf-8")
         with place.connect() as hand:
             for interpolation in INTERPOLATION_NAMES:
-                hand.move({STREAMED_DIGIT: MIDDLE_DEG}, duration_s=0.5)
-                with hand.stream(RATE_HZ, "digit", [STREAMED_DIGIT], interpolation) as stream:
-                    client = BadClient(hand, stream, scale)
+                hand.move({STREAMED_DIGIT: SINE_MIDDLE_DEG}, duration_s=0.5)
+                with hand.stream(
+                    STREAM_RATE_HZ, "digit", [STREAMED_DIGIT], interpolation
+                ) as stream:
+                    client = MisbehavingClient(hand, stream, time_scale)
                     began_ns[interpolation] = place.simulated_time_ns(round(client.began_s * 1e9))
-                    client.send_good_targets(TRACKED_S)
+                    client.send_good_targets(TRACKED_DURATION_S)
             start_ns = run_start_ns(hand, place)
             hand.grasp(task)
         place.close()
@@ -498,11 +532,11 @@ def measure_tracking(
 
 def _sine_task() -> str:
     """Return a task that has the same motion as the stream."""
-    times = np.arange(0.0, TRACKED_S + 1e-9, KNOT_S).round(3).tolist()
+    times = np.arange(0.0, TRACKED_DURATION_S + 1e-9, TRAJECTORY_KNOT_INTERVAL_S).round(3).tolist()
     stay = {
         "kind": "move",
         "name": "stay",
-        "angle_deg": {STREAMED_DIGIT: MIDDLE_DEG},
+        "angle_deg": {STREAMED_DIGIT: SINE_MIDDLE_DEG},
         "duration_s": 0.5,
     }
     angles = {STREAMED_DIGIT: [round(sine_angle_deg(t), 4) for t in times]}
@@ -510,31 +544,36 @@ def _sine_task() -> str:
     return toml_text({"schema": 1, "name": "sine", "phase": [stay, follow]})
 
 
-def _tracking_error(truth: TruthRecord, began_ns: int) -> float:
+def _tracking_error(truth: TruthRecord, motion_start_ns: int) -> float:
     """Return the RMS of the true minus the intended angle after the first second of the motion [deg]."""
-    t = (truth.t_ns - began_ns) / 1e9
-    counted = (t > 1.0) & (t < TRACKED_S - 0.05)
+    t = (truth.t_ns - motion_start_ns) / 1e9
+    counted = (t > 1.0) & (t < TRACKED_DURATION_S - 0.05)
     joints = [i for i, name in enumerate(truth.columns) if name.startswith(f"q/{STREAMED_DIGIT}")]
     true = np.degrees(truth.values[counted][:, joints]).mean(axis=1)
     return float(
-        np.sqrt(np.mean((true - MIDDLE_DEG - SWING_DEG * np.sin(2.0 * math.pi * t[counted])) ** 2))
+        np.sqrt(
+            np.mean(
+                (true - SINE_MIDDLE_DEG - SINE_AMPLITUDE_DEG * np.sin(2.0 * math.pi * t[counted]))
+                ** 2
+            )
+        )
     )
 
 
 # Part 3: latency of observations and targets
 
 
-def measure_latency(bus: str, seconds: float) -> dict[str, Any]:
+def measure_latency(bus_name: str, duration_s: float) -> dict[str, Any]:
     """Measure the delays of observations and targets.
 
     Return their percentiles p50 and p99 in unscaled time [ms].
     """
-    with hand_process(bus, 1.0) as place, place.connect() as hand:
+    with hand_process(bus_name, 1.0) as place, place.connect() as hand:
         rows = {
-            "tick to client, observations": _observation_ages_ms(hand, seconds),
-            "tick to client, status socket": _status_ages_ms(hand, seconds),
-            "goal to wire, stream of targets": _target_delays_ms(hand, seconds),
-            "goal to confirmation, request socket": _move_delays_ms(hand, seconds),
+            "tick to client, observations": _observation_ages_ms(hand, duration_s),
+            "tick to client, status socket": _status_ages_ms(hand, duration_s),
+            "goal to wire, stream of targets": _target_delays_ms(hand, duration_s),
+            "goal to confirmation, request socket": _move_delays_ms(hand, duration_s),
         }
     return {
         name: {
@@ -545,10 +584,10 @@ def measure_latency(bus: str, seconds: float) -> dict[str, Any]:
     }
 
 
-def _observation_ages_ms(hand: HandClient, seconds: float) -> list[float]:
+def _observation_ages_ms(hand: HandClient, duration_s: float) -> list[float]:
     """Return the age of each observation at the moment when the client receives it [ms]."""
     ages: list[float] = []
-    end = time.monotonic() + seconds
+    end = time.monotonic() + duration_s
     for seen in hand.observations():
         ages.append(seen.age_s * 1e3)
         if time.monotonic() > end:
@@ -556,13 +595,13 @@ def _observation_ages_ms(hand: HandClient, seconds: float) -> list[float]:
     return ages
 
 
-def _status_ages_ms(hand: HandClient, seconds: float) -> list[float]:
+def _status_ages_ms(hand: HandClient, duration_s: float) -> list[float]:
     """Return the age of each status line at the moment when the client receives it [ms].
 
     The controller sends 50 status lines a second.
     """
     ages: list[float] = []
-    end = time.monotonic() + seconds
+    end = time.monotonic() + duration_s
     last = -1
     while time.monotonic() < end:
         line = hand.state()
@@ -576,14 +615,14 @@ def _status_ages_ms(hand: HandClient, seconds: float) -> list[float]:
     return ages
 
 
-def _target_delays_ms(hand: HandClient, seconds: float) -> list[float]:
+def _target_delays_ms(hand: HandClient, duration_s: float) -> list[float]:
     """Measure how long it takes from sending each target until the next tick has sent its frames [ms]."""
     delays: list[float] = []
     draw = random.Random(0)
-    hand.move({STREAMED_DIGIT: MIDDLE_DEG}, duration_s=0.5)
-    with hand.stream(RATE_HZ, "digit", [STREAMED_DIGIT]) as stream:
+    hand.move({STREAMED_DIGIT: SINE_MIDDLE_DEG}, duration_s=0.5)
+    with hand.stream(STREAM_RATE_HZ, "digit", [STREAMED_DIGIT]) as stream:
         began = time.monotonic()
-        while (t := time.monotonic() - began) < seconds:
+        while (t := time.monotonic() - began) < duration_s:
             target = [sine_angle_deg(t + stream.horizon_s)]
             number = stream.sent
             sent_ns = time.monotonic_ns()
@@ -592,17 +631,17 @@ def _target_delays_ms(hand: HandClient, seconds: float) -> list[float]:
             while seen.stream.number < number:
                 seen = hand.observe(wait=True)
             delays.append((seen.published_ns - sent_ns) / 1e6)
-            time.sleep(draw.uniform(0.7, 1.3) / RATE_HZ)
+            time.sleep(draw.uniform(0.7, 1.3) / STREAM_RATE_HZ)
     return delays
 
 
-def _move_delays_ms(hand: HandClient, seconds: float) -> list[float]:
+def _move_delays_ms(hand: HandClient, duration_s: float) -> list[float]:
     """Measure the time from sending each request for a move to its confirmation [ms]."""
     delays: list[float] = []
-    end = time.monotonic() + seconds
+    end = time.monotonic() + duration_s
     while time.monotonic() < end:
         began = time.monotonic()
-        hand.move({STREAMED_DIGIT: MIDDLE_DEG + len(delays) % 2}, duration_s=0.2, wait=False)
+        hand.move({STREAMED_DIGIT: SINE_MIDDLE_DEG + len(delays) % 2}, duration_s=0.2, wait=False)
         delays.append((time.monotonic() - began) * 1e3)
         time.sleep(0.02)
     return delays
@@ -688,7 +727,7 @@ def main() -> None:
             result["tracking"] = measure_tracking(args.bus, args.time_scale)
         if "latency" in parts:
             result["latency"] = measure_latency(
-                args.bus, QUICK_LATENCY_S if args.quick else LATENCY_S
+                args.bus, QUICK_LATENCY_DURATION_S if args.quick else LATENCY_DURATION_S
             )
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
 

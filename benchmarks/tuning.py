@@ -107,23 +107,34 @@ def detuned_gains() -> Gains:
 
 
 def compare_searches(
-    hand_name: str, trials: int, plants: int, count: int, into: Path | None, fit: Path | None
+    hand_name: str,
+    trial_count: int,
+    plant_count: int,
+    worker_count: int,
+    study_folder: Path | None,
+    calibration_file: Path | None,
 ) -> dict[str, Any]:
     """Run the searches and compare their gains on the true plant. Store the studies in a folder if one is given."""
-    hand, twin, spread = load_tuned_hand(hand_name, fit)
+    hand, twin, spread = load_tuned_hand(hand_name, calibration_file)
     packaged = Gains()
     detuned = detuned_gains()
     rate = default_rate(hand)
-    crew = make_workers(count, None)
+    crew = make_workers(worker_count, None)
     try:
         with tempfile.TemporaryDirectory() as passing:
-            folder = into or Path(passing)
+            folder = study_folder or Path(passing)
             folder.mkdir(parents=True, exist_ok=True)
             blind = SearchPlan(
-                hand.to_toml(), rate, detuned, draw_ensemble(plants, 0), 1, trials, (packaged,)
+                hand.to_toml(),
+                rate,
+                detuned,
+                draw_ensemble(plant_count, 0),
+                1,
+                trial_count,
+                (packaged,),
             )
             knowing = SearchPlan(
-                blind.hand, rate, detuned, (TRUE_PLANT_FACTORS,), 1, trials, (packaged,)
+                blind.hand, rate, detuned, (TRUE_PLANT_FACTORS,), 1, trial_count, (packaged,)
             )
             searches, spent = _run_timed_search(blind, folder / "blind", crew)
             informed, _ = _run_timed_search(knowing, folder / "knowing", crew)
@@ -131,12 +142,16 @@ def compare_searches(
                 twin.to_toml(),
                 rate,
                 detuned,
-                draw_ensemble(plants, 0, spread),
+                draw_ensemble(plant_count, 0, spread),
                 1,
-                trials,
+                trial_count,
                 (packaged,),
             )
-            fitted = _run_timed_search(around, folder / "identified", crew)[0] if fit else None
+            fitted = (
+                _run_timed_search(around, folder / "identified", crew)[0]
+                if calibration_file
+                else None
+            )
         jobs = [
             _judge_job(knowing, gains)
             for gains in (
@@ -162,8 +177,8 @@ def compare_searches(
     return {
         "hand": hand_name,
         "rate_hz": rate,
-        "trials": trials,
-        "plants": plants,
+        "trials": trial_count,
+        "plants": plant_count,
         "search_s": spent,
         "on_the_real_plant": {
             name: {
@@ -178,27 +193,31 @@ def compare_searches(
 
 
 def _run_timed_search(
-    plan: SearchPlan, storage: Path, crew: SearchWorkers
+    plan: SearchPlan, study_file: Path, workers: SearchWorkers
 ) -> tuple[SearchResult, float]:
     began = time.monotonic()
 
     def print_progress(result: SearchResult) -> None:
         best = f"{result.relative_cost(result.best):.3f}" if result.best else "none good yet"
         print(
-            f"\r{storage.name}: trial {len(result.trials)} of {plan.trials}, best {best}   ",
+            f"\r{study_file.name}: trial {len(result.trials)} of {plan.trials}, best {best}   ",
             end="",
             file=sys.stderr,
         )
 
-    result = run_search(plan, storage, crew, print_progress)
+    result = run_search(plan, study_file, workers, print_progress)
     print(file=sys.stderr)
     return result, time.monotonic() - began
 
 
-def _best_gains(base: Gains, result: SearchResult) -> Gains:
+def _best_gains(initial_gains: Gains, result: SearchResult) -> Gains:
     if result.best is None:
         raise SystemExit("no trial kept its margins; expected more --trials")
-    return with_values(base, result.best.values, "study") if result.best.number else base
+    return (
+        with_values(initial_gains, result.best.values, "study")
+        if result.best.number
+        else initial_gains
+    )
 
 
 def _judge_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:

@@ -21,19 +21,19 @@ from handctl.hand.hand_loading import load_hand
 from handctl.tune.search.ensemble import draw_ensemble
 from handctl.tune.search.workers import ProcessPool
 
-ResultRow = dict[str, Any]
+ScoringJob = dict[str, Any]
 
 RATE_HZ = 500.0
 
 
-def scoring_jobs(count: int) -> list[ResultRow]:
+def scoring_jobs(job_count: int) -> list[ScoringJob]:
     """Return trials whose gains differ slightly.
 
     The search would compute equal trials only once.
     """
     changed = [
         with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark")
-        for i in range(count)
+        for i in range(job_count)
     ]
     plain = {
         "hand": load_hand("jamia").to_toml(),
@@ -50,25 +50,27 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def measure_search(count: int, work: list[ResultRow]) -> tuple[ResultRow, list[ResultRow]]:
-    """Measure how long a search with ``count`` workers takes.
+def measure_search(
+    worker_count: int, jobs: list[ScoringJob]
+) -> tuple[ScoringJob, list[ScoringJob]]:
+    """Measure how long a search with ``worker_count`` workers takes.
 
     Return the times, and the scores in the order of the jobs.
     """
     began = time.monotonic()
-    crew = ProcessPool(count)
+    crew = ProcessPool(worker_count)
     try:
-        scores = dict(crew.compute_scores(work))
+        scores = dict(crew.compute_scores(jobs))
         spent = [cpu_s(pid) for pid in crew.process_ids]
     finally:
         crew.close()
     row = {
-        "workers": count,
+        "workers": worker_count,
         "clock_s": time.monotonic() - began,
         "cpu_s": spent,
         "load": os.getloadavg()[0],
     }
-    return row, [scores[i] for i in range(len(work))]
+    return row, [scores[i] for i in range(len(jobs))]
 
 
 def main() -> int:

@@ -23,12 +23,12 @@ PLOT_ROWS = (
 LINE_STYLES = ("-", "--", ":", "-.")
 
 
-def line_looks(names):
+def line_looks(line_names):
     """Return a colour and a line style for each name.
 
     Digits differ in colour, and parts of a digit in line style.
     """
-    digits = [name.partition("_")[0] for name in names]
+    digits = [name.partition("_")[0] for name in line_names]
     colours = {digit: f"C{number}" for number, digit in enumerate(dict.fromkeys(digits))}
     parts = [digits[:i].count(digit) for i, digit in enumerate(digits)]
     return [

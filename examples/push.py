@@ -32,7 +32,7 @@ direction = [1.0, 0.0, 0.0]  # out of the palm
 start_s = 3.5                # after power-up
 rate_N_per_s = 8.0
 """
-START_S, RATE_N_PER_S, LARGEST_N, SHOWN_MM = 3.5, 8.0, 8.0, 3.0
+PUSH_START_S, PUSH_RATE_N_PER_S, LARGEST_PUSH_N, SHOWN_MOTION_MM = 3.5, 8.0, 8.0, 3.0
 
 
 def push_task(stiffness_N_per_mm):
@@ -60,18 +60,18 @@ for stiffness in (0.0, 30.0):
     )
     force, place = [], []
     with SimulatorSettings(hand, PUSH_SCENE, homed=True).begin_run(controller) as run:
-        for entry, _ in run.run_ticks(START_S + LARGEST_N / RATE_N_PER_S):
-            force.append(max(0.0, RATE_N_PER_S * (entry.t_ns / 1e9 - START_S)))
+        for entry, _ in run.run_ticks(PUSH_START_S + LARGEST_PUSH_N / PUSH_RATE_N_PER_S):
+            force.append(max(0.0, PUSH_RATE_N_PER_S * (entry.t_ns / 1e9 - PUSH_START_S)))
             place.append(run.simulated_hand.world.plant.engine.object_pose()[0])
     pushed = np.array(force) > 0.0
     force_now = np.array(force)[pushed]  # [N]
     moved_mm = 1e3 * (np.array(place)[pushed] - place[int(np.argmax(pushed))])
-    given_way = int(np.argmax(moved_mm > SHOWN_MM))
+    given_way = int(np.argmax(moved_mm > SHOWN_MOTION_MM))
     axes.plot(
         moved_mm[:given_way], force_now[:given_way], label=f"{stiffness:g} N/mm at each tendon"
     )
     print(
-        f"stiffness {stiffness:g} N/mm: {force_now[given_way]:.1f} N move the object by {SHOWN_MM:g} mm"
+        f"stiffness {stiffness:g} N/mm: {force_now[given_way]:.1f} N move the object by {SHOWN_MOTION_MM:g} mm"
     )
 axes.set(xlabel="displacement of the object [mm]", ylabel="force out of the palm [N]")
 axes.set_title("A push on a held cylinder")

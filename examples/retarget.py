@@ -34,7 +34,7 @@ SEGMENT_FRACTIONS = {  # proximal, middle and distal segment as fractions of the
     "ring": (0.244, 0.165, 0.107),
     "thumb": (0.196, 0.158),
 }
-CLOSED_DEG = {
+CLOSED_ANGLES_DEG = {
     "index": 36.0,
     "middle": 30.0,
     "ring": 30.0,
@@ -42,29 +42,31 @@ CLOSED_DEG = {
 }  # at larger angles, the fingers would touch the thumb
 
 
-def human_tip(name, t):
+def human_tip(finger_name, t):
     """Return the position of a human fingertip relative to the knuckle [m].
 
     The x axis points along the straight finger, and the y axis in the closing direction.
     """
-    delay = 0.4 * list(SEGMENT_FRACTIONS).index(name)
+    delay = 0.4 * list(SEGMENT_FRACTIONS).index(finger_name)
     phase = np.clip((t - 0.5 - delay) / 3.5, 0.0, 1.0)
     knuckle = (
-        np.radians(CLOSED_DEG[name]) * 0.5 * (1.0 - np.cos(2.0 * np.pi * phase))
+        np.radians(CLOSED_ANGLES_DEG[finger_name]) * 0.5 * (1.0 - np.cos(2.0 * np.pi * phase))
     )  # closes and opens
-    turns = [knuckle, 1.1 * knuckle, 2.0 / 3.0 * 1.1 * knuckle][: len(SEGMENT_FRACTIONS[name])]
+    turns = [knuckle, 1.1 * knuckle, 2.0 / 3.0 * 1.1 * knuckle][
+        : len(SEGMENT_FRACTIONS[finger_name])
+    ]
     angles = np.cumsum(turns)
-    lengths = HAND_LENGTH_M * np.array(SEGMENT_FRACTIONS[name])
+    lengths = HAND_LENGTH_M * np.array(SEGMENT_FRACTIONS[finger_name])
     return np.array([lengths @ np.cos(angles), lengths @ np.sin(angles), 0.0])
 
 
-def retargeted_tip(digit, name, t):
+def retargeted_tip(digit, finger_name, t):
     """Return the position of a human fingertip in the frame of the robot's palm [m].
 
     The position is scaled by the ratio of the finger lengths.
     """
-    scale = sum(digit.lengths) / (HAND_LENGTH_M * sum(SEGMENT_FRACTIONS[name]))
-    return to_palm_frame(digit, scale * human_tip(name, t))
+    scale = sum(digit.lengths) / (HAND_LENGTH_M * sum(SEGMENT_FRACTIONS[finger_name]))
+    return to_palm_frame(digit, scale * human_tip(finger_name, t))
 
 
 with handctl.connect("jamia11", "local:lab", *sys.argv[1:]) as hand:

@@ -17,12 +17,12 @@ from handctl.runtime.clocks.real import RealClock
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.mailbox import bus_lock
 
-BUS_SPEC, LIMIT_N_M, WATCHDOG_MS = "local:bench", 0.1, 100
+BUS_SPEC, TORQUE_LIMIT_N_M, WATCHDOG_MS = "local:bench", 0.1, 100
 STIFFNESS_N_M_PER_RAD, DAMPING_N_M_S_PER_RAD = 0.5, 0.02
 MOTOR_SPEC = Motor.model_validate({
     "name": "motor", "protocol": "mit", "bus": "bench", "node_id": 1, "direction": 1, "zero_rad": 0.0,
     "spool_radius_m": 0.005, "inertia_kg_m2": 1e-4, "viscous_N_m_s_per_rad": 0.0, "coulomb_N_m": 0.0,
-    "torque_constant_N_m_per_A": 0.1, "torque_max_N_m": LIMIT_N_M, "torque_peak_N_m": LIMIT_N_M,
+    "torque_constant_N_m_per_A": 0.1, "torque_max_N_m": TORQUE_LIMIT_N_M, "torque_peak_N_m": TORQUE_LIMIT_N_M,
     "position_range_rad": 12.5, "velocity_range_rad_s": 30.0, "watchdog_ms": WATCHDOG_MS,
 })  # fmt: skip
 
@@ -48,7 +48,7 @@ with bus_lock(BUS_SPEC):  # only one host may use the bus
                 STIFFNESS_N_M_PER_RAD * (goal - state.position)
                 - DAMPING_N_M_S_PER_RAD * state.velocity
             )
-            rig.run_tick(DriveTarget.ENABLE, max(-LIMIT_N_M, min(LIMIT_N_M, torque)))
+            rig.run_tick(DriveTarget.ENABLE, max(-TORQUE_LIMIT_N_M, min(TORQUE_LIMIT_N_M, torque)))
             if tick % 50 == 0:
                 print(
                     f"{tick * PERIOD_NS / 1e9:4.2f} s: {goal - rig.state.position:+.3f} rad to go"

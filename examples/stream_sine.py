@@ -15,17 +15,17 @@ import numpy as np
 import handctl
 from handctl.log.read.reader import RunLog
 
-MIDDLE_DEG, SWING_DEG, DURATION_S = 30.0, 20.0, 3.0
+SINE_MIDDLE_DEG, SINE_AMPLITUDE_DEG, DURATION_S = 30.0, 20.0, 3.0
 SETTLING_S = 0.3  # the digit starts at rest, but the sine starts with its full speed
 
 
 def sine_deg(t_s):
     """Return the target angle [deg] at the time ``t_s`` [s] after the start of the stream."""
-    return MIDDLE_DEG + SWING_DEG * np.sin(2.0 * np.pi * t_s)
+    return SINE_MIDDLE_DEG + SINE_AMPLITUDE_DEG * np.sin(2.0 * np.pi * t_s)
 
 
 with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:
-    hand.move(index=MIDDLE_DEG)
+    hand.move(index=SINE_MIDDLE_DEG)
     with hand.stream(rate_Hz=100, space="digit", names=["index"]) as stream:
         began_s = hand.observe().t_s
         # The time comes from the clock of the hand. A time that is computed from the number of

@@ -24,11 +24,11 @@ import numpy as np
 
 import handctl.gym
 
-ITERATIONS = int(sys.argv[1]) if len(sys.argv) > 1 else 25
+ITERATION_COUNT = int(sys.argv[1]) if len(sys.argv) > 1 else 25
 DIRECTION_COUNT, BEST_COUNT, STEP_SIZE, STEP_DECAY, NOISE_SIZE = 4, 4, 0.12, 0.93, 0.05
 INPUT_NAMES = ("reference_ahead_rad", "reference_rad", "q_rad")
 TEST_SEEDS = range(1001, 1006)
-COLORS = (
+LINE_COLORS = (
     "#3b6fb6",
     "#d9822b",
     "#3c9d5d",
@@ -70,7 +70,7 @@ rng = np.random.default_rng(0)
 policy = np.zeros(len(INPUT_NAMES) + 1)
 first = policy.copy()
 curve = []
-for iteration in range(ITERATIONS):
+for iteration in range(ITERATION_COUNT):
     directions = rng.standard_normal((DIRECTION_COUNT, len(policy)))
     # the weights plus and minus a perturbation are tried in the same episode
     seed = int(rng.integers(1000))
@@ -92,13 +92,13 @@ for iteration in range(ITERATIONS):
 np.save("policy.npy", policy)
 before, after = (run_episode(p, TEST_SEEDS[0])[1] for p in (first, policy))
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
-axes[0].plot(range(1, ITERATIONS + 1), curve, ".-")
+axes[0].plot(range(1, ITERATION_COUNT + 1), curve, ".-")
 axes[0].set(xlabel="iteration", ylabel="mean reward", ylim=(0, 1), title="Test episodes")
 t = env.step_s * np.arange(1, env.max_steps + 1)
 for axis, rows, title in ((axes[1], before, "Before"), (axes[2], after, "After")):
     for d, name in enumerate(env.names):
-        axis.plot(t[: len(rows)], rows[:, 0, d], color=COLORS[d], label=name)
-        axis.plot(t[: len(rows)], rows[:, 1, d], "--", color=COLORS[d], linewidth=1.0)
+        axis.plot(t[: len(rows)], rows[:, 0, d], color=LINE_COLORS[d], label=name)
+        axis.plot(t[: len(rows)], rows[:, 1, d], "--", color=LINE_COLORS[d], linewidth=1.0)
     axis.set(xlabel="time [s]", ylabel="angle [deg], reference dashed", title=title)
 axes[2].legend(fontsize="small")
 figure.savefig("training.png", dpi=120)

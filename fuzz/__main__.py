@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from fuzz.drives import FUZZED_DRIVES
+from fuzz.fuzzed_drives import FUZZED_DRIVES
 
 OUTPUT_FOLDER = Path("build/fuzz")
 DONE_PATTERN = re.compile(r"Done (\d+) runs in (\d+) second(?:\(s\), (\d+) inputs accepted)?")
@@ -54,46 +54,58 @@ def parsed_arguments() -> argparse.Namespace:
     return args
 
 
-def fuzz_target(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str, bool]:
+def fuzz_target(
+    target_name: str, duration_s: int, run_count: int, without_coverage: bool = False
+) -> tuple[str, bool]:
     """Fuzz one target in a separate process.
 
     Return the line with the result, and True if the target passed.
     """
-    corpus = OUTPUT_FOLDER / "corpus" / name
-    crashes = OUTPUT_FOLDER / "found" / name
+    corpus = OUTPUT_FOLDER / "corpus" / target_name
+    crashes = OUTPUT_FOLDER / "found" / target_name
     corpus.mkdir(parents=True, exist_ok=True)
     crashes.mkdir(parents=True, exist_ok=True)
-    limits = [f"-max_total_time={seconds}", f"-runs={runs}", f"-max_len={MAX_INPUT_BYTES[name]}"]
+    limits = [
+        f"-max_total_time={duration_s}",
+        f"-runs={run_count}",
+        f"-max_len={MAX_INPUT_BYTES[target_name]}",
+    ]
     limits += ["-rss_limit_mb=4096", "-timeout=20", f"-artifact_prefix={crashes}/"]
-    command = [sys.executable, "-m", "fuzz.one", name, str(corpus), *limits]
-    if blind:
+    command = [sys.executable, "-m", "fuzz.fuzz_with_coverage", target_name, str(corpus), *limits]
+    if without_coverage:
         command = [
             sys.executable,
             "-m",
-            "fuzz.blind",
-            name,
+            "fuzz.fuzz_without_coverage",
+            target_name,
             str(corpus),
             str(crashes),
-            str(seconds),
-            str(runs),
+            str(duration_s),
+            str(run_count),
         ]
-        command.append(str(MAX_INPUT_BYTES[name]))
+        command.append(str(MAX_INPUT_BYTES[target_name]))
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
-    (OUTPUT_FOLDER / f"{name}.txt").write_text(done.stdout + done.stderr)
+    (OUTPUT_FOLDER / f"{target_name}.txt").write_text(done.stdout + done.stderr)
     count = DONE_PATTERN.search(done.stderr)
     covered = COVERAGE_PATTERN.findall(done.stderr)
     if done.returncode or not count:
-        return f"{name:13} FAILED  see {OUTPUT_FOLDER / name}.txt and {crashes}/", False
+        return (
+            f"{target_name:13} FAILED  see {OUTPUT_FOLDER / target_name}.txt and {crashes}/",
+            False,
+        )
     number = int(count[1])
     took = max(1, int(count[2]))
-    if blind and not int(count[3]):
+    if without_coverage and not int(count[3]):
         return (
-            f"{name:13} FAILED  none of {number:,} inputs was accepted: only the first check was tested",
+            f"{target_name:13} FAILED  none of {number:,} inputs was accepted: only the first check was tested",
             False,
         )
     edges = f"edges {covered[-1][0]:>6}" if covered else "no edges"
-    seen = f"blind, {100 * int(count[3]) / number:.1f} % accepted" if blind else edges
-    return f"{name:13} {number:>10,} inputs {took:>6} s {number // took:>8,}/s   {seen}", True
+    seen = f"blind, {100 * int(count[3]) / number:.1f} % accepted" if without_coverage else edges
+    return (
+        f"{target_name:13} {number:>10,} inputs {took:>6} s {number // took:>8,}/s   {seen}",
+        True,
+    )
 
 
 def main() -> int:

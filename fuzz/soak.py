@@ -95,13 +95,13 @@ def memory_slope(samples: list[MemorySample], warm_up_s: float = WARM_UP_S) -> f
 class SoakTest:
     """The processes of simulator and controller, with memory samples, counts of events, and errors."""
 
-    def __init__(self, seed: int, scale: float) -> None:
+    def __init__(self, seed: int, time_scale: float) -> None:
         """Create a test without processes.
 
         The seed selects the faults. The scale is the time scale of simulator and controller.
         """
         self.chance = random.Random(seed)
-        self.scale = str(scale)
+        self.scale = str(time_scale)
         self.samples_by_process: dict[str, list[list[MemorySample]]] = {
             "simulator": [],
             "controller": [],
@@ -218,11 +218,11 @@ class SoakTest:
         self.counts["faults"] += 1
         return text
 
-    def sample_memory(self, t: float) -> None:
+    def sample_memory(self, time_s: float) -> None:
         """Measure memory and file descriptors of simulator and controller."""
         for name, process in (("simulator", self.simulator), ("controller", self.controller)):
             if process is not None and process.poll() is None:
-                self.samples_by_process[name][-1].append(memory_sample(process.pid, t))
+                self.samples_by_process[name][-1].append(memory_sample(process.pid, time_s))
 
     def soak_result(self) -> dict[str, object]:
         """Return the result of the test: counts of events, growth of memory, open file descriptors, and all errors."""

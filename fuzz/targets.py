@@ -3,41 +3,41 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from fuzz import files, logs, texts, wire
-from fuzz.drives import FUZZED_DRIVES
+from fuzz import file_targets, frame_targets, log_targets, text_targets
+from fuzz.fuzzed_drives import FUZZED_DRIVES
 from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER
 
 FuzzTarget = Callable[[bytes], bool]
 TARGET_FACTORIES: dict[str, Callable[[Path], FuzzTarget]] = {
-    **{name: wire.drive_target_factory(name) for name in FUZZED_DRIVES},
-    "sensor-node": wire.sensor_target,
-    "hand": files.hand_target,
-    "hand-text": files.hand_text_target,
-    "task": files.task_target,
-    "trajectory": files.trajectory_target,
-    "gains": files.gains_target,
-    "calibration": files.calibration_target,
-    "log": logs.log_target,
-    "log-bytes": logs.log_bytes_target,
-    "request": texts.request_target,
-    "fault": texts.fault_target,
+    **{name: frame_targets.drive_target_factory(name) for name in FUZZED_DRIVES},
+    "sensor-node": frame_targets.sensor_target,
+    "hand": file_targets.hand_target,
+    "hand-text": file_targets.hand_text_target,
+    "task": file_targets.task_target,
+    "trajectory": file_targets.trajectory_target,
+    "gains": file_targets.gains_target,
+    "calibration": file_targets.calibration_target,
+    "log": log_targets.log_target,
+    "log-bytes": log_targets.log_bytes_target,
+    "request": text_targets.request_target,
+    "fault": text_targets.fault_target,
 }
 
 
-def seed_inputs(name: str, folder: Path) -> list[bytes]:
+def seed_inputs(target_name: str, work_folder: Path) -> list[bytes]:
     """Return the valid inputs with which the corpus of a target starts."""
-    if name in FUZZED_DRIVES:
-        return wire.recorded_inputs(name, folder)
-    if name == "hand-text":
+    if target_name in FUZZED_DRIVES:
+        return frame_targets.recorded_inputs(target_name, work_folder)
+    if target_name == "hand-text":
         return [path.read_bytes() for path in PACKAGED_HANDS_FOLDER.glob("*.toml")]
-    if name == "log-bytes":
-        return [logs.small_log(folder).read_bytes()]
-    if name == "request":
+    if target_name == "log-bytes":
+        return [log_targets.write_small_log(work_folder).read_bytes()]
+    if target_name == "request":
         return [
             b'{"do": "arm"}',
             b'{"do": "move", "angle_deg": {"index": 20}}',
             b'{"do": "gains", "set": {"a": 1}}',
         ]
-    if name == "fault":
+    if target_name == "fault":
         return [b"\1\0drop node=3 p=0.05 at=3s for=2s", b"\1\0snap tendon=index_tendon"]
     return []

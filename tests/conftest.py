@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.machine_stall_meter import MachineStallMeter
 from tests.slow_tests import DurationRecorder, tests_slower_than
-from tests.stall_meter import StallMeter
 
 pytest_plugins = ("pytester",)
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
@@ -112,7 +112,7 @@ class RepeatAfterStall:
     def __init__(self) -> None:
         """Start without a stall meter, because most runs have no test on the real clock."""
         self.stalls: list[tuple[str, float]] = []
-        self.meter: StallMeter | None = None
+        self.meter: MachineStallMeter | None = None
         self._test = ""
         self._start = 0.0
 
@@ -120,7 +120,7 @@ class RepeatAfterStall:
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
         """Store the start of a test on the real clock."""
         if item.get_closest_marker("realtime"):
-            self.meter = self.meter or StallMeter()
+            self.meter = self.meter or MachineStallMeter()
             self._test = item.nodeid
             self._start = time.monotonic()
 

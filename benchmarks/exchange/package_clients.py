@@ -26,13 +26,14 @@ class DamiaoClient:
 
     reply_of = staticmethod(feedback_frame)
 
-    def __init__(self, interface, channel, motors):
+    def __init__(self, interface, channel, motor_count):
         from damiao_motor import DaMiaoController
 
         self.controller = DaMiaoController(channel=channel, bustype=interface)
         add = self.controller.add_motor
         self.motors = [
-            add(motor_id=i, feedback_id=i + 0x10, motor_type="4310") for i in range(1, motors + 1)
+            add(motor_id=i, feedback_id=i + 0x10, motor_type="4310")
+            for i in range(1, motor_count + 1)
         ]
         self.controller._stop_polling()
 
@@ -58,18 +59,18 @@ class OdriveClient:
     DBC_AXIS_COUNT = 8
     """Number of axes in the DBC file of odrive-can."""
 
-    def __init__(self, interface, channel, motors):
+    def __init__(self, interface, channel, motor_count):
         from odrive_can import odrive
 
-        if motors > self.DBC_AXIS_COUNT:
+        if motor_count > self.DBC_AXIS_COUNT:
             raise ValueError(f"the DBC of odrive-can has {self.DBC_AXIS_COUNT} axes")
         self.bus = can.Bus(channel, interface=interface, ignore_config=True)
         self.read = odrive.CanMsg
-        self.drives = [odrive.ODriveCAN(axis_id=i, can_bus=self.bus) for i in range(motors)]
+        self.drives = [odrive.ODriveCAN(axis_id=i, can_bus=self.bus) for i in range(motor_count)]
 
     @staticmethod
-    def reply_of(motor):
-        return (motor - 1) << 5 | 0x09, struct.pack("<ff", 1.5, 0.1), 0
+    def reply_of(motor_index):
+        return (motor_index - 1) << 5 | 0x09, struct.pack("<ff", 1.5, 0.1), 0
 
     def send(self, torques):
         for drive, torque in zip(self.drives, torques, strict=True):
@@ -92,7 +93,7 @@ class TMotorClient:
     can0``.
     """
 
-    def __init__(self, interface, channel, motors):
+    def __init__(self, interface, channel, motor_count):
         from TMotorCANControl import mit_can
 
         manager = object.__new__(mit_can.CAN_Manager)
@@ -103,7 +104,7 @@ class TMotorClient:
         mit_can.CAN_Manager._instance = manager
         with contextlib.redirect_stdout(io.StringIO()):
             make = mit_can.TMotorManager_mit_can
-            self.motors = [make(motor_type="AK80-9", motor_ID=i) for i in range(1, motors + 1)]
+            self.motors = [make(motor_type="AK80-9", motor_ID=i) for i in range(1, motor_count + 1)]
         self.bus = manager.bus
         self.listeners = listeners
         for motor in self.motors:
@@ -112,8 +113,8 @@ class TMotorClient:
             motor.set_current_gains()
 
     @staticmethod
-    def reply_of(motor):
-        return motor, bytes((motor, 0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 0)), 0
+    def reply_of(motor_index):
+        return motor_index, bytes((motor_index, 0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 0)), 0
 
     def send(self, torques):
         for motor, torque in zip(self.motors, torques, strict=True):
@@ -137,7 +138,7 @@ class MoteusClient:
     The client sends a position command with a feedforward torque, and requests the default values.
     """
 
-    def __init__(self, interface, channel, motors):
+    def __init__(self, interface, channel, motor_count):
         import moteus
         from moteus.pythoncan_device import PythonCanDevice
 
@@ -145,18 +146,18 @@ class MoteusClient:
         self.loop = asyncio.new_event_loop()
         self.device = PythonCanDevice(interface=interface, channel=channel, fd=True)
         self.transport = moteus.Transport([self.device])
-        self.count = motors
-        devices = dict.fromkeys(range(1, motors + 1), self.device)
+        self.count = motor_count
+        devices = dict.fromkeys(range(1, motor_count + 1), self.device)
         self.controllers = [moteus.Controller(id=i, transport=self.transport) for i in devices]
         self.transport._routing_table = {}
         self.nan = float("nan")
 
     @staticmethod
-    def reply_of(motor):
+    def reply_of(motor_index):
         motion = b"\x2f\x01" + struct.pack("<fff", 0.1, 0.2, 0.3)
         data = b"\x21\x00\x0a" + motion + b"\x23\x0d\x30\x20\x00"
-        extended = 0x80000000 if motor << 8 > 0x7FF else 0
-        return motor << 8 | extended, data + b"\x50" * (24 - len(data)), 4 | 1
+        extended = 0x80000000 if motor_index << 8 > 0x7FF else 0
+        return motor_index << 8 | extended, data + b"\x50" * (24 - len(data)), 4 | 1
 
     async def _cycle(self, torques):
         commands = [

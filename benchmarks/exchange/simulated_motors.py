@@ -13,7 +13,7 @@ from pathlib import Path
 CLASSICAL_FRAME_STRUCT = struct.Struct("=IB3x8s")
 FD_FRAME_STRUCT = struct.Struct("=IBB2x64s")
 FRAME_RECORD_STRUCT = struct.Struct("<IBBH64s")
-FDF = 4
+CAN_FD_FLAG = 4
 ReplyFunction = Callable[[int], tuple[int, bytes, int]]
 """Function from the number of a motor to the identifier, payload and flags of its reply.
 
@@ -24,20 +24,20 @@ The first motor is number 1.
 class LocalMotors:
     """Simulated motors that reply on a Unix socket, as the hub of a local bus does."""
 
-    def __init__(self, name: str) -> None:
-        self.path = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{name}.bus"
+    def __init__(self, bus_name: str) -> None:
+        self.path = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{bus_name}.bus"
         self.listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self.listener.bind(str(self.path))
         self.listener.listen()
         self.link = None
 
-    def send_replies(self, motors: int, reply_of: ReplyFunction) -> None:
+    def send_replies(self, motor_count: int, reply_of: ReplyFunction) -> None:
         if self.link is None:
             self.link, _ = self.listener.accept()
         size = 0
-        while size < motors * FRAME_RECORD_STRUCT.size:
+        while size < motor_count * FRAME_RECORD_STRUCT.size:
             size += len(self.link.recv(1 << 16))
-        answers = [reply_of(i + 1) for i in range(motors)]
+        answers = [reply_of(i + 1) for i in range(motor_count)]
         self.link.sendall(
             b"".join(
                 FRAME_RECORD_STRUCT.pack(can_id, len(data), flags, 0, data)
@@ -55,18 +55,20 @@ class LocalMotors:
 class VcanMotors:
     """Simulated motors that reply on a raw CAN socket."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, bus_name: str) -> None:
         self.link = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         self.link.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
-        self.link.bind((name,))
+        self.link.bind((bus_name,))
         self.link.settimeout(5.0)
 
-    def send_replies(self, motors: int, reply_of: ReplyFunction) -> None:
-        for _ in range(motors):
+    def send_replies(self, motor_count: int, reply_of: ReplyFunction) -> None:
+        for _ in range(motor_count):
             self.link.recv(FD_FRAME_STRUCT.size)
-        for i in range(motors):
+        for i in range(motor_count):
             can_id, data, flags = reply_of(i + 1)
-            fd = FD_FRAME_STRUCT.pack(can_id, len(data), flags, data) if flags & FDF else b""
+            fd = (
+                FD_FRAME_STRUCT.pack(can_id, len(data), flags, data) if flags & CAN_FD_FLAG else b""
+            )
             self.link.send(fd or CLASSICAL_FRAME_STRUCT.pack(can_id, len(data), data))
 
     def close(self) -> None:
@@ -81,12 +83,12 @@ MOTORS_BY_MEDIUM = {
 
 
 @contextmanager
-def motors_on(medium: str):
+def motors_on(bus_kind: str):
     """Start simulated motors on a bus.
 
     Yield the motors, and the interface and channel of the bus.
     """
-    made, interface, channel = MOTORS_BY_MEDIUM[medium]
+    made, interface, channel = MOTORS_BY_MEDIUM[bus_kind]
     motors = made(channel)
     try:
         yield motors, interface, channel

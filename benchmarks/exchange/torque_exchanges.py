@@ -32,20 +32,20 @@ BO_ 17 Feedback: 8 H
 """
 
 
-def feedback_frame(motor: int) -> tuple[int, bytes, int]:
+def feedback_frame(motor_index: int) -> tuple[int, bytes, int]:
     """Return the feedback frame of an enabled Damiao motor.
 
     The identifier of this frame is the register MST_ID of the motor.
     """
-    return 0x10 + motor, bytes((0x10 | motor,)) + FEEDBACK_TAIL, 0
+    return 0x10 + motor_index, bytes((0x10 | motor_index,)) + FEEDBACK_TAIL, 0
 
 
 RATE_HZ = 200.0
 
 
 @cache
-def enabled_controller(motors):
-    """Return a controller of a packaged hand that has as many MIT motors as ``motors``.
+def enabled_controller(motor_count):
+    """Return a controller of a packaged hand that has as many MIT motors as ``motor_count``.
 
     Also return a state in which all motors are enabled.
     """
@@ -57,7 +57,7 @@ def enabled_controller(motors):
     from handctl.session.simulate import SimulatorSettings, homed_controller
     from handctl.session.tasks import load_task_for_hand
 
-    name = {4: "jamia", 11: "jamia11"}[motors]
+    name = {4: "jamia", 11: "jamia11"}[motor_count]
     model = HandModel.from_hand(load_hand(name), Gains(), RATE_HZ)
     controller = homed_controller(
         model, TaskProgram(load_task_for_hand(Path("grasp"), model.hand)[0])
@@ -76,7 +76,7 @@ class HandctlExchange:
 
     reply_of = staticmethod(feedback_frame)
 
-    def __init__(self, interface, channel, motors):
+    def __init__(self, interface, channel, motor_count):
         import numpy as np
 
         from handctl.core import tick_stages
@@ -84,12 +84,12 @@ class HandctlExchange:
         from handctl.drives.frame_records import WORDS_PER_RECORD
         from handctl.runtime.buses.open import open_bus
 
-        self.controller, state = enabled_controller(motors)
+        self.controller, state = enabled_controller(motor_count)
         self.state = state.copy()
         self.drive_target = DriveTarget.ENABLE
         self.begin_tick = tick_stages.begin_tick
         self.np = np
-        self.shape = 1 + motors, WORDS_PER_RECORD
+        self.shape = 1 + motor_count, WORDS_PER_RECORD
         self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)
         self.t_ns = self.state.k * round(1e9 / RATE_HZ)
 
@@ -119,11 +119,11 @@ class ScalarCodecExchange:
 
     reply_of = staticmethod(feedback_frame)
 
-    def __init__(self, interface, channel, motors):
+    def __init__(self, interface, channel, motor_count):
         import can
 
         self.can = can
-        self.ids = range(1, motors + 1)
+        self.ids = range(1, motor_count + 1)
         self.bus = can.Bus(channel, interface=interface, ignore_config=True)
 
     def encode(self, torque):
@@ -154,8 +154,8 @@ class ScalarCodecExchange:
 class CantoolsExchange(ScalarCodecExchange):
     """python-can, which sends and receives one message at a time, with a codec that cantools makes from a DBC file."""
 
-    def __init__(self, interface, channel, motors):
-        super().__init__(interface, channel, motors)
+    def __init__(self, interface, channel, motor_count):
+        super().__init__(interface, channel, motor_count)
         import cantools
 
         database = cantools.database.load_string(MIT_DBC_TEXT, "dbc")

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from grasps.objects import GRASP_CASES
-from grasps.trial import simulate_grasp, task_program
+from grasps.grasp_objects import GRASP_CASES
+from grasps.grasp_trial import simulate_grasp, task_program
 from handctl.programs.task import HoldPhase
 from handctl.programs.task_program import TaskProgram
 
@@ -17,7 +17,7 @@ PAPER_PAYLOAD_KG = 0.915
 
 Source: section 5 of the paper.
 """
-TENSION_N = {"jamia": 33.0, "jamia11": 28.0}
+GRASP_TENSION_N = {"jamia": 33.0, "jamia11": 28.0}
 """For each hand, the tension of every tendon at which each finger presses with about 6 N [N]."""
 LOAD_DIRECTIONS = {
     "along the hinges": (0.0, 0.0, -1.0),
@@ -27,7 +27,7 @@ LOAD_DIRECTIONS = {
 LOAD_START_S = 6.0
 LOAD_RATE_N_PER_S = 2.0
 SLIDING_SPEED_M_S = 1e-3
-RUN_S = 20.0
+RUN_DURATION_S = 20.0
 
 
 def measure_payload(job: tuple[str, str, int]) -> dict[str, Any]:
@@ -44,16 +44,16 @@ def measure_payload(job: tuple[str, str, int]) -> dict[str, Any]:
     )
     run = simulate_grasp(
         hand,
-        _grasp_at_tension(hand, TENSION_N[hand]),
-        case.scene_text(seed, stages=False) + load,
+        _grasp_at_tension(hand, GRASP_TENSION_N[hand]),
+        case.scene_text(seed, with_stages=False) + load,
         seed=seed,
-        timeout=RUN_S,
+        timeout_s=RUN_DURATION_S,
     )
     before = run.t < LOAD_START_S
     settled = run.t > LOAD_START_S - 0.5
-    normal = run.normal[before & settled].mean(axis=0)
+    normal = run.contact_normal[before & settled].mean(axis=0)
     window = max(1, int(0.2 / (run.t[1] - run.t[0])))
-    speed = np.linalg.norm(run.place[window:] - run.place[:-window], axis=1) / (
+    speed = np.linalg.norm(run.object_position[window:] - run.object_position[:-window], axis=1) / (
         run.t[window] - run.t[0]
     )
     sliding = np.flatnonzero((speed > SLIDING_SPEED_M_S) & (run.t[window:] > LOAD_START_S))
@@ -68,9 +68,9 @@ def measure_payload(job: tuple[str, str, int]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _grasp_at_tension(hand: str, tension: float) -> TaskProgram:
+def _grasp_at_tension(hand_name: str, tension: float) -> TaskProgram:
     """Return the packaged power grasp with the given tension, and without the reaction to slip."""
-    program = task_program("grasp", hand, hold_s=60.0)
+    program = task_program("grasp", hand_name, hold_s=60.0)
     phases = [
         phase.model_copy(
             update={"tension_N": tension, "slip_limit_N": None, "stiffness_N_per_mm": 0.0}

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from grasps.contact import WALL_SCENE, program_of_phases
-from grasps.trial import hand_model, simulate_grasp
+from grasps.contact_detection import WALL_SCENE, program_of_phases
+from grasps.grasp_trial import hand_model, simulate_grasp
 
 COMMANDED_FORCES_N = (2.0, 4.0, 6.0)
-HOLD_S = 0.8
-JUDGED_HOLD_S = 0.4
+HOLD_DURATION_S = 0.8
+EVALUATED_HOLD_S = 0.4
 
 
 def measure_tip_force(job: tuple[str, int]) -> list[dict[str, Any]]:
@@ -33,16 +33,16 @@ def measure_tip_force(job: tuple[str, int]) -> list[dict[str, Any]]:
         {"kind": "close", "angle_deg": 60.0, "speed_deg_s": 50.0},
     ]
     phases += [
-        {"kind": "hold", "name": f"{f:g}", "tip_force_N": f, "duration_s": HOLD_S}
+        {"kind": "hold", "name": f"{f:g}", "tip_force_N": f, "duration_s": HOLD_DURATION_S}
         for f in COMMANDED_FORCES_N
     ]
     run = simulate_grasp(
-        hand, program_of_phases(phases), wall, seed=seed, until="end", timeout=12.0
+        hand, program_of_phases(phases), wall, seed=seed, last_phase="end", timeout_s=12.0
     )
     rows = []
     for command in COMMANDED_FORCES_N:
         mask = np.array(run.phase) == f"{command:g}"
-        mask &= run.t > run.t[mask].max(initial=0.0) - JUDGED_HOLD_S
+        mask &= run.t > run.t[mask].max(initial=0.0) - EVALUATED_HOLD_S
         for d, name in enumerate(hand_model(hand)[0].hand.digit_names):
             if mask.any() and run.contact[mask, d].all():
                 estimated = run.tip_force[mask, d]

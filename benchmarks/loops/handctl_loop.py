@@ -24,7 +24,7 @@ from handctl.runtime.mailbox import STOP_REQUEST
 from handctl.session.plan import RunPlan
 from handctl.session.run import make_controller
 
-DESIGN_HZ = 1000.0
+DESIGN_RATE_HZ = 1000.0
 
 
 class StayProgram:
@@ -63,22 +63,24 @@ class UnpacedClock:
         return {}
 
 
-def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
+def run_loop(
+    hand_name: str, bus_name: str, duration_s: float, rate_hz: float | None, log_path: Path
+):
     """Run the controller until the hand has been active for a given time.
 
     Args:
         hand_name: name of a packaged hand.
         bus_name: name of the local bus.
-        seconds: time for which the hand is active [s].
+        duration_s: time for which the hand is active [s].
         rate_hz: control rate [Hz]. None means that ticks have no deadlines.
-        log: path of a new file for the log.
+        log_path: path of a new file for the log.
 
     Returns:
         ticks per second while active, fraction of missed deadlines, lateness of every active tick [ns], wall time
         of each tick in the controller [ns], and CPU time of the control process per second.
     """
     hand = load_hand(hand_name)
-    rate = rate_hz or DESIGN_HZ
+    rate = rate_hz or DESIGN_RATE_HZ
     plan = RunPlan(hand, Gains(), rate, (0.0,), (f"local:{bus_name}",))
     controller = make_controller(plan, StayProgram(), None, arm_at_once=True)
     bus = open_bus(plan.buses[0], 0, 1_000_000)
@@ -88,10 +90,10 @@ def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | Non
         clock.busy_wait = priority.realtime
     described = {"hand.toml": hand.to_toml().encode(), "hand.urdf": urdf_text(hand).encode()}
     recorder = Recorder.start(
-        log, RunHeader.from_hand(hand.to_toml(), plan.period_ns, attachments=described)
+        log_path, RunHeader.from_hand(hand.to_toml(), plan.period_ns, attachments=described)
     )
     tick_times_ns: list[int] = []
-    counter = ActiveTickCounter(seconds, tick_times_ns)
+    counter = ActiveTickCounter(duration_s, tick_times_ns)
     cut = controller.cut_frames()
 
     def record(entry, out):
@@ -111,7 +113,7 @@ def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | Non
     state = loop.run(controller.initial_state())
     recorder.close("done")
     bus.close()
-    log.unlink()
+    log_path.unlink()
     if not counter.ticks:
         raise RuntimeError(f"never active: {state.failure}")
     span = (counter.last_ns - counter.first_ns) / 1e9
@@ -161,14 +163,14 @@ class ActiveTickCounter:
     counted.
     """
 
-    def __init__(self, seconds: float, all_times_ns: list[int]) -> None:
+    def __init__(self, duration_s: float, all_times_ns: list[int]) -> None:
         """Create the observer.
 
         Args:
-            seconds: time for which the hand is active [s].
+            duration_s: time for which the hand is active [s].
             all_times_ns: wall times of all ticks so far [ns], empty if ticks are not timed.
         """
-        self.seconds = seconds
+        self.seconds = duration_s
         self.all_times_ns = all_times_ns
         self.tick_times_ns: list[int] = []
         self.ticks = 0

@@ -22,10 +22,10 @@ ENABLE_PAYLOAD = b"\xff" * 7 + b"\xfc"
 DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfd"
 
 
-def tendon_filter(dt: float) -> KalmanFilter:
+def tendon_filter(period_s: float) -> KalmanFilter:
     """Return a Kalman filter whose states are the tension and the rate of change of the tension."""
     one = KalmanFilter(dim_x=2, dim_z=1)
-    one.F = np.array([[1.0, dt], [0.0, 1.0]])
+    one.F = np.array([[1.0, period_s], [0.0, 1.0]])
     one.H = np.array([[1.0, 0.0]])
     one.Q = np.diag([1e-3, 1e-1])
     one.R = np.array([[0.25]])
@@ -41,7 +41,7 @@ def torque_payload(torque: float) -> bytes:
 class BaselineLoop:
     """Hand-written control loop on a bus of python-can. The loop runs tick by tick."""
 
-    def __init__(self, hand_name: str, bus_name: str, log: Path) -> None:
+    def __init__(self, hand_name: str, bus_name: str, log_path: Path) -> None:
         self.hand = load_hand(hand_name)
         self.bus = can.Bus(interface="local", channel=bus_name)
         self.model = pinocchio.buildModelFromXML(urdf_text(self.hand))
@@ -53,13 +53,13 @@ class BaselineLoop:
         self.sensor_base_id = node.base_id
         self.reply_count = len(self.nodes) + -(-len(self.nodes) // 5)
         self.k = 0
-        self.file = log.open("w")
-        self.path = log
+        self.file = log_path.open("w")
+        self.path = log_path
 
-    def send_all(self, data: bytes) -> None:
+    def send_all(self, payload: bytes) -> None:
         """Send the same data to every motor and discard the replies."""
         for node in self.nodes:
-            self.bus.send(can.Message(arbitration_id=node, data=data, is_extended_id=False))
+            self.bus.send(can.Message(arbitration_id=node, data=payload, is_extended_id=False))
         while self.bus.recv(0.05):
             pass
 
@@ -93,7 +93,7 @@ class BaselineLoop:
     def joint_frames(self) -> int:
         return -(-len(self.hand.sensor_node.joints) // 5)
 
-    def add_reply(self, message: can.Message, row: dict) -> None:
+    def add_reply(self, message: can.Message, log_row: dict) -> None:
         """Decode one reply and add its values to the row of the log."""
         if self.sensor_base_id <= message.arbitration_id < self.sensor_base_id + 0x10:
             bits = int.from_bytes(message.data, "little")
@@ -102,10 +102,10 @@ class BaselineLoop:
                 tension = (bits >> (4 + 12 * (i - first)) & 0xFFF) * 0.0625 - 6.0
                 self.filters[i].predict()
                 self.filters[i].update(tension)
-                row["tension"].append(float(self.filters[i].x[0, 0]))
+                log_row["tension"].append(float(self.filters[i].x[0, 0]))
         elif len(message.data) == 8:
             raw = struct.unpack_from(">H", message.data, 1)[0]
-            row["position"].append(raw / 65535 * 25.0 - 12.5)
+            log_row["position"].append(raw / 65535 * 25.0 - 12.5)
 
     def close(self) -> None:
         self.send_all(DISABLE_PAYLOAD)
@@ -114,12 +114,14 @@ class BaselineLoop:
         self.path.unlink()
 
 
-def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
+def run_loop(
+    hand_name: str, bus_name: str, duration_s: float, rate_hz: float | None, log_path: Path
+):
     """Run the hand-written loop for a time.
 
     The results have the same form as those of ``handctl_loop.run_loop``.
     """
-    loop = BaselineLoop(hand_name, bus_name, log)
+    loop = BaselineLoop(hand_name, bus_name, log_path)
     request_priority()
     loop.send_all(ENABLE_PAYLOAD)
     start = time.monotonic()
@@ -127,7 +129,7 @@ def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | Non
     missed = 0
     late = []
     deadline = start
-    while time.monotonic() - start < seconds:
+    while time.monotonic() - start < duration_s:
         if rate_hz:
             deadline += 1.0 / rate_hz
             time.sleep(max(0.0, deadline - time.monotonic()))

@@ -22,8 +22,8 @@ class CachedReplies:
     A reply that was computed once is not computed again.
     """
 
-    def __init__(self, hand: str) -> None:
-        self.rig = LockstepHand(hand, homed=True)
+    def __init__(self, hand_name: str) -> None:
+        self.rig = LockstepHand(hand_name, homed=True)
         self.replies: dict[tuple[int, int], bytes] = {}
         self.sync = self.rig.world.hand.sensors.sync_id
 
@@ -44,10 +44,10 @@ class CachedReplies:
         return records
 
 
-def main(hand: str, name: str) -> None:
+def main(hand_name: str, bus_name: str) -> None:
     """Reply to frames on the bus until the process is killed."""
-    echo = CachedReplies(hand)
-    port = HubPort(name, 0)
+    echo = CachedReplies(hand_name)
+    port = HubPort(bus_name, 0)
     take_priority()
     print("ready", flush=True)
     while True:

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from trials.lockstep import Array
+from trials.lockstep_trial import FloatArray
 
 AVERAGE_WEIGHTS = np.concatenate((np.arange(0.05, 0.5, 0.05), np.arange(0.5, 1.01, 0.1)))
 """Candidates for the weight of the newest sample in the average.
@@ -17,38 +17,42 @@ The benchmark uses the candidate with the smallest true error.
 """
 
 
-def exponential_average(raw: Array, weight: float) -> Array:
+def exponential_average(raw_tension: FloatArray, sample_weight: float) -> FloatArray:
     """Return the exponential average of the samples (ticks, N) [N]. Missing samples are skipped."""
-    smooth = np.empty_like(raw)
-    last = np.nan_to_num(raw[0])
-    for k, sample in enumerate(raw):
-        last = last + weight * np.where(np.isnan(sample), 0.0, sample - last)
+    smooth = np.empty_like(raw_tension)
+    last = np.nan_to_num(raw_tension[0])
+    for k, sample in enumerate(raw_tension):
+        last = last + sample_weight * np.where(np.isnan(sample), 0.0, sample - last)
         smooth[k] = last
     return smooth
 
 
-def cell_only_estimate(raw: Array, period: float, noise: float, rate: float) -> Array:
+def cell_only_estimate(
+    raw_tension: FloatArray, period_s: float, cell_noise: float, tension_rate_noise: float
+) -> FloatArray:
     """Run a Kalman filter of tension and tension rate, whose only measurement is the load cell.
 
     Return the prediction of the filter for the present tension, (ticks, N) [N].
 
     Args:
-        raw: (ticks, N) samples, one period old [N].
-        period: control period [s].
-        noise: standard deviation of a sample [N].
-        rate: square root of the spectral density of the noise of the tension rate [N/s^1.5].
+        raw_tension: (ticks, N) samples, one period old [N].
+        period_s: control period [s].
+        cell_noise: standard deviation of a sample [N].
+        tension_rate_noise: square root of the spectral density of the noise of the tension rate [N/s^1.5].
     """
-    F = np.array([[1.0, period], [0.0, 1.0]])
-    Q = rate**2 * np.array([[period**3 / 3, period**2 / 2], [period**2 / 2, period]])
-    P = solve_discrete_are(F.T, np.array([[1.0], [0.0]]), Q, np.array([[noise**2]]))
-    gain = P[:, 0] / (P[0, 0] + noise**2)
-    f = np.nan_to_num(raw[0])
-    df = np.zeros(raw.shape[1])
-    out = np.empty_like(raw)
-    for k, sample in enumerate(raw):
+    F = np.array([[1.0, period_s], [0.0, 1.0]])
+    Q = tension_rate_noise**2 * np.array(
+        [[period_s**3 / 3, period_s**2 / 2], [period_s**2 / 2, period_s]]
+    )
+    P = solve_discrete_are(F.T, np.array([[1.0], [0.0]]), Q, np.array([[cell_noise**2]]))
+    gain = P[:, 0] / (P[0, 0] + cell_noise**2)
+    f = np.nan_to_num(raw_tension[0])
+    df = np.zeros(raw_tension.shape[1])
+    out = np.empty_like(raw_tension)
+    for k, sample in enumerate(raw_tension):
         innovation = np.where(np.isnan(sample), 0.0, sample - f)
         f = f + gain[0] * innovation
         df = df + gain[1] * innovation
-        f = f + period * df
+        f = f + period_s * df
         out[k] = f
     return out

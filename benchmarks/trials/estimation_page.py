@@ -3,7 +3,7 @@
 import numpy as np
 
 from handctl.output import save_figure
-from trials.page import FIGURES_FOLDER, markdown_table
+from trials.control_page import FIGURES_FOLDER, markdown_table
 
 KEY_BY_COLUMN = {
     "at the sample: filter": "filtered",
@@ -96,13 +96,13 @@ def page_section(result: dict) -> str:
     return "\n".join(parts)
 
 
-def _wrong_plant_row(plant: str, regimes_table: dict, regimes: list[str]) -> list[str]:
+def _wrong_plant_row(plant_name: str, regimes_table: dict, regimes: list[str]) -> list[str]:
     cells = [
         f"{row['estimate']:.2f} N, {' and '.join(f'{row[ratio]:.2f}' for ratio in WRONG_PLANT_RATIOS)}"
         for row in (regimes_table[regime] for regime in regimes)
     ]
     return [
-        plant,
+        plant_name,
         *cells,
         f"{regimes_table['free']['nis']:.2f}",
         f"{regimes_table['hold']['nis']:.2f}",
@@ -169,13 +169,13 @@ RATIO_INSTANT_TEXTS = {
 }
 
 
-def _regimes_worse_than_raw(result: dict, ratio: str) -> str:
+def _regimes_worse_than_raw(result: dict, ratio_name: str) -> str:
     """List the tendon regimes in which the raw load cell is better than the filter.
 
     The list covers the nominal hand and hands with a wrong stiffness.
     """
     rows = [
-        (row[ratio], f"{hand} {regime}, {plant}")
+        (row[ratio_name], f"{hand} {regime}, {plant}")
         for hand, plants in result["hands"].items()
         for plant, worse in plants.items()
         if plant == "as known" or plant.startswith("stiffness")
@@ -185,12 +185,13 @@ def _regimes_worse_than_raw(result: dict, ratio: str) -> str:
     worst, name = max(rows)
     if not above:
         return (
-            f"{RATIO_INSTANT_TEXTS[ratio]} the filter is never worse than the load cell, even if the "
+            f"{RATIO_INSTANT_TEXTS[ratio_name]} the filter is never worse than the load cell, even if the "
             f"stiffness in the hand file is wrong "
             f"by 50 %. The largest ratio of the errors is {worst:.2f} ({name})."
         )
     return (
-        f"{RATIO_INSTANT_TEXTS[ratio]} the filter is worse than the load cell in these cases (ratio of the errors): "
+        f"{RATIO_INSTANT_TEXTS[ratio_name]} the filter is worse than the load cell"
+        " in these cases (ratio of the errors): "
         f"{'; '.join(above)}."
     )
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from trials.page import markdown_table
+from trials.control_page import markdown_table
 
 COLUMN_BY_FIGURE = {
     "rmse_N": "RMSE [N]",
@@ -46,11 +46,11 @@ def page_section(result: dict[str, Any]) -> str:
     return "\n".join([*parts, "", _conclusion(result)])
 
 
-def _loop_row(law: str, row: dict[str, Any]) -> list[str]:
+def _loop_row(loop_name: str, row: dict[str, Any]) -> list[str]:
     cells = [f"{row[name]:.2f}" for name in COLUMN_BY_FIGURE]
     cells[0] += f" ± {row['rmse_spread_N']:.2f}"
     return [
-        law,
+        loop_name,
         *cells,
         f"{row['seeds']}" + (f", {row['ended']} ended early" if row["ended"] else ""),
     ]

@@ -22,37 +22,41 @@ class JobPlan:
     """Options for running jobs.
 
     Attributes:
-        keep: folder for the results of the jobs, as JSON. A job whose result is stored is not run
-            again. None means that no result is stored.
-        minutes: time after which no further job starts [min]. The results of the jobs that have not started are left
-            out.
-        workers: number of processes. Zero means one process per core.
+        results_folder: folder for the results of the jobs, as JSON. A job whose result is stored
+            is not run again. None means that no result is stored.
+        max_minutes: time after which no further job starts [min]. The results of the jobs that have
+            not started are left out.
+        worker_count: number of processes. Zero means one process per core.
     """
 
-    keep: Path | None = None
-    minutes: float = float("inf")
-    workers: int = 0
+    results_folder: Path | None = None
+    max_minutes: float = float("inf")
+    worker_count: int = 0
 
 
-def collect_results(work: JobFunction, jobs: list[Any], plan: JobPlan) -> dict[Any, Any]:
+def collect_results(run_job: JobFunction, jobs: list[Any], plan: JobPlan) -> dict[Any, Any]:
     """Return the result of each job.
 
     Results are read from the folder, or computed as long as the time limit permits.
 
     Args:
-        work: top-level function that computes one job. The result of this function consists of JSON
+        run_job: top-level function that computes one job. The result of this function consists of JSON
             values.
         jobs: arguments of each job, as tuples.
         plan: see ``JobPlan``.
     """
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
-    done = {job: stored for job in jobs if (stored := _stored_result(work, job, plan)) is not None}
+    done = {
+        job: stored for job in jobs if (stored := _stored_result(run_job, job, plan)) is not None
+    }
     missing = [job for job in jobs if job not in done]
-    until = time.monotonic() + 60.0 * plan.minutes
-    for job, results in _run_jobs(work, missing, plan.workers or os.cpu_count() or 1, until):
+    until = time.monotonic() + 60.0 * plan.max_minutes
+    for job, results in _run_jobs(
+        run_job, missing, plan.worker_count or os.cpu_count() or 1, until
+    ):
         done[job] = _through_json(results)
-        _store_result(work, job, done[job], plan)
-        print(f"{len(done)}/{len(jobs)} {work.__name__} {job}", file=sys.stderr, flush=True)
+        _store_result(run_job, job, done[job], plan)
+        print(f"{len(done)}/{len(jobs)} {run_job.__name__} {job}", file=sys.stderr, flush=True)
     if len(done) < len(jobs):
         print(
             f"{len(jobs) - len(done)} of {len(jobs)} not run: continue with the same --keep",
@@ -61,45 +65,50 @@ def collect_results(work: JobFunction, jobs: list[Any], plan: JobPlan) -> dict[A
     return {job: done[job] for job in jobs if job in done}
 
 
-def _run_jobs(work: JobFunction, jobs: list[Any], workers: int, until: float) -> Any:
+def _run_jobs(run_job: JobFunction, jobs: list[Any], worker_count: int, end_time_s: float) -> Any:
     """Yield each job with its result, in order of completion. No job starts after the time limit."""
-    if workers == 1 or len(jobs) < 2:
+    if worker_count == 1 or len(jobs) < 2:
         for job in jobs:
-            if time.monotonic() < until:
-                yield job, work(job)
+            if time.monotonic() < end_time_s:
+                yield job, run_job(job)
         return
     waiting: dict[Future[Any], Any] = {}
     left = iter(jobs)
-    with ProcessPoolExecutor(workers) as pool:
+    with ProcessPoolExecutor(worker_count) as pool:
         while True:
-            while len(waiting) < workers and time.monotonic() < until:
+            while len(waiting) < worker_count and time.monotonic() < end_time_s:
                 job = next(left, None)
                 if job is None:
                     break
-                waiting[pool.submit(work, job)] = job
+                waiting[pool.submit(run_job, job)] = job
             if not waiting:
                 return
             for future in wait(waiting, return_when=FIRST_COMPLETED).done:
                 yield waiting.pop(future), future.result()
 
 
-def _result_path(work: JobFunction, job: Any, keep: Path) -> Path:
+def _result_path(run_job: JobFunction, job: Any, results_folder: Path) -> Path:
     """Return the path of the file in which the result of a job is stored."""
     digest = hashlib.sha256(repr(job).encode()).hexdigest()[:16]
-    return keep / f"{work.__module__.rpartition('.')[2]}-{work.__name__}-{digest}.json"
+    return (
+        results_folder / f"{run_job.__module__.rpartition('.')[2]}-{run_job.__name__}-{digest}.json"
+    )
 
 
-def _stored_result(work: JobFunction, job: Any, plan: JobPlan) -> Any:
-    if plan.keep is None or not (path := _result_path(work, job, plan.keep)).exists():
+def _stored_result(run_job: JobFunction, job: Any, plan: JobPlan) -> Any:
+    if (
+        plan.results_folder is None
+        or not (path := _result_path(run_job, job, plan.results_folder)).exists()
+    ):
         return None
     return json.loads(path.read_text("utf-8"))["result"]
 
 
-def _store_result(work: JobFunction, job: Any, result: Any, plan: JobPlan) -> None:
-    if plan.keep is None:
+def _store_result(run_job: JobFunction, job: Any, result: Any, plan: JobPlan) -> None:
+    if plan.results_folder is None:
         return
-    plan.keep.mkdir(parents=True, exist_ok=True)
-    path = _result_path(work, job, plan.keep)
+    plan.results_folder.mkdir(parents=True, exist_ok=True)
+    path = _result_path(run_job, job, plan.results_folder)
     path.with_suffix(".part").write_text(json.dumps({"job": repr(job), "result": result}), "utf-8")
     path.with_suffix(".part").replace(path)
 

@@ -35,7 +35,7 @@ STATE_SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 
 
 def reference_sigma(
-    model: HandModel, i: int, is_held: bool, encoder: bool = True
+    model: HandModel, tendon_index: int, is_held: bool, with_joint_encoder: bool = True
 ) -> tuple[float, float]:
     """Return the standard deviations of tendon i's tension at the last load-cell reading and at present [N].
 
@@ -44,32 +44,32 @@ def reference_sigma(
 
     Args:
         model: hand and control rate.
-        i: index of the tendon.
+        tendon_index: index of the tendon.
         is_held: True if the digit presses on an object.
-        encoder: True if the filter uses both the encoder of the motor and the load cell. False if
+        with_joint_encoder: True if the filter uses both the encoder of the motor and the load cell. False if
             the filter uses only the load cell.
     """
     space = model.space
-    arm = float(np.abs(model.hand.moment_arms[i]).sum())
-    spring = CONTACT_N_M_PER_RAD / arm**2 if is_held else space.load_stiffness[i]
-    k = space.stiffness[i]
-    c = space.damping[i]
-    m = space.motor_mass[i]
-    load = space.load_mass[i]
+    arm = float(np.abs(model.hand.moment_arms[tendon_index]).sum())
+    spring = CONTACT_N_M_PER_RAD / arm**2 if is_held else space.load_stiffness[tendon_index]
+    k = space.stiffness[tendon_index]
+    c = space.damping[tendon_index]
+    m = space.motor_mass[tendon_index]
+    load = space.load_mass[tendon_index]
     tension = np.array([k, c, -k, -c, 0.0, 0.0, -k])
     A = np.zeros((7, 7))
     A[0, 1] = A[2, 3] = 1.0
     A[1] = -tension / m
-    A[1, 1] -= space.motor_damping[i] / m
+    A[1, 1] -= space.motor_damping[tendon_index] / m
     A[1, 4] = 1.0 / m
     A[3] = tension / load
     A[3, 2] -= spring / load
-    A[3, 3] -= space.load_damping[i] / load
+    A[3, 3] -= space.load_damping[tendon_index] / load
     A[3, 5] = 1.0 / load
     A[4, 4] = -1.0 / MOTOR_NOISE_S
     A[5, 5] = -1.0 / JOINT_NOISE_S
     A[6, 6] = -1.0 / STRETCH_OFFSET_S
-    sigma = (MOTOR_NOISE_N_M / space.spool[i], JOINT_NOISE_N_M / arm, STRETCH_OFFSET_M)
+    sigma = (MOTOR_NOISE_N_M / space.spool[tendon_index], JOINT_NOISE_N_M / arm, STRETCH_OFFSET_M)
     noise = [0.0] * 4 + [
         2.0 * s**2 / t
         for s, t in zip(sigma, (MOTOR_NOISE_S, JOINT_NOISE_S, STRETCH_OFFSET_S), strict=True)
@@ -79,8 +79,13 @@ def reference_sigma(
     loan = expm(np.block([[-A, Q], [np.zeros((7, 7)), A.T]]) * model.period)
     F = loan[7:, 7:].T
     H = np.vstack((np.eye(7)[0], tension)) * STATE_SCALE
-    R = np.diag([(space.encoder_step[i] / np.sqrt(6.0)) ** 2, space.tension_noise[i] ** 2])
-    rows = [0, 1] if encoder else [1]
+    R = np.diag(
+        [
+            (space.encoder_step[tendon_index] / np.sqrt(6.0)) ** 2,
+            space.tension_noise[tendon_index] ** 2,
+        ]
+    )
+    rows = [0, 1] if with_joint_encoder else [1]
     spread = np.sqrt(np.diag(R)[rows])
     P = solve_discrete_are(F.T, (H[rows] / spread[:, None]).T, F @ loan[:7, 7:], np.eye(len(rows)))
     seen = H[rows] / spread[:, None]

@@ -80,12 +80,19 @@ class ScriptProgram:
 
 
 def _digit_goal(
-    model: HandModel, d: int, step: ScriptStep, old: DigitGoal, estimate: HandEstimate, t: float
+    model: HandModel,
+    digit_index: int,
+    step: ScriptStep,
+    previous_goal: DigitGoal,
+    estimate: HandEstimate,
+    t: float,
 ) -> DigitGoal:
     if step.angle_deg is not None:
-        return motion_to(model.digits[d], estimate, math.radians(step.angle_deg), step.move_s, t)
+        return motion_to(
+            model.digits[digit_index], estimate, math.radians(step.angle_deg), step.move_s, t
+        )
     if step.tension_N is None:
-        return old
-    tendons = model.digit_tendons[d]
+        return previous_goal
+    tendons = model.digit_tendons[digit_index]
     tension = np.full(tendons.stop - tendons.start, step.tension_N)
     return DigitGoal(GoalKind.TENSION, tension=tension, rate=step.rate_N_per_s)

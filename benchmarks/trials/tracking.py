@@ -29,24 +29,24 @@ from handctl.report.summary import mean_angles
 from handctl.tune.loops.design import keeps_required_margins, linear_factors
 from handctl.tune.loops.linear import LoopKind
 from handctl.tune.search.ensemble import draw_ensemble
-from trials import force, force_page, page, tracking_page
-from trials.hands import CLEAR_SUFFIX, hand_by_name
+from trials import control_page, force_page, force_step, tracking_page
+from trials.benchmark_hands import SPREAD_DIGITS_SUFFIX, hand_by_name
+from trials.control_laws import ABLATION_LAWS
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
-from trials.laws import ABLATION_LAWS
-from trials.lockstep import RATES_HZ, LockstepTrial, TrialRecord, run_trial
-from trials.plants import PLANT_FACTORS
+from trials.lockstep_trial import RATES_HZ, LockstepTrial, TrialRecord, run_trial
 from trials.script_program import ScriptProgram, ScriptStep
+from trials.simulated_plants import PLANT_FACTORS
 
 MEASURED_HANDS = ("jamia", "jamia11")
 MOTION_TIMES_S = {"slow": 1.5, "medium": 0.5, "fast": 0.15}
 """Duration of a minimum-jerk motion of 60 degrees at each speed [s]."""
 MOTION_ANGLE_DEG = 60.0
 """Angle at the end of a motion [deg]."""
-SETTLE_S = 0.5
+SETTLING_TIME_S = 0.5
 """Time after a motion in which the tracking error may settle [s]."""
-RETURN_S = 0.5
+RETURN_DURATION_S = 0.5
 """Duration of the motion back to 0 degrees [s]."""
-REST_S = 0.2
+REST_DURATION_S = 0.2
 """Time at rest after the motion back to 0 degrees [s]."""
 MOTION_TAIL_S = 0.05
 """Time after a motion whose errors are counted with the motion [s]."""
@@ -62,7 +62,7 @@ WEIGHT_CANDIDATES = tuple(
 A weight is given as an error: a position error [m] and a speed error [m/s] that have the same cost.
 """
 TUNING_SEED = 1000
-TUNED_FILE = Path(__file__).with_name("tuned.json")
+TUNED_WEIGHTS_FILE = Path(__file__).with_name("tuned.json")
 """File with the results of ``--tune``, for each hand, control law and pair of ``WEIGHT_CANDIDATES``.
 
 For each pair, the file contains the RMSE of the fast motion [deg], or null if this motion did not
@@ -83,11 +83,18 @@ def motion_script(speeds: tuple[str, ...]) -> ScriptProgram:
     """Return a script that moves all digits to the target angle and back, at each speed."""
     steps = []
     for speed in speeds:
-        steps.append(ScriptStep(f"home {speed}", RETURN_S + REST_S, angle_deg=0.0, move_s=RETURN_S))
+        steps.append(
+            ScriptStep(
+                f"home {speed}",
+                RETURN_DURATION_S + REST_DURATION_S,
+                angle_deg=0.0,
+                move_s=RETURN_DURATION_S,
+            )
+        )
         steps.append(
             ScriptStep(
                 speed,
-                MOTION_TIMES_S[speed] + SETTLE_S,
+                MOTION_TIMES_S[speed] + SETTLING_TIME_S,
                 angle_deg=MOTION_ANGLE_DEG,
                 move_s=MOTION_TIMES_S[speed],
             )
@@ -96,23 +103,23 @@ def motion_script(speeds: tuple[str, ...]) -> ScriptProgram:
 
 
 def tracking_trial(
-    hand: str,
-    law: str,
-    weights: tuple[float, float],
+    hand_name: str,
+    law_name: str,
+    lqr_weights: tuple[float, float],
     seed: int,
-    plant: str,
+    plant_name: str,
     speeds: tuple[str, ...],
 ) -> LockstepTrial:
     """Return the tracking trial of a control law with two given LQR weights."""
-    config = ABLATION_LAWS[law]
+    config = ABLATION_LAWS[law_name]
     return LockstepTrial(
-        hand + CLEAR_SUFFIX,
+        hand_name + SPREAD_DIGITS_SUFFIX,
         motion_script(speeds),
         seed,
         None,
-        PLANT_FACTORS[plant],
-        config.gains(*weights, RATES_HZ[hand]),
-        change=config.change,
+        PLANT_FACTORS[plant_name],
+        config.gains(*lqr_weights, RATES_HZ[hand_name]),
+        change_controller=config.change_controller,
     )
 
 
@@ -121,14 +128,14 @@ def tracking_figures(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, 
 
     The results are RMSE, peak error and steady error of tracking [deg], and settling time [s].
     """
-    goal = mean_angles(record.hand, record.numbers["q_goal"])
+    goal = mean_angles(record.hand, record.telemetry["q_goal"])
     error = np.degrees(goal - mean_angles(record.hand, record.q()))
     result = {}
     for speed in speeds:
         mask = record.phase == speed
         mask &= (
             record.times
-            <= record.times[mask].min(initial=np.inf) + MOTION_TIMES_S[speed] + SETTLE_S
+            <= record.times[mask].min(initial=np.inf) + MOTION_TIMES_S[speed] + SETTLING_TIME_S
         )
         if not mask.any():
             result[speed] = dict.fromkeys(
@@ -143,7 +150,7 @@ def tracking_figures(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, 
         result[speed] = {
             "rmse_deg": float(np.sqrt((e[moving] ** 2).mean())),
             "peak_deg": float(np.abs(e[moving]).max()),
-            "steady_deg": float(np.abs(e[after > SETTLE_S - 0.15].mean(axis=0)).max()),
+            "steady_deg": float(np.abs(e[after > SETTLING_TIME_S - 0.15].mean(axis=0)).max()),
             "settling_s": float(late.max()),
         }
     return result
@@ -158,7 +165,7 @@ def run_tracking_trial(job: tuple) -> dict[str, dict[str, float | str]]:
     result: dict = tracking_figures(record, job[-1])
     for speed in job[-1] if record.failure else ():
         lasted = (record.phase == speed).sum() * record.controller.model.period
-        if lasted < MOTION_TIMES_S[speed] + SETTLE_S - 0.01:
+        if lasted < MOTION_TIMES_S[speed] + SETTLING_TIME_S - 0.01:
             result[speed] = dict.fromkeys(result[speed], float("inf")) | {"why": record.failure}
     return result
 
@@ -167,7 +174,7 @@ def tune_weights(plan: JobPlan) -> None:
     """Try all ``WEIGHT_CANDIDATES`` for each control law on each hand.
 
     Print the error of the fast motion for all weights, and the weights that keep the stability
-    margins. After the last trial, write both into ``TUNED_FILE``.
+    margins. After the last trial, write both into ``TUNED_WEIGHTS_FILE``.
     """
     jobs = [
         (h, law, w, TUNING_SEED, "as known", tuple(MOTION_TIMES_S))
@@ -189,30 +196,32 @@ def tune_weights(plan: JobPlan) -> None:
         )
         table["keeps_margins"].setdefault(hand, {}).setdefault(law, []).append(keeps)
     if len(results) == len(jobs):
-        TUNED_FILE.write_text(json.dumps(table, indent=1) + "\n", "utf-8")
+        TUNED_WEIGHTS_FILE.write_text(json.dumps(table, indent=1) + "\n", "utf-8")
 
 
-def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
+def keeps_margins(hand_name: str, law_name: str, lqr_weights: tuple[float, float]) -> bool:
     """Return True if every motion loop has margins of 6 dB and 45 degrees.
 
     The loops are tested with random hands near the hand file.
     """
     model = HandModel.from_hand(
-        hand_by_name(hand), ABLATION_LAWS[law].gains(*weights, RATES_HZ[hand]), RATES_HZ[hand]
+        hand_by_name(hand_name),
+        ABLATION_LAWS[law_name].gains(*lqr_weights, RATES_HZ[hand_name]),
+        RATES_HZ[hand_name],
     )
     plants = tuple(linear_factors(one) for one in draw_ensemble(DRAWN_PLANT_COUNT, 0))
     return keeps_required_margins(model, plants, (LoopKind.MOTION,))
 
 
-def tuned_weights(hand: str, law: str, with_margins: bool = False) -> tuple[float, float]:
+def tuned_weights(hand_name: str, law_name: str, with_margins: bool = False) -> tuple[float, float]:
     """Return the best LQR weights of a control law.
 
     If ``with_margins`` is True, only weights that keep the stability margins are considered. If no
     such weights complete the motions, the softest weights are returned.
     """
-    table = json.loads(TUNED_FILE.read_text("utf-8"))
-    errors = table["rmse_deg"][hand][law]
-    selected = table["keeps_margins"][hand][law]
+    table = json.loads(TUNED_WEIGHTS_FILE.read_text("utf-8"))
+    errors = table["rmse_deg"][hand_name][law_name]
+    selected = table["keeps_margins"][hand_name][law_name]
     usable = [
         i
         for i, error in enumerate(errors)
@@ -228,21 +237,21 @@ def tuned_weights(hand: str, law: str, with_margins: bool = False) -> tuple[floa
 
 
 def measure_tracking(
-    seeds: int,
-    wrong_seeds: int,
+    seed_count: int,
+    wrong_plant_seed_count: int,
     speeds: tuple[str, ...],
     plan: JobPlan,
-    hands: tuple[str, ...] = MEASURED_HANDS,
+    hand_names: tuple[str, ...] = MEASURED_HANDS,
 ) -> dict:
     """Measure the tracking errors for as many seeds as the time of the plan permits.
 
     Return their mean and their range over the seeds.
     """
-    cases = [(hand, law, "as known", False) for hand in hands for law in ABLATION_LAWS]
-    cases += [(hand, law, "as known", True) for hand in hands for law in MARGIN_LAWS]
-    for plant in list(PLANT_FACTORS)[1:] if wrong_seeds else []:
-        cases += [(hand, law, plant, True) for hand in hands for law in COMPARED_LAWS]
-    counts = [seeds if case[2] == "as known" else wrong_seeds for case in cases]
+    cases = [(hand, law, "as known", False) for hand in hand_names for law in ABLATION_LAWS]
+    cases += [(hand, law, "as known", True) for hand in hand_names for law in MARGIN_LAWS]
+    for plant in list(PLANT_FACTORS)[1:] if wrong_plant_seed_count else []:
+        cases += [(hand, law, plant, True) for hand in hand_names for law in COMPARED_LAWS]
+    counts = [seed_count if case[2] == "as known" else wrong_plant_seed_count for case in cases]
 
     def job(case: tuple[str, str, str, bool], seed: int) -> tuple:
         hand, law, plant, careful = case
@@ -257,10 +266,11 @@ def measure_tracking(
     results = collect_results(run_tracking_trial, list(dict.fromkeys(jobs)), plan)
     result: dict = {
         "weights": {
-            hand: {law: tuned_weights(hand, law) for law in ABLATION_LAWS} for hand in hands
+            hand: {law: tuned_weights(hand, law) for law in ABLATION_LAWS} for hand in hand_names
         },
         "careful weights": {
-            hand: {law: tuned_weights(hand, law, True) for law in MARGIN_LAWS} for hand in hands
+            hand: {law: tuned_weights(hand, law, True) for law in MARGIN_LAWS}
+            for hand in hand_names
         },
         "hands": {},
         "careful": {},
@@ -276,14 +286,14 @@ def measure_tracking(
     return result
 
 
-def _over_seeds(rows: list[dict]) -> dict:
+def _over_seeds(run_rows: list[dict]) -> dict:
     """Return the mean of each error and the range of the RMSE, over the runs that reached their end.
 
     The returned dictionary also contains how many runs ended early, and for which reasons.
     """
-    whys = sorted({row["why"] for row in rows if "why" in row})
-    good = [row for row in rows if np.isfinite(row["rmse_deg"])]
-    names = [name for name in rows[0] if name != "why"]
+    whys = sorted({row["why"] for row in run_rows if "why" in row})
+    good = [row for row in run_rows if np.isfinite(row["rmse_deg"])]
+    names = [name for name in run_rows[0] if name != "why"]
     mean = {
         name: float(np.mean([row[name] for row in good])) if good else float("inf")
         for name in names
@@ -291,8 +301,8 @@ def _over_seeds(rows: list[dict]) -> dict:
     spread = float(np.std([row["rmse_deg"] for row in good])) if good else float("nan")
     return mean | {
         "rmse_spread_deg": spread,
-        "seeds": len(rows),
-        "ended": len(rows) - len(good),
+        "seeds": len(run_rows),
+        "ended": len(run_rows) - len(good),
         "why": whys,
     }
 
@@ -377,11 +387,13 @@ def main() -> None:
             *counts, plan, MEASURED_HANDS[:1] if args.quick else MEASURED_HANDS
         )
     if "force" in args.parts and not args.quick:
-        result["force"] = force.measure_force(MEASURED_HANDS, args.seeds, args.wrong_seeds, plan)
+        result["force"] = force_step.measure_force(
+            MEASURED_HANDS, args.seeds, args.wrong_seeds, plan
+        )
     result["wall_s"] = time.monotonic() - start
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
     if args.page and "tracking" in result:
-        page.write_part(
+        control_page.write_part(
             "tracking",
             tracking_page.page_section(
                 result["tracking"], (PD_LAW, SPRINGS_LAW, BEST_LAW, MISPRINTED_LAW)
@@ -389,4 +401,4 @@ def main() -> None:
         )
         tracking_page.draw_picture(result["tracking"])
     if args.page and "force" in result:
-        page.write_part("force", force_page.page_section(result["force"]))
+        control_page.write_part("force", force_page.page_section(result["force"]))

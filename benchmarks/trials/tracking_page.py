@@ -3,7 +3,7 @@
 import numpy as np
 
 from handctl.output import save_figure
-from trials.page import FIGURES_FOLDER, markdown_table
+from trials.control_page import FIGURES_FOLDER, markdown_table
 
 ENDED_TEXT = "ended"
 FAULT_TEXTS = {
@@ -17,12 +17,12 @@ MIN_SHOWN_ERROR_DEG = 0.03
 """Smallest error on the logarithmic axis of the picture [deg]."""
 
 
-def page_section(result: dict, named: tuple[str, str, str, str]) -> str:
+def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
     """Return the Markdown section of a result of ``tracking.measure_tracking``.
 
     Args:
         result: result of ``tracking.measure_tracking``.
-        named: names of four control laws: PD alone, springs and gravity, the complete law, and the
+        compared_laws: names of four control laws: PD alone, springs and gravity, the complete law, and the
             misprinted equations.
     """
     parts = ["## Tracking: benefit of each part of the control law", ""]
@@ -56,7 +56,7 @@ def page_section(result: dict, named: tuple[str, str, str, str]) -> str:
     ]
     for hand, plants in result["hands"].items():
         laws = plants["as known"]
-        parts += ["", _laws_table(hand, laws), "", _conclusion(laws, named)]
+        parts += ["", _laws_table(hand, laws), "", _conclusion(laws, compared_laws)]
         careful = result["careful"].get(hand, {})
         if "as known" in careful:
             nominal = careful["as known"]
@@ -65,10 +65,10 @@ def page_section(result: dict, named: tuple[str, str, str, str]) -> str:
                 "",
                 _laws_table(heading, nominal),
                 "",
-                _comparison_of_laws(nominal, named) + ".",
+                _comparison_of_laws(nominal, compared_laws) + ".",
             ]
         if len(careful) > 1:
-            parts += ["", _wrong_plants_table(hand, careful, named)]
+            parts += ["", _wrong_plants_table(hand, careful, compared_laws)]
     parts += ["", "![Tracking error at the fast motion, by law](../figures/control-tracking.png)"]
     return "\n".join(parts)
 
@@ -104,19 +104,19 @@ def _rmse_cell(row: dict[str, float]) -> str:
     return f"{row['rmse_deg']:.3f}{spread}{some}" if finite else ENDED_TEXT
 
 
-def _conclusion(laws: dict, named: tuple[str, str, str, str]) -> str:
+def _conclusion(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
     """Return the conclusion of the section, derived from the numbers."""
-    best, printed = (laws[name]["fast"] for name in named[2:])
+    best, printed = (laws[name]["fast"] for name in compared_laws[2:])
     return (
-        f"{_comparison_of_laws(laws, named)}. {_misprint_effect(printed, best)}\n\nEach entry is the error of "
+        f"{_comparison_of_laws(laws, compared_laws)}. {_misprint_effect(printed, best)}\n\nEach entry is the error of "
         f"the row before minus the error of this row, at the fast motion, with the spread of the "
         f"difference:\n\n{_gain_by_law(laws)}"
     )
 
 
-def _comparison_of_laws(laws: dict, named: tuple[str, str, str, str]) -> str:
+def _comparison_of_laws(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
     """Describe the error of the complete control law, compared with PD, and with springs and gravity alone."""
-    plain, springs, best = (laws[name]["fast"] for name in named[:3])
+    plain, springs, best = (laws[name]["fast"] for name in compared_laws[:3])
     ratio = plain["rmse_deg"] / best["rmse_deg"]
     gain = springs["rmse_deg"] - best["rmse_deg"]
     spread = max(best["rmse_spread_deg"], springs["rmse_spread_deg"])
@@ -139,13 +139,13 @@ def _comparison_with_pd(ratio: float) -> str:
     )
 
 
-def _gain_per_spread(gain: float, spread: float, seeds: int) -> str:
+def _gain_per_spread(accuracy_gain: float, seed_range: float, seeds: int) -> str:
     """Describe the gain in accuracy as a multiple of its range over the seeds.
 
     A single seed has no range.
     """
     return (
-        f", which is {gain / max(spread, 1e-9):.0f} times the spread"
+        f", which is {accuracy_gain / max(seed_range, 1e-9):.0f} times the spread"
         if seeds > 1
         else " (one seed: no spread)"
     )
@@ -186,57 +186,65 @@ def _gain_by_law(laws: dict) -> str:
     return "\n".join(f"- {line}" for line in texts)
 
 
-def _misprint_effect(printed: dict, best: dict) -> str:
+def _misprint_effect(misprinted_row: dict, best_row: dict) -> str:
     """Describe by how much the misprinted equations raise the tracking error."""
-    if not printed["ended"]:
+    if not misprinted_row["ended"]:
         return (
-            f"Eq. 10-12 as printed: {printed['rmse_deg'] / best['rmse_deg']:.1f} "
+            f"Eq. 10-12 as printed: {misprinted_row['rmse_deg'] / best_row['rmse_deg']:.1f} "
             "times the error of the correct ones."
         )
-    reason = "; ".join(printed["why"])
+    reason = "; ".join(misprinted_row["why"])
     return (
-        f"With Eq. 10-12 of the source paper as printed, {printed['ended']} of {printed['seeds']} runs end "
+        f"With Eq. 10-12 of the source paper as printed, "
+        f"{misprinted_row['ended']} of {misprinted_row['seeds']} runs end "
         f"early: {reason}."
     )
 
 
-def _wrong_plants_table(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
+def _wrong_plants_table(
+    hand_name: str, plants: dict, compared_laws: tuple[str, str, str, str]
+) -> str:
     """Describe the tracking of simulated hands that differ from the model."""
-    speeds = list(plants["as known"][named[2]])
-    other = [f"{named[2]}, {speed}" for speed in speeds]
+    speeds = list(plants["as known"][compared_laws[2]])
+    other = [f"{compared_laws[2]}, {speed}" for speed in speeds]
     head = [
-        f"{hand}, RMSE [deg]",
-        f"{named[0]}, fast",
-        f"{named[1]}, fast",
+        f"{hand_name}, RMSE [deg]",
+        f"{compared_laws[0]}, fast",
+        f"{compared_laws[1]}, fast",
         *other,
         "PD / whole control law",
         "seeds",
     ]
     rows = []
     for plant, laws in plants.items():
-        if not all(name in laws for name in named[:3]):
+        if not all(name in laws for name in compared_laws[:3]):
             continue
-        plain, springs, best = (laws[name]["fast"] for name in named[:3])
-        whole = [_rmse_cell(laws[named[2]][speed]) for speed in speeds]
+        plain, springs, best = (laws[name]["fast"] for name in compared_laws[:3])
+        whole = [_rmse_cell(laws[compared_laws[2]][speed]) for speed in speeds]
         ratio = _number_text(plain["rmse_deg"] / best["rmse_deg"])
         rows.append(
             [plant, _rmse_cell(plain), _rmse_cell(springs), *whole, ratio, str(best["seeds"])]
         )
     return "\n".join(
-        (markdown_table(head, rows), "", _error_rises(plants, named[2]), _end_reasons(plants))
+        (
+            markdown_table(head, rows),
+            "",
+            _error_rises(plants, compared_laws[2]),
+            _end_reasons(plants),
+        )
     )
 
 
-def _error_rises(plants: dict, law: str) -> str:
+def _error_rises(plants: dict, law_name: str) -> str:
     """List by how much each change of the simulated hand raises the error of a control law.
 
     The error is that of the fast motion. The largest rise comes first.
     """
-    nominal = plants["as known"][law]["fast"]["rmse_deg"]
+    nominal = plants["as known"][law_name]["fast"]["rmse_deg"]
     more = {
-        plant: laws[law]["fast"]["rmse_deg"] - nominal
+        plant: laws[law_name]["fast"]["rmse_deg"] - nominal
         for plant, laws in plants.items()
-        if law in laws
+        if law_name in laws
     }
     dear = sorted((plant for plant in more if plant != "as known"), key=lambda plant: -more[plant])
     costs = ", ".join(f"{plant} {more[plant]:+.2f} deg" for plant in dear)

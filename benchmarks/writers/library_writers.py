@@ -13,8 +13,8 @@ class LogMessage(NamedTuple):
     """One message for a log: topic, type, definition of the type, time [ns], and content as plain values."""
 
     topic: str
-    kind: str
-    schema: str
+    type_name: str
+    type_definition: str
     t_ns: int
     content: dict[str, Any]
 
@@ -37,9 +37,9 @@ def mcap_ros2_writer(path: Path) -> LibraryWriter:
     schemas = {}
 
     def write(one: LogMessage) -> None:
-        if one.kind not in schemas:
-            schemas[one.kind] = writer.register_msgdef(one.kind, one.schema)
-        writer.write_message(one.topic, schemas[one.kind], one.content, one.t_ns, one.t_ns)
+        if one.type_name not in schemas:
+            schemas[one.type_name] = writer.register_msgdef(one.type_name, one.type_definition)
+        writer.write_message(one.topic, schemas[one.type_name], one.content, one.t_ns, one.t_ns)
 
     def close() -> None:
         writer.finish()
@@ -67,12 +67,12 @@ def rosbags_writer(path: Path) -> LibraryWriter:
 
     def write(one: LogMessage) -> None:
         if one.topic not in connections:
-            types = get_types_from_msg(one.schema, one.kind)
+            types = get_types_from_msg(one.type_definition, one.type_name)
             store.register(
                 {name: kind for name, kind in types.items() if name not in store.fielddefs}
             )
-            connections[one.topic] = bag.add_connection(one.topic, one.kind, typestore=store)
-        data = store.serialize_cdr(_typed_object(store, one.kind, one.content), one.kind)
+            connections[one.topic] = bag.add_connection(one.topic, one.type_name, typestore=store)
+        data = store.serialize_cdr(_typed_object(store, one.type_name, one.content), one.type_name)
         bag.write(connections[one.topic], one.t_ns, bytes(data))
 
     def read() -> Iterator[Any]:
@@ -83,25 +83,25 @@ def rosbags_writer(path: Path) -> LibraryWriter:
     return LibraryWriter(write, bag.close, read)
 
 
-def _typed_object(store: Any, kind: str, content: dict[str, Any]) -> Any:
+def _typed_object(type_store: Any, type_name: str, content: dict[str, Any]) -> Any:
     """Convert plain values to an object of a type in the type store."""
     import numpy as np
 
     fields = {}
-    for name, (node, inner) in store.fielddefs[kind][1]:
+    for name, (node, inner) in type_store.fielddefs[type_name][1]:
         value = content[name]
         if node.name == "NAME":
-            fields[name] = _typed_object(store, inner, value)
+            fields[name] = _typed_object(type_store, inner, value)
         elif node.name == "BASE":
             fields[name] = value
         elif inner[0][0].name == "NAME":
-            fields[name] = [_typed_object(store, inner[0][1], one) for one in value]
+            fields[name] = [_typed_object(type_store, inner[0][1], one) for one in value]
         else:
             word = inner[0][1][0]
             fields[name] = (
                 list(value) if word == "string" else np.array(value, word.replace("byte", "uint8"))
             )
-    return store.types[kind](**fields)
+    return type_store.types[type_name](**fields)
 
 
 def json_mcap_writer(path: Path) -> LibraryWriter:
@@ -116,7 +116,7 @@ def json_mcap_writer(path: Path) -> LibraryWriter:
 
     def write(one: LogMessage) -> None:
         if one.topic not in channels:
-            schema = writer.register_schema(one.kind, "jsonschema", b'{"type": "object"}')
+            schema = writer.register_schema(one.type_name, "jsonschema", b'{"type": "object"}')
             channels[one.topic] = writer.register_channel(one.topic, "json", schema)
         writer.add_message(
             channels[one.topic], one.t_ns, json.dumps(one.content).encode(), one.t_ns

@@ -49,15 +49,17 @@ def main(description: str) -> None:
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
 
-def measure_all_writers(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
+def measure_all_writers(
+    log_folder: Path, duration_s: float, sustained_duration_s: float
+) -> dict[str, Any]:
     """Measure the CPU time of all log writers. Also record with handctl for a longer time."""
     run = synthetic_run.synthetic_header("jamia11", RATE_HZ)
-    ticks = [packed_tick(*tick) for tick in synthetic_run.SyntheticTicks(run, seconds)]
-    writers = {"handctl": measure_handctl(folder / "ours.mcap", run, ticks)}
-    messages = decode_messages(folder / "ours.mcap")
+    ticks = [packed_tick(*tick) for tick in synthetic_run.SyntheticRunTicks(run, duration_s)]
+    writers = {"handctl": measure_handctl(log_folder / "ours.mcap", run, ticks)}
+    messages = decode_messages(log_folder / "ours.mcap")
     for name, make in LIBRARY_WRITERS.items():
         try:
-            writers[name] = measure_library(folder / f"{name}.mcap", make, messages, len(ticks))
+            writers[name] = measure_library(log_folder / f"{name}.mcap", make, messages, len(ticks))
         except ImportError as error:
             writers[name] = {"skipped": f"{error.name} is not installed: make bench installs it"}
     return {
@@ -67,12 +69,12 @@ def measure_all_writers(folder: Path, seconds: float, sustained_s: float) -> dic
         "messages": len(messages),
         "frames": sum(len(tick_in.frames) + len(out.frames) for tick_in, out in ticks),
         "writers": writers,
-        "after_tick_us": 1e6 * cost_after_tick(folder),
-        "sustained": measure_sustained(folder / "sustained.mcap", sustained_s),
+        "after_tick_us": 1e6 * cost_after_tick(log_folder),
+        "sustained": measure_sustained(log_folder / "sustained.mcap", sustained_duration_s),
     }
 
 
-def cost_after_tick(folder: Path) -> float:
+def cost_after_tick(log_folder: Path) -> float:
     """Return the mean time to record a tick that the controller has just computed [s].
 
     The controller executes the run of a log again. Its outputs are still in the caches of the
@@ -85,7 +87,7 @@ def cost_after_tick(folder: Path) -> float:
         inputs = [tick.tick_in for tick in log.ticks()]
         gc.disable()  # In a run, the control loop also disables the garbage collector.
         for i in range(EXECUTIONS):
-            recorder = Recorder.start(folder / f"executed-{i}.mcap", log.header)
+            recorder = Recorder.start(log_folder / f"executed-{i}.mcap", log.header)
             state = controller.initial_state()
             took.append([])
             for tick_in in inputs:
@@ -99,23 +101,23 @@ def cost_after_tick(folder: Path) -> float:
     return sum(map(min, zip(*took, strict=True))) / len(inputs)
 
 
-def _cpu_s(work: Callable[[], object]) -> float:
+def _cpu_s(measured_work: Callable[[], object]) -> float:
     """Call a function and return the CPU time of the call [s]."""
     start = time.process_time()
-    work()
+    measured_work()
     return time.process_time() - start
 
 
-def measure_handctl(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
+def measure_handctl(log_path: Path, run_header: Any, ticks: list[Any]) -> dict[str, float]:
     """Measure handctl's work in the control loop (pack and send records), and its log writer in the same process."""
     records: list[bytes] = []
     packing = _cpu_s(lambda: records.extend(pack_tick_record(*tick) for tick in ticks))
-    recorder = Recorder.start(path.with_suffix(".pipe.mcap"), run)
+    recorder = Recorder.start(log_path.with_suffix(".pipe.mcap"), run_header)
     handing = _cpu_s(
         lambda: [(recorder.send_record(record), recorder.take_events()) for record in records]
     )
     recorder.close("finished")
-    writer = LogWriter(path, run, print, 1)
+    writer = LogWriter(log_path, run_header, print, 1)
 
     def write() -> None:
         for record in records:
@@ -125,23 +127,23 @@ def measure_handctl(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
     writing = _cpu_s(write)
 
     def read() -> None:
-        with RunLog(path) as log:
+        with RunLog(log_path) as log:
             assert sum(1 for _ in log.ticks()) == len(log.field("tension")) == len(ticks)
 
     return _cost_row(
         packing + handing,
         packing + handing + writing,
-        path.stat().st_size,
+        log_path.stat().st_size,
         _cpu_s(read),
         len(ticks),
     )
 
 
 def measure_library(
-    path: Path, make: Any, messages: list[LogMessage], ticks: int
+    log_path: Path, make_writer: Any, messages: list[LogMessage], tick_count: int
 ) -> dict[str, float]:
     """Measure another library: write each message in the loop, and read all messages afterwards."""
-    writer = make(path)
+    writer = make_writer(log_path)
 
     def write() -> None:
         for one in messages:
@@ -156,17 +158,19 @@ def measure_library(
         count = sum(1 for _ in writer.read())
 
     reading = _cpu_s(read)
-    assert count == len(messages), f"{path}: {count} of {len(messages)} messages came back"
-    files = path.rglob("*") if path.is_dir() else [path]
-    return _cost_row(spent, spent, sum(file.stat().st_size for file in files), reading, ticks)
+    assert count == len(messages), f"{log_path}: {count} of {len(messages)} messages came back"
+    files = log_path.rglob("*") if log_path.is_dir() else [log_path]
+    return _cost_row(spent, spent, sum(file.stat().st_size for file in files), reading, tick_count)
 
 
-def _cost_row(loop: float, total: float, size: int, reading: float, ticks: int) -> dict[str, float]:
+def _cost_row(
+    loop_cpu_s: float, total_cpu_s: float, log_bytes: int, reading_cpu_s: float, tick_count: int
+) -> dict[str, float]:
     return {
-        "loop_us_per_tick": 1e6 * loop / ticks,
-        "total_us_per_tick": 1e6 * total / ticks,
-        "bytes_per_tick": size / ticks,
-        "read_times_real_time": ticks / RATE_HZ / reading,
+        "loop_us_per_tick": 1e6 * loop_cpu_s / tick_count,
+        "total_us_per_tick": 1e6 * total_cpu_s / tick_count,
+        "bytes_per_tick": log_bytes / tick_count,
+        "read_times_real_time": tick_count / RATE_HZ / reading_cpu_s,
     }
 
 
@@ -220,18 +224,18 @@ def print_results(result: dict[str, Any]) -> None:
     _show_sustained(result["sustained"])
 
 
-def _show_sustained(sustained: dict[str, Any]) -> None:
+def _show_sustained(sustained_result: dict[str, Any]) -> None:
     print(
-        f"in real time for {sustained['seconds']:.0f} s: {sustained['ticks']} ticks, "
-        f"{sustained['frames_in_log']} frames, "
-        f"{sustained['dropped']} ticks dropped, {sustained['ticks_in_log']} in the log; "
-        f"the recorder took {100 * sustained['recorder_core_share']:.0f} % of its core"
+        f"in real time for {sustained_result['seconds']:.0f} s: {sustained_result['ticks']} ticks, "
+        f"{sustained_result['frames_in_log']} frames, "
+        f"{sustained_result['dropped']} ticks dropped, {sustained_result['ticks_in_log']} in the log; "
+        f"the recorder took {100 * sustained_result['recorder_core_share']:.0f} % of its core"
     )
     print(
         f"{'lateness of the loop [us]':<28}{'p50':>8}{'p99':>8}{'p99.9':>8}{'max':>8}{'missed':>10}"
     )
     for name in ("without", "with"):
-        *late, missed = sustained[f"{name}_us"].values()
+        *late, missed = sustained_result[f"{name}_us"].values()
         print(
             f"  {name + ' recorder':<26}"
             + "".join(f"{one:8.0f}" for one in late)

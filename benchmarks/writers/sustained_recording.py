@@ -44,51 +44,51 @@ PREPARED_RUN_S = 0.5
 PERIOD_NS = 10**9 // RATE_HZ
 LATENESS_PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9, "max": 100.0}
 
-TickPair = tuple[TickIn, TickOut]
+TickInputAndOutput = tuple[TickIn, TickOut]
 
 
-def measure_sustained(path: Path, seconds: float) -> dict[str, Any]:
+def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
     """Run the control loop with the recorder.
 
     Before and after that, run the loop for half the time without the recorder.
 
     Args:
-        path: path of the new log file.
-        seconds: duration of the loop with the recorder [s].
+        log_path: path of the new log file.
+        duration_s: duration of the loop with the recorder [s].
 
     Returns:
         content of the log, dropped ticks, fraction of one core for the recorder, lateness of the loop [us].
     """
     ticks = [
         packed_tick(*tick)
-        for tick in synthetic_run.SyntheticTicks(
+        for tick in synthetic_run.SyntheticRunTicks(
             synthetic_run.synthetic_header(HAND_NAME, RATE_HZ), PREPARED_RUN_S
         )
     ]
     recorder = Recorder.start(
-        path, synthetic_run.synthetic_header(HAND_NAME, RATE_HZ, deterministic=False)
+        log_path, synthetic_run.synthetic_header(HAND_NAME, RATE_HZ, deterministic=False)
     )
     with _on_separate_cores(recorder._child.pid) as granted:
-        before = _run_loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
+        before = _run_loop(duration_s / 2, granted, ticks, lambda entry, out: None, list)
         spent = _processor_s(recorder._child.pid)
         start = time.perf_counter()
         logged = _run_loop(
-            seconds,
+            duration_s,
             granted,
             ticks,
             _record_function(recorder),
             lambda: list(recorder.take_events()),
         )
         fraction = (_processor_s(recorder._child.pid) - spent) / (time.perf_counter() - start)
-        after = _run_loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
+        after = _run_loop(duration_s / 2, granted, ticks, lambda entry, out: None, list)
     summary = recorder.close("finished")
-    with RunLog(path) as log:
+    with RunLog(log_path) as log:
         frames = sum(len(tick.tick_in.frames) + len(tick.frames) for tick in log.ticks())
         result = {"ticks": logged.ticks, "ticks_in_log": len(log), "frames_in_log": frames}
     numbers = {name: int(str(summary[name])) for name in ("dropped", "lost", "bytes")}
     late = {"without_us": _lateness_figures(before, after), "with_us": _lateness_figures(logged)}
     return {
-        "seconds": seconds,
+        "seconds": duration_s,
         "real_time": granted,
         **result,
         **numbers,
@@ -97,7 +97,7 @@ def measure_sustained(path: Path, seconds: float) -> dict[str, Any]:
     }
 
 
-def packed_tick(tick_in: TickIn, out: TickOut) -> TickPair:
+def packed_tick(tick_in: TickIn, out: TickOut) -> TickInputAndOutput:
     """Convert a tick as the control loop does: its frames to records, and its telemetry to one array."""
     places = TelemetryPlaces()
     at = 0
@@ -111,11 +111,11 @@ def packed_tick(tick_in: TickIn, out: TickOut) -> TickPair:
 
 
 @contextmanager
-def _on_separate_cores(recorder: int) -> Iterator[bool]:
+def _on_separate_cores(recorder_pid: int) -> Iterator[bool]:
     """Put loop and recorder on different cores if there are two. Yield True if the loop has real-time priority."""
     cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
     if cores:
-        os.sched_setaffinity(recorder, {max(cores)})
+        os.sched_setaffinity(recorder_pid, {max(cores)})
         os.sched_setaffinity(0, {min(cores)})
     try:
         yield request_priority().realtime
@@ -128,7 +128,7 @@ def _on_separate_cores(recorder: int) -> Iterator[bool]:
 class _PreparedBus:
     """A bus that delivers the frames of a synthetic run."""
 
-    def __init__(self, ticks: list[TickPair]) -> None:
+    def __init__(self, ticks: list[TickInputAndOutput]) -> None:
         self._ticks = ticks
         self._at = 0
 
@@ -171,14 +171,14 @@ class _PreparedTick:
 
 
 def _run_loop(
-    seconds: float,
-    spin: bool,
-    ticks: list[TickPair],
-    record: Callable[[TickIn, TickOut], None],
-    events: Callable[[], list[IoEvent]],
+    duration_s: float,
+    busy_wait: bool,
+    ticks: list[TickInputAndOutput],
+    record_tick: Callable[[TickIn, TickOut], None],
+    take_events: Callable[[], list[IoEvent]],
 ) -> LoopStats:
     """Run the controller's loop for a time with prepared ticks, and return its statistics."""
-    last = int(seconds * RATE_HZ)
+    last = int(duration_s * RATE_HZ)
 
     def begin(state: int, entry: TickIn) -> _PreparedTick:
         out = ticks[state % len(ticks)][1]
@@ -186,7 +186,7 @@ def _run_loop(
             state + 1, out._replace(mode=HandMode.DONE) if entry.k >= last else out
         )
 
-    clock = RealClock(PERIOD_NS, busy_wait=spin)
+    clock = RealClock(PERIOD_NS, busy_wait=busy_wait)
     loop = ControlLoop(
         clock,
         PERIOD_NS,
@@ -194,8 +194,8 @@ def _run_loop(
         begin,
         (),
         tuple,
-        events,
-        record,
+        take_events,
+        record_tick,
         lambda entry, out: None,
     )
     loop.run(0)
@@ -217,11 +217,11 @@ def _processor_s(pid: int) -> float:
     return float(sum(one.cpu_times().user + one.cpu_times().system for one in family))
 
 
-def _lateness_figures(*parts: LoopStats) -> dict[str, float]:
+def _lateness_figures(*loop_stats: LoopStats) -> dict[str, float]:
     """Return percentiles of the lateness [us] and the fraction of missed deadlines."""
-    us = np.concatenate([np.array(part.tick_lateness_ns) for part in parts]) / 1e3
-    missed = sum(part.missed_ticks for part in parts) / sum(
-        part.ticks + part.missed_ticks for part in parts
+    us = np.concatenate([np.array(part.tick_lateness_ns) for part in loop_stats]) / 1e3
+    missed = sum(part.missed_ticks for part in loop_stats) / sum(
+        part.ticks + part.missed_ticks for part in loop_stats
     )
     return {name: float(np.percentile(us, mark)) for name, mark in LATENESS_PERCENTILES.items()} | {
         "missed_share": missed

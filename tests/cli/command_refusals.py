@@ -3,19 +3,19 @@
 from handctl.cli.main import main
 
 
-def refusal_line(capsys, *words):
+def refusal_line(capsys, *command_words):
     """Return the only error line that a command prints when it refuses its input."""
-    lines = refusal_lines(capsys, *words)
+    lines = refusal_lines(capsys, *command_words)
     assert len(lines) == 1, lines
     return lines[0]
 
 
-def refusal_lines(capsys, *words):
+def refusal_lines(capsys, *command_words):
     """Return the error lines that a command prints when it refuses its input.
 
     Each mistake in the input has its own line.
     """
-    assert main(words) == 2
+    assert main(command_words) == 2
     out, err = capsys.readouterr()
     assert out == ""
     lines = err.splitlines(keepends=True)

@@ -10,13 +10,15 @@ from handctl.cli.main import main
 @pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="only X and Wayland say where the screen is"
 )
-@pytest.mark.parametrize("words", [["demo", "--view"], ["run", "--bus", "local:nowhere", "--view"]])
+@pytest.mark.parametrize(
+    "command_words", [["demo", "--view"], ["run", "--bus", "local:nowhere", "--view"]]
+)
 def test_no_screen_is_one_line(
-    words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    command_words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert main(words) == 2
+    assert main(command_words) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("handctl: DISPLAY: no screen")

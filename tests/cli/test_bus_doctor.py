@@ -31,15 +31,15 @@ def test_motors_of_the_hand_that_do_not_answer_are_named(capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("command_words", "expected_finding"),
     [
         (["--bus", "local:nobody"], "type: handctl sim --bus local:nobody"),
         (["--bus", "virtual:x"], "120 ohm"),
     ],
 )
-def test_missing_interface_finding_has_the_set_up_command(capsys, words, said):
-    assert main(["bus", "doctor", *words]) == 1
-    assert said in capsys.readouterr().out
+def test_missing_interface_finding_has_the_set_up_command(capsys, command_words, expected_finding):
+    assert main(["bus", "doctor", *command_words]) == 1
+    assert expected_finding in capsys.readouterr().out
 
 
 def test_an_odrive_with_firmware_05_is_found(capsys):

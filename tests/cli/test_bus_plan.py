@@ -37,15 +37,15 @@ def test_overloaded_bus_is_reported_and_split(capsys: pytest.CaptureFixture[str]
     assert "3 buses of this kind are enough" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("rate", [250.0, 500.0, 1000.0])
-def test_every_bus_of_a_split_fits(rate: float) -> None:
+@pytest.mark.parametrize("rate_hz", [250.0, 500.0, 1000.0])
+def test_every_bus_of_a_split_fits(rate_hz: float) -> None:
     hand = load_hand("jamia11")
     drives = {drive.name: drive for drive in make_drives(hand)}
-    buses = split_motors_over_buses(hand, rate)
+    buses = split_motors_over_buses(hand, rate_hz)
     assert sorted(name for names in buses for name in names) == sorted(drives)
     for names in buses:
         frames = [(size, fd, 1.0) for name in names for size, fd in drives[name].frames_per_tick]
-        assert rate * bus_time_s(frames, 1e6) <= MAX_BUS_LOAD
+        assert rate_hz * bus_time_s(frames, 1e6) <= MAX_BUS_LOAD
 
 
 def test_rate_above_every_split_is_reported() -> None:
@@ -89,22 +89,28 @@ and the rate at a load of 80 % [Hz].
 """
 
 
-@pytest.mark.parametrize(("protocol", "fd", "motors", "tick_us", "loads", "most"), VCAN_TABLE)
+@pytest.mark.parametrize(
+    ("protocol", "can_fd", "motor_count", "tick_us", "expected_loads", "highest_rate_hz"),
+    VCAN_TABLE,
+)
 def test_load_table_has_the_expected_times_and_rates(
-    protocol: str, fd: bool, motors: int, tick_us: float, loads: tuple[float, ...], most: float,
+    protocol: str, can_fd: bool, motor_count: int, tick_us: float, expected_loads: tuple[float, ...],
+    highest_rate_hz: float,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     assert main(["bus", "plan", "--table", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
     (row,) = [
-        row for row in rows if (row["protocol"], row["fd"], row["motors"]) == (protocol, fd, motors)
+        row
+        for row in rows
+        if (row["protocol"], row["fd"], row["motors"]) == (protocol, can_fd, motor_count)
     ]
     assert row["tick_us"] == pytest.approx(tick_us, rel=0.02)
-    assert row["max_hz"] == pytest.approx(most * MAX_BUS_LOAD / 0.80, rel=0.02), (
+    assert row["max_hz"] == pytest.approx(highest_rate_hz * MAX_BUS_LOAD / 0.80, rel=0.02), (
         "maximum rate at the usual limit of the bus load"
     )
     assert [100 * row["load"][rate] for rate in ("250", "500", "1000")] == pytest.approx(
-        loads, rel=0.02
+        expected_loads, rel=0.02
     )
 
 
@@ -139,10 +145,11 @@ def test_a_bus_too_slow_for_the_watchdogs_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("bus", "code"), [("socketcan:can0", 2), ("pcan:PCAN_USBBUS1", 2), ("socketcan:vcan0", 0)]
+    ("bus_text", "exit_code"),
+    [("socketcan:can0", 2), ("pcan:PCAN_USBBUS1", 2), ("socketcan:vcan0", 0)],
 )
 def test_real_motors_are_not_run_in_slow_motion(
-    bus: str, code: int, capsys: pytest.CaptureFixture[str]
+    bus_text: str, exit_code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Slow motion with real motors is refused.
 
@@ -150,6 +157,7 @@ def test_real_motors_are_not_run_in_slow_motion(
     oscillate.
     """
     assert (
-        main(["run", "--hand", "jamia", "--bus", bus, "--time-scale", "0.1", "--dry-run"]) == code
+        main(["run", "--hand", "jamia", "--bus", bus_text, "--time-scale", "0.1", "--dry-run"])
+        == exit_code
     )
-    assert ("may have real motors; expected 1, or" in capsys.readouterr().err) == bool(code)
+    assert ("may have real motors; expected 1, or" in capsys.readouterr().err) == bool(exit_code)

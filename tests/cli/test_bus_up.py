@@ -12,8 +12,8 @@ from handctl.runtime.buses.interface import set_up_commands
 MEGABIT_PER_S = 1_000_000
 
 
-def command_texts(*words) -> list[str]:
-    return [" ".join(command) for command in set_up_commands(*words)]
+def command_texts(*command_words) -> list[str]:
+    return [" ".join(command) for command in set_up_commands(*command_words)]
 
 
 def test_the_commands_of_a_real_interface():
@@ -29,11 +29,12 @@ def test_the_commands_of_a_real_interface():
 
 
 @pytest.mark.parametrize(
-    ("exists", "first"), [(True, "ip link set vcan0 down"), (False, "ip link add vcan0 type vcan")]
+    ("interface_exists", "first_command"),
+    [(True, "ip link set vcan0 down"), (False, "ip link add vcan0 type vcan")],
 )
-def test_the_commands_of_a_virtual_interface(exists, first):
-    assert command_texts("vcan0", MEGABIT_PER_S, 5 * MEGABIT_PER_S, exists) == [
-        first, "ip link set vcan0 mtu 72", "ip link set vcan0 txqueuelen 128", "ip link set vcan0 up",
+def test_the_commands_of_a_virtual_interface(interface_exists, first_command):
+    assert command_texts("vcan0", MEGABIT_PER_S, 5 * MEGABIT_PER_S, interface_exists) == [
+        first_command, "ip link set vcan0 mtu 72", "ip link set vcan0 txqueuelen 128", "ip link set vcan0 up",
     ]  # fmt: skip
 
 
@@ -70,8 +71,8 @@ def test_with_yes_root_runs_them_in_order(capsys, monkeypatch):
     class SucceededProcess:
         returncode, stdout, stderr = 0, "", ""
 
-    def record_command(command, **options):
-        ran.append(" ".join(command))
+    def record_command(command_line, **options):
+        ran.append(" ".join(command_line))
         return SucceededProcess()
 
     monkeypatch.setattr(bus_up.os, "geteuid", lambda: 0)
@@ -94,17 +95,19 @@ def test_a_command_that_fails_ends_the_verb_with_its_reason(capsys, monkeypatch)
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("command_words", "exit_code", "expected_message"),
     [
         ([], 2, "--bus"),
         (["--bus", "local:x"], 1, "socketcan:NAME"),
         (["--bus", "socketcan:can77"], 1, "no such interface"),
     ],
 )
-def test_interface_that_cannot_be_set_up_is_refused_in_one_line(capsys, words, code, said):
-    assert main(["bus", "up", *words]) == code
+def test_interface_that_cannot_be_set_up_is_refused_in_one_line(
+    capsys, command_words, exit_code, expected_message
+):
+    assert main(["bus", "up", *command_words]) == exit_code
     error = capsys.readouterr().err
-    assert said in error
+    assert expected_message in error
     assert error.count("\n") == 1
 
 

@@ -11,9 +11,9 @@ from tests.cli.command_refusals import refusal_line
 from tests.drives.protocol_bench import hand_file, move_to_second_bus
 
 
-def message_names(path):
+def message_names(dbc_file):
     """Return the names of the messages in a DBC file. cantools reads the file in strict mode."""
-    return {message.name for message in cantools.database.load_file(path, strict=True).messages}
+    return {message.name for message in cantools.database.load_file(dbc_file, strict=True).messages}
 
 
 def test_a_hand_on_one_bus_has_one_file(work_folder, capsys):
@@ -41,13 +41,15 @@ def test_each_bus_of_a_hand_has_its_file(work_folder, capsys):
     }
 
 
-@pytest.mark.parametrize(("form", "name"), [("--urdf", "t42.urdf"), ("--mjcf", "t42.xml")])
-def test_links_are_a_model_that_mujoco_reads(form, name, work_folder, capsys):
-    assert main(["config", "export", form, "--hand", "t42"]) == 0
-    assert capsys.readouterr().out == f"{name}: 2 digits, 4 joints\n"
-    assert mujoco.MjModel.from_xml_path(str(work_folder / name)).njnt == 4
+@pytest.mark.parametrize(
+    ("export_format", "hand_name"), [("--urdf", "t42.urdf"), ("--mjcf", "t42.xml")]
+)
+def test_links_are_a_model_that_mujoco_reads(export_format, hand_name, work_folder, capsys):
+    assert main(["config", "export", export_format, "--hand", "t42"]) == 0
+    assert capsys.readouterr().out == f"{hand_name}: 2 digits, 4 joints\n"
+    assert mujoco.MjModel.from_xml_path(str(work_folder / hand_name)).njnt == 4
     assert "not allowed with" in refusal_line(
-        capsys, "config", "export", form, "--dbc", "--hand", "t42"
+        capsys, "config", "export", export_format, "--dbc", "--hand", "t42"
     )
 
 

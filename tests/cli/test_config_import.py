@@ -75,33 +75,52 @@ JOINT_KEYS = ("joint_armature_kg_m2", "spring_stiffness_N_m_per_rad", "spring_pr
 FILE_BY_OPTION = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 
-def text_with_all_values(text: str) -> str:
+def text_with_all_values(hand_file_text: str) -> str:
     """Return the text of a hand file in which a value replaces each TODO."""
     return re.sub(
         r'^(\w+) = "TODO".*$',
         lambda line: f"{line[1]} = {MEASURED_VALUES[line[1]]}",
-        text,
+        hand_file_text,
         flags=re.MULTILINE,
     )
 
 
-def import_description(form: str, path: Path | str, *words: str) -> str:
+def import_description(
+    format_option: str, description_file: Path | str, *other_options: str
+) -> str:
     """Import a description into the hand file mine.toml, and return the text of this file."""
     Path("mine.toml").unlink(missing_ok=True)
-    assert main(["config", "init", "--yes", form, str(path), *words, "--output", "mine.toml"]) == 0
+    assert (
+        main(
+            [
+                "config",
+                "init",
+                "--yes",
+                format_option,
+                str(description_file),
+                *other_options,
+                "--output",
+                "mine.toml",
+            ]
+        )
+        == 0
+    )
     return Path("mine.toml").read_text()
 
 
-def reimport_packaged_hand(form: str, name: str) -> Hand:
+def reimport_packaged_hand(format_option: str, hand_name: str) -> Hand:
     """Export a packaged hand, import it again, and return the resulting hand.
 
     Tendons, springs and buses come from the packaged hand.
     """
-    exported = Path(FILE_BY_OPTION[form])
+    exported = Path(FILE_BY_OPTION[format_option])
     exported.unlink(missing_ok=True)
-    assert main(["config", "export", form, "--hand", name, "--output", str(exported)]) == 0
-    import_description(form, exported)
-    original = with_meshes_from(load_hand(name).content, hand_path(name).parent)
+    assert (
+        main(["config", "export", format_option, "--hand", hand_name, "--output", str(exported)])
+        == 0
+    )
+    import_description(format_option, exported)
+    original = with_meshes_from(load_hand(hand_name).content, hand_path(hand_name).parent)
     digits = []
     for digit, known in zip(hand_content("mine.toml")["digit"], original["digit"], strict=True):
         lacks = {key for key, value in digit.items() if value == "TODO"}
@@ -114,10 +133,12 @@ def reimport_packaged_hand(form: str, name: str) -> Hand:
     return hand_from_content(content, "mine.toml")
 
 
-@pytest.mark.parametrize("form", FILE_BY_OPTION)
-@pytest.mark.parametrize("name", packaged_hands())
-def test_an_exported_hand_is_imported_unchanged(work_folder: Path, name: str, form: str) -> None:
-    hand, original = reimport_packaged_hand(form, name), load_hand(name)
+@pytest.mark.parametrize("format_option", FILE_BY_OPTION)
+@pytest.mark.parametrize("hand_name", packaged_hands())
+def test_an_exported_hand_is_imported_unchanged(
+    work_folder: Path, hand_name: str, format_option: str
+) -> None:
+    hand, original = reimport_packaged_hand(format_option, hand_name), load_hand(hand_name)
     assert hand.digit_names == original.digit_names
     for digit, known in zip(hand.digit, original.digit, strict=True):
         assert digit.mount_on == known.mount_on
@@ -139,7 +160,7 @@ def test_an_exported_hand_is_imported_unchanged(work_folder: Path, name: str, fo
                 link_inertia(known, i), abs=1e-6 * np.trace(link_inertia(known, i))
             )
     assert not inspect_content(hand.content).mistakes
-    if NIGHTLY or name in ("t42", "orca_like"):
+    if NIGHTLY or hand_name in ("t42", "orca_like"):
         assert main(["config", "check", "--hand", "mine.toml"]) == 0
 
 
@@ -255,18 +276,20 @@ INERTIAL_URDF = (
 )
 
 
-def urdf_of(joint: str, link: str = INERTIAL_URDF, more: str = "") -> str:
+def urdf_of(joint_text: str, link_text: str = INERTIAL_URDF, other_elements: str = "") -> str:
     """Return the text of a URDF with one joint and one link that has a tip."""
     return (
-        f'<robot name="r"><link name="base"/><link name="a">{link}</link><joint name="j" {joint}>'
+        f'<robot name="r"><link name="base"/><link name="a">{link_text}</link><joint name="j" {joint_text}>'
         f'<parent link="base"/><child link="a"/><axis xyz="0 0 1"/>'
-        f'<limit lower="0" upper="1" effort="1" velocity="1"/></joint>{more}</robot>'
+        f'<limit lower="0" upper="1" effort="1" velocity="1"/></joint>{other_elements}</robot>'
     )
 
 
-def mjcf_of(body: str, more: str = "") -> str:
+def mjcf_of(body_text: str, other_elements: str = "") -> str:
     """Return an MJCF text with one body."""
-    return f'<mujoco><worldbody><body name="a">{body}</body></worldbody>{more}</mujoco>'
+    return (
+        f'<mujoco><worldbody><body name="a">{body_text}</body></worldbody>{other_elements}</mujoco>'
+    )
 
 
 HINGE_MJCF = (
@@ -297,19 +320,27 @@ BAD_DESCRIPTIONS = [
 """For each text that is no description of a hand: the option, the text, and a part of the error."""
 
 
-@pytest.mark.parametrize(("form", "text", "said"), BAD_DESCRIPTIONS)
+@pytest.mark.parametrize(
+    ("format_option", "description_text", "expected_message"), BAD_DESCRIPTIONS
+)
 def test_a_bad_description_is_one_line(
-    work_folder: Path, capsys: pytest.CaptureFixture[str], form: str, text: str, said: str
+    work_folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    format_option: str,
+    description_text: str,
+    expected_message: str,
 ) -> None:
-    Path("bad.xml").write_text(text)
-    line = refusal_line(capsys, "config", "init", "--yes", form, "bad.xml", "--output", "mine.toml")
+    Path("bad.xml").write_text(description_text)
+    line = refusal_line(
+        capsys, "config", "init", "--yes", format_option, "bad.xml", "--output", "mine.toml"
+    )
     assert "bad.xml: " in line
-    assert said in line
+    assert expected_message in line
     assert not Path("mine.toml").exists()
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("command_options", "expected_message"),
     [
         (["--urdf", "none.urdf"], "none.urdf: cannot be read: No such file or directory"),
         (
@@ -325,9 +356,14 @@ def test_a_bad_description_is_one_line(
     ],
 )
 def test_bad_options_are_refused(
-    work_folder: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+    work_folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    command_options: list[str],
+    expected_message: str,
 ) -> None:
-    assert said in refusal_line(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
+    assert expected_message in refusal_line(
+        capsys, "config", "init", "--yes", *command_options, "--output", "mine.toml"
+    )
 
 
 def test_without_mujoco_the_extra_is_named(
@@ -342,13 +378,14 @@ def test_without_mujoco_the_extra_is_named(
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(
-    ("form", "name"), [("--mjcf", "t42"), ("--urdf", "jamia"), ("--mjcf", "orca_like"), ("", "")]
+    ("format_option", "hand_name"),
+    [("--mjcf", "t42"), ("--urdf", "jamia"), ("--mjcf", "orca_like"), ("", "")],
 )
 def test_an_imported_hand_grasps(
-    work_folder: Path, capsys: pytest.CaptureFixture[str], form: str, name: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], format_option: str, hand_name: str
 ) -> None:
-    if name:
-        reimport_packaged_hand(form, name)
+    if hand_name:
+        reimport_packaged_hand(format_option, hand_name)
     else:
         Path("mine.toml").write_text(
             text_with_all_values(import_description("--urdf", TRIPOD_URDF, *IMPORT_OPTIONS))

@@ -20,33 +20,35 @@ INIT_CASES = [
 ]
 
 
-@pytest.mark.parametrize(("fingers", "opposed", "links", "tendons"), INIT_CASES)
+@pytest.mark.parametrize(
+    ("finger_count", "opposed_digit_count", "link_lengths_mm", "tendon_choice"), INIT_CASES
+)
 def test_new_hand_file_passes_config_check(
     work_folder: Path,
     capsys: pytest.CaptureFixture[str],
-    fingers: int,
-    opposed: int,
-    links: str,
-    tendons: str,
+    finger_count: int,
+    opposed_digit_count: int,
+    link_lengths_mm: str,
+    tendon_choice: str,
 ) -> None:
     numbers = [
         "--fingers",
-        str(fingers),
+        str(finger_count),
         "--opposed",
-        str(opposed),
+        str(opposed_digit_count),
         "--links",
-        links,
+        link_lengths_mm,
         "--tendons",
-        tendons,
+        tendon_choice,
     ]
     assert main(["config", "init", "--yes", *numbers, "--output", "mine.toml"]) == 0
     code = main(["config", "check", "--hand", "mine.toml"])
     assert code == 0, capsys.readouterr().err
     hand = load_hand("mine.toml")
-    joints = len(links.split(","))
-    assert len(hand.digit) == fingers + opposed
+    joints = len(link_lengths_mm.split(","))
+    assert len(hand.digit) == finger_count + opposed_digit_count
     assert len(hand.joints) == joints * len(hand.digit)
-    assert len(hand.tendon) == len(hand.digit) * (joints if tendons == "each" else 1)
+    assert len(hand.tendon) == len(hand.digit) * (joints if tendon_choice == "each" else 1)
     assert (
         json.loads((work_folder / "hand.schema.json").read_text())["title"]
         == "Hand file of handctl"
@@ -90,21 +92,21 @@ SENSOR_CASES = [
 """Valid answers to the questions about tendons, springs, load cells and encoders."""
 
 
-def sensor_options(case: tuple[str, str, str, str]) -> list[str]:
+def sensor_options(sensor_case: tuple[str, str, str, str]) -> list[str]:
     """Return the options of `config init` for one of ``SENSOR_CASES``."""
     names = ("--tendons", "--springs", "--cells", "--encoders")
-    return [word for pair in zip(names, case, strict=True) for word in pair]
+    return [word for pair in zip(names, sensor_case, strict=True) for word in pair]
 
 
-@pytest.mark.parametrize("number", range(len(SENSOR_CASES)))
+@pytest.mark.parametrize("case_index", range(len(SENSOR_CASES)))
 def test_every_choice_of_sensors_and_springs_is_a_valid_hand(
-    work_folder: Path, capsys: pytest.CaptureFixture[str], number: int
+    work_folder: Path, capsys: pytest.CaptureFixture[str], case_index: int
 ) -> None:
     """Reproduce a defect: `config init` refused `--cells none` without a robot description."""
-    tendons, springs, cells, encoders = SENSOR_CASES[number]
-    protocol = GUARDED_PROTOCOLS[number % len(GUARDED_PROTOCOLS)]
-    links = ("60", "40,30", "50,30,20")[number % 3]
-    words = [*sensor_options(SENSOR_CASES[number]), "--protocol", protocol, "--links", links]
+    tendons, springs, cells, encoders = SENSOR_CASES[case_index]
+    protocol = GUARDED_PROTOCOLS[case_index % len(GUARDED_PROTOCOLS)]
+    links = ("60", "40,30", "50,30,20")[case_index % 3]
+    words = [*sensor_options(SENSOR_CASES[case_index]), "--protocol", protocol, "--links", links]
     assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
     code = main(["config", "check", "--hand", "mine.toml"])
     assert code == 0, capsys.readouterr().err
@@ -159,7 +161,7 @@ def test_sensors_springs_and_protocol_are_asked_for(
 
 
 @pytest.mark.parametrize(
-    ("words", "proposed"),
+    ("command_options", "proposed_options"),
     [
         (("--opposed", "0"), "--fingers 1 --opposed 1"),
         (("--opposed", "0", "--fingers", "1"), "--fingers 1 --opposed 1"),
@@ -167,11 +169,14 @@ def test_sensors_springs_and_protocol_are_asked_for(
     ],
 )
 def test_two_opposed_digits_are_proposed(
-    work_folder: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], proposed: str
+    work_folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    command_options: tuple[str, ...],
+    proposed_options: str,
 ) -> None:
-    assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
+    assert main(["config", "init", "--yes", *command_options, "--output", "mine.toml"]) == 0
     line = next(line for line in capsys.readouterr().out.splitlines() if "0: " in line)
-    assert line.endswith(proposed)
+    assert line.endswith(proposed_options)
 
 
 def test_questions_without_a_terminal_are_refused(
@@ -184,7 +189,7 @@ def test_questions_without_a_terminal_are_refused(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("command_options", "expected_message"),
     [
         (["--name", "my hand"], "--name: 'my hand'; expected letters"),
         (["--fingers", "0", "--opposed", "0"], "--fingers: no digit"),
@@ -198,9 +203,14 @@ def test_questions_without_a_terminal_are_refused(
     ],
 )
 def test_invalid_answers_are_refused(
-    work_folder: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+    work_folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    command_options: list[str],
+    expected_message: str,
 ) -> None:
-    assert said in refusal_line(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
+    assert expected_message in refusal_line(
+        capsys, "config", "init", "--yes", *command_options, "--output", "mine.toml"
+    )
     assert not (work_folder / "mine.toml").exists()
 
 
@@ -238,7 +248,7 @@ def test_a_motor_type_is_taken_from_its_option_or_asked_for(
 
 
 @pytest.mark.parametrize(
-    ("motor_type", "spool", "warned"),
+    ("motor_type", "spool_radius_mm", "is_warned"),
     [
         ("ak60-6", "5", False),
         ("ak70-10", "5", True),
@@ -247,11 +257,15 @@ def test_a_motor_type_is_taken_from_its_option_or_asked_for(
     ],
 )
 def test_config_check_warns_of_motors_that_cannot_rest(
-    work_folder: Path, capsys: pytest.CaptureFixture[str], motor_type: str, spool: str, warned: bool
+    work_folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    motor_type: str,
+    spool_radius_mm: str,
+    is_warned: bool,
 ) -> None:
     """Reproduce a defect: `config check` did not warn that the smallest torque of a motor is too large."""
-    words = ["--protocol", "cubemars", "--motor-type", motor_type, "--spool", spool]
+    words = ["--protocol", "cubemars", "--motor-type", motor_type, "--spool", spool_radius_mm]
     assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
     capsys.readouterr()
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
-    assert (f"no torque command of {motor_type} means zero" in capsys.readouterr().out) == warned
+    assert (f"no torque command of {motor_type} means zero" in capsys.readouterr().out) == is_warned

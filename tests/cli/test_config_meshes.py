@@ -25,7 +25,7 @@ from handctl.session.plan import RunChoice, make_plan
 from tests.cli.command_refusals import refusal_line, refusal_lines
 from tests.cli.test_config_import import TRIPOD_URDF
 from tests.hand.mesh_files import (
-    assert_same_places,
+    assert_same_corners,
     corners_of_hand,
     hand_with_meshes,
     tetrahedron_triangles,
@@ -46,15 +46,15 @@ def copy_t42_with_meshes(work_folder: Path) -> Path:
     return work_folder / "mine" / "hand.toml"
 
 
-def replace_once(path: Path, old: str, new: str) -> None:
+def replace_once(text_file: Path, original_text: str, replacement_text: str) -> None:
     """In a file, replace a text that occurs exactly once."""
-    text = path.read_text()
-    assert text.count(old) == 1
-    path.write_text(text.replace(old, new))
+    text = text_file.read_text()
+    assert text.count(original_text) == 1
+    text_file.write_text(text.replace(original_text, replacement_text))
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "line"),
+    ("original_text", "replacement_text", "expected_message"),
     [
         (
             "t42/palm.stl",
@@ -94,16 +94,20 @@ def replace_once(path: Path, old: str, new: str) -> None:
     ],
 )
 def test_each_mistake_is_one_line_that_names_the_key(
-    copy_t42_with_meshes: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, line: str
+    copy_t42_with_meshes: Path,
+    capsys: pytest.CaptureFixture[str],
+    original_text: str,
+    replacement_text: str,
+    expected_message: str,
 ) -> None:
     text = copy_t42_with_meshes.read_text()
-    copy_t42_with_meshes.write_text(text.replace(old, new, 1))
+    copy_t42_with_meshes.write_text(text.replace(original_text, replacement_text, 1))
     assert copy_t42_with_meshes.read_text() != text
     lines = refusal_lines(capsys, "config", "check", "--hand", "mine/hand.toml")
-    assert line in lines[0]
+    assert expected_message in lines[0]
     # A wrong scale of the meshes counts as two mistakes, because each finger has two links with
     # meshes.
-    assert len(lines) == (2 if new == "link_mesh_scale = 1" else 1), lines
+    assert len(lines) == (2 if replacement_text == "link_mesh_scale = 1" else 1), lines
 
 
 def test_a_mesh_that_is_no_mesh_is_refused_and_a_run_begins_without_it(
@@ -163,19 +167,25 @@ def test_a_hand_in_another_protocol_keeps_its_meshes(copy_t42_with_meshes: Path)
 FILE_BY_OPTION = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 
-@pytest.mark.parametrize("form", FILE_BY_OPTION)
-@pytest.mark.parametrize("name", packaged_hands())
+@pytest.mark.parametrize("format_option", FILE_BY_OPTION)
+@pytest.mark.parametrize("hand_name", packaged_hands())
 def test_exported_meshes_come_back_to_their_places(
-    work_folder: Path, name: str, form: str, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, hand_name: str, format_option: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (work_folder / "hand").mkdir()
     (work_folder / "mine").mkdir()
     write_meshes(work_folder / "hand")
-    hand = hand_with_meshes(name)
+    hand = hand_with_meshes(hand_name)
     Path("hand/hand.toml").write_text(hand.to_toml())
-    exported = f"hand/{FILE_BY_OPTION[form]}"
-    assert main(["config", "export", form, "--hand", "hand/hand.toml", "--output", exported]) == 0
-    assert main(["config", "init", "--yes", form, exported, "--output", "mine/mine.toml"]) == 0
+    exported = f"hand/{FILE_BY_OPTION[format_option]}"
+    assert (
+        main(["config", "export", format_option, "--hand", "hand/hand.toml", "--output", exported])
+        == 0
+    )
+    assert (
+        main(["config", "init", "--yes", format_option, exported, "--output", "mine/mine.toml"])
+        == 0
+    )
     assert "warning" not in capsys.readouterr().out
     content = hand_content("mine/mine.toml")
     # The imported file has missing values, so it cannot be loaded. Load the packaged hand with the
@@ -188,14 +198,14 @@ def test_exported_meshes_come_back_to_their_places(
     ]
     mount = {"gravity_m_s2": known["mount"]["gravity_m_s2"]}
     mount |= {key: value for key, value in content["mount"].items() if "mesh" in key}
-    again = hand_from_content(known | {"mount": mount, "digit": digits}, name)
+    again = hand_from_content(known | {"mount": mount, "digit": digits}, hand_name)
     assert {mesh.file for mesh in meshes_of_hand(again)} == {
         f"../hand/{file}"
         for file in ("m.stl", "sub/mm.obj", "sub/mm.stl")[: 3 if len(digits) > 1 else 2]
     }
     q = np.zeros(len(hand.joints))
     expected = corners_of_hand(hand, work_folder / "hand", q)
-    assert_same_places(corners_of_hand(again, work_folder / "mine", q), expected)
+    assert_same_corners(corners_of_hand(again, work_folder / "mine", q), expected)
 
 
 def write_ros_package(work_folder: Path) -> Path:
@@ -306,4 +316,4 @@ def test_the_largest_visual_mesh_of_a_body_is_imported_from_a_model(
         pose = [digit[f"link_mesh_{key}"][link] for key in ("position_m", "rpy_deg")]
         shown = LinkMesh("", "", "", (digit["link_mesh_scale"][link],) * 3, *map(tuple, pose))
         found = shown.place((1e3 if link == 0 else 1.0) * tetrahedron_triangles())
-        assert_same_places({"": expected}, {"": found})
+        assert_same_corners({"": expected}, {"": found})

@@ -116,28 +116,28 @@ HAND_FILE_MISTAKES = {
 """For each mistake: the replaced text of jamia11.toml, the wrong text, and the beginning of the error line."""
 
 
-def write_changed_jamia11(work_folder: Path, *edits: tuple[str, str]) -> None:
+def write_changed_jamia11(work_folder: Path, *text_replacements: tuple[str, str]) -> None:
     """Write the file mine.toml: the hand file of jamia11, with some texts replaced."""
     text = hand_path("jamia11").read_text("utf-8")
-    for old, new in edits:
+    for old, new in text_replacements:
         assert text.count(old) == 1, old
         text = text.replace(old, new)
     (work_folder / "mine.toml").write_text(text)
 
 
-def error_lines(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
+def error_lines(capsys: pytest.CaptureFixture[str], *check_options: str) -> list[str]:
     """Return the error lines of `config check` for mine.toml, without the name of the file."""
-    assert main(["config", "check", "--hand", "mine.toml", *words]) == 2
+    assert main(["config", "check", "--hand", "mine.toml", *check_options]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     return [line.removeprefix("handctl: ").removeprefix("mine.toml: ") for line in err.splitlines()]
 
 
-@pytest.mark.parametrize("case", HAND_FILE_MISTAKES)
+@pytest.mark.parametrize("mistake_name", HAND_FILE_MISTAKES)
 def test_a_mistake_is_one_line_that_names_the_key(
-    work_folder: Path, capsys: pytest.CaptureFixture[str], case: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], mistake_name: str
 ) -> None:
-    old, new, start = HAND_FILE_MISTAKES[case]
+    old, new, start = HAND_FILE_MISTAKES[mistake_name]
     write_changed_jamia11(work_folder, (old, new))
     found = error_lines(capsys)
     assert found[0].startswith(start)
@@ -253,11 +253,13 @@ def test_config_check_has_the_same_mistakes_in_json(
     assert [f"handctl: {line}" for line in json.loads(out)["errors"]] == err.splitlines()
 
 
-@pytest.mark.parametrize("case", ["springs that do not open the digit", "8 Mbit/s without CAN FD"])
+@pytest.mark.parametrize(
+    "mistake_name", ["springs that do not open the digit", "8 Mbit/s without CAN FD"]
+)
 def test_run_refuses_a_hand_file_with_mistakes(
-    work_folder: Path, capsys: pytest.CaptureFixture[str], case: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], mistake_name: str
 ) -> None:
-    write_changed_jamia11(work_folder, HAND_FILE_MISTAKES[case][:2])
+    write_changed_jamia11(work_folder, HAND_FILE_MISTAKES[mistake_name][:2])
     assert (
         main(
             ["run", "--hand", "mine.toml", "--bus", "local:nobody", "--task", "grasp", "--dry-run"]

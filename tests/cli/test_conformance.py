@@ -24,17 +24,24 @@ ENDPOINT_OPTIONS = [f"--option=endpoint_{key}={number}" for number, key in enume
 
 @pytest.mark.realtime
 @pytest.mark.parametrize(
-    ("protocol", "more"),
+    ("protocol", "protocol_options"),
     [
         pytest.param("mit", [], id="mit"),
         pytest.param("odrive", ENDPOINT_OPTIONS, id="odrive", marks=pytest.mark.nightly),
         pytest.param("cia402", [], id="cia402", marks=pytest.mark.nightly),
     ],
 )
-def test_a_good_drive_in_another_process_passes(protocol, more):
+def test_a_good_drive_in_another_process_passes(protocol, protocol_options):
     with run_simulated_drives("local:c", protocol, "--ids", "33"):
         done = run_handctl(
-            *CONFORMANCE_OPTIONS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more
+            *CONFORMANCE_OPTIONS,
+            "--protocol",
+            protocol,
+            "--node",
+            "33",
+            "--yes",
+            "--json",
+            *protocol_options,
         )
         result = json.loads(done.stdout)
         assert [check for check in result["checks"] if check["verdict"] == "failed"] == []
@@ -71,7 +78,7 @@ def test_two_drives_with_one_number_are_refused(capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "options"),
+    ("option_words", "parsed_options"),
     [
         (["motor_type=ak80-9"], {"motor_type": "ak80-9"}),
         (
@@ -82,8 +89,8 @@ def test_two_drives_with_one_number_are_refused(capsys):
         (["sync=true", "gear_ratio=6.0"], {"sync": True, "gear_ratio": 6.0}),
     ],
 )
-def test_a_text_option_needs_no_quotes(words, options):
-    assert parse_options(words) == options
+def test_a_text_option_needs_no_quotes(option_words, parsed_options):
+    assert parse_options(option_words) == parsed_options
 
 
 def test_an_odrive_of_firmware_05_needs_no_option(capsys):
@@ -153,7 +160,7 @@ def test_a_drive_that_never_answers_is_not_called_off():
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("option_words", "expected_message"),
     [
         (
             ["--protocol", "mit", "--node", "2"],
@@ -174,10 +181,12 @@ def test_a_drive_that_never_answers_is_not_called_off():
         (["--protocol", "mit", "--node", "2", "--yes", "--option", "gear"], "KEY=VALUE"),
     ],
 )
-def test_unsuitable_drive_options_are_refused_before_a_bus_is_opened(capsys, words, said):
-    assert main([*CONFORMANCE_OPTIONS, *words]) == 2
+def test_unsuitable_drive_options_are_refused_before_a_bus_is_opened(
+    capsys, option_words, expected_message
+):
+    assert main([*CONFORMANCE_OPTIONS, *option_words]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert expected_message in error
     assert error.count("\n") == 1
 
 

@@ -121,25 +121,27 @@ def test_a_hand_of_two_buses_works_in_real_time(work_folder, repeat_time_scale):
     assert json.loads(done.stdout)["failure"] == ""
 
 
-@pytest.mark.parametrize("cells", [[], ["index_tendon"]])
+@pytest.mark.parametrize("load_cell_lines", [[], ["index_tendon"]])
 def test_a_hand_without_load_cells_is_ready_and_the_faults_that_need_them_are_named(
-    work_folder, capsys, cells
+    work_folder, capsys, load_cell_lines
 ):
     content = jamia_content()
-    content["sensor_node"]["tendons"] = cells
+    content["sensor_node"]["tendons"] = load_cell_lines
     (work_folder / "hand.toml").write_text(toml_text(content))
     assert main(["config", "check", "--hand", "hand.toml"]) == 0
     line = next(line for line in capsys.readouterr().out.splitlines() if ": no load cell: " in line)
     assert "not judged: N02, N14b" in line
-    assert ("index_tendon" in line) == (not cells), "only tendons without a load cell are named"
+    assert ("index_tendon" in line) == (not load_cell_lines), (
+        "only tendons without a load cell are named"
+    )
 
 
-@pytest.mark.parametrize("verb", ["config", "demo"])
-def test_a_joint_that_no_tendon_crosses_is_one_line(work_folder, capsys, verb):
+@pytest.mark.parametrize("cli_verb", ["config", "demo"])
+def test_a_joint_that_no_tendon_crosses_is_one_line(work_folder, capsys, cli_verb):
     content = jamia_content()
     del content["tendon"][0]["moment_arm_m"]["index_j3"]
     (work_folder / "hand.toml").write_text(toml_text(content))
     line = refusal_line(
-        capsys, verb, "check" if verb == "config" else "--lockstep", "--hand", "hand.toml"
+        capsys, cli_verb, "check" if cli_verb == "config" else "--lockstep", "--hand", "hand.toml"
     )
     assert "digit[index]: no tendon crosses index_j3" in line

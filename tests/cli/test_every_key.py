@@ -15,7 +15,12 @@ from handctl.cli.main import main
 from handctl.core.gains.gains import Gains
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, hand_content, load_hand
-from tests.hand.test_hand_file_refusals import content_leaves, is_number, key_path_text, with_value
+from tests.hand.test_hand_file_refusals import (
+    content_leaves,
+    content_with_value,
+    is_number,
+    key_path_text,
+)
 
 ABSENT_BUS = "local:does-not-exist"
 SAMPLE_STEP = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
@@ -67,8 +72,10 @@ def calibration_content():
     return {**head, "tendon": tendons}
 
 
-def task_content(name):
-    return tomllib.loads((PACKAGED_HANDS_FOLDER.parents[1] / "tasks" / f"{name}.toml").read_text())
+def task_content(task_name):
+    return tomllib.loads(
+        (PACKAGED_HANDS_FOLDER.parents[1] / "tasks" / f"{task_name}.toml").read_text()
+    )
 
 
 def trajectory_content():
@@ -80,13 +87,13 @@ def trajectory_content():
     }
 
 
-def hand(name):
-    return hand_content(name)
+def packaged_hand_content(hand_name):
+    return hand_content(hand_name)
 
 
 CONTENT_AND_OPTIONS = {
-    "jamia": (hand("jamia"), ("--hand",)),
-    "jamia11": (hand("jamia11"), ("--hand",)),
+    "jamia": (packaged_hand_content("jamia"), ("--hand",)),
+    "jamia11": (packaged_hand_content("jamia11"), ("--hand",)),
     "gains": (gains_content(), ("--gains",)),
     "calibration": (calibration_content(), ("--calibration",)),
     "grasp": (task_content("grasp"), ("--task",)),
@@ -96,37 +103,39 @@ CONTENT_AND_OPTIONS = {
 """For each kind of file, a valid content, and the words of `handctl run` that precede the name of the file."""
 
 
-def text_of(content):
+def toml_text_of(file_content):
     """Return the content of a file as TOML text, with dotted headers for nested tables."""
-    plain = {key: value for key, value in content.items() if not isinstance(value, dict)}
+    plain = {key: value for key, value in file_content.items() if not isinstance(value, dict)}
     lines = [toml_text(plain)]
-    for key, value in content.items():
+    for key, value in file_content.items():
         if isinstance(value, dict):
             lines += _table_lines(key, value)
     return "\n".join(lines)
 
 
-def _table_lines(name, table):
-    yield f"[{name}]"
-    yield toml_text({key: value for key, value in table.items() if not isinstance(value, dict)})
-    for key, value in table.items():
+def _table_lines(table_name, table_content):
+    yield f"[{table_name}]"
+    yield toml_text(
+        {key: value for key, value in table_content.items() if not isinstance(value, dict)}
+    )
+    for key, value in table_content.items():
         if isinstance(value, dict):
-            yield from _table_lines(f"{name}.{key}", value)
+            yield from _table_lines(f"{table_name}.{key}", value)
 
 
-def content_without_key(content, path, replacement=None):
+def content_without_key(file_content, key_path, renamed_key=None):
     """Return a copy of a content without one key.
 
-    If ``replacement`` is given, store the value of the removed key under the key ``replacement``.
+    If ``renamed_key`` is given, store the value of the removed key under the key ``renamed_key``.
     """
-    content = with_value(content, path, None)
-    parent = content
-    for key in path[:-1]:
+    file_content = content_with_value(file_content, key_path, None)
+    parent = file_content
+    for key in key_path[:-1]:
         parent = parent[key]
-    del parent[path[-1]]
-    if replacement:
-        parent[path[-1] + "_x"] = replacement
-    return content
+    del parent[key_path[-1]]
+    if renamed_key:
+        parent[key_path[-1] + "_x"] = renamed_key
+    return file_content
 
 
 def mistake_cases():
@@ -138,24 +147,32 @@ def mistake_cases():
                 yield from ((name, path, kind) for kind in KEY_MISTAKES)
 
 
-def text_with_mistake(content, path, kind):
+def text_with_mistake(file_content, key_path, mistake_kind):
     """Return the content as TOML text, with one mistake of the given kind at one key."""
-    if kind in KEY_MISTAKES:
-        old = content
-        for key in path:
+    if mistake_kind in KEY_MISTAKES:
+        old = file_content
+        for key in key_path:
             old = old[key]
-        if kind == "twice":
+        if mistake_kind == "twice":
             line = next(
-                line for line in text_of(content).splitlines() if line.startswith(f"{path[-1]} = ")
+                line
+                for line in toml_text_of(file_content).splitlines()
+                if line.startswith(f"{key_path[-1]} = ")
             )
-            return text_of(content).replace(line, f"{line}\n{line}", 1)
-        return text_of(content_without_key(content, path, old if kind == "renamed" else None))
-    old = content
-    for key in path:
+            return toml_text_of(file_content).replace(line, f"{line}\n{line}", 1)
+        return toml_text_of(
+            content_without_key(file_content, key_path, old if mistake_kind == "renamed" else None)
+        )
+    old = file_content
+    for key in key_path:
         old = old[key]
-    return text_of(
-        with_value(
-            content, path, ALWAYS_WRONG[kind] if kind in ALWAYS_WRONG else POSSIBLY_VALID[kind](old)
+    return toml_text_of(
+        content_with_value(
+            file_content,
+            key_path,
+            ALWAYS_WRONG[mistake_kind]
+            if mistake_kind in ALWAYS_WRONG
+            else POSSIBLY_VALID[mistake_kind](old),
         )
     )
 
@@ -165,7 +182,7 @@ class OpenedError(Exception):
 
 
 @pytest.fixture(autouse=True)
-def no_bus(monkeypatch):
+def refuse_to_open_buses(monkeypatch):
     def raise_opened(*words, **options):
         raise OpenedError
 
@@ -173,14 +190,14 @@ def no_bus(monkeypatch):
         monkeypatch.setattr(f"handctl.session.run.{name}", raise_opened)
 
 
-def refusal(capsys, option, file):
+def refusal_of_file(capsys, file_option, file_name):
     """Return the error line of `run` for a file.
 
     Return an empty text if the command accepts the file and opens the bus.
     """
-    others = [] if {"--task", "--trajectory"} & {*option} else ["--task", "grasp"]
+    others = [] if {"--task", "--trajectory"} & {*file_option} else ["--task", "grasp"]
     try:
-        code = main(["run", "--bus", ABSENT_BUS, *option, file, *others])
+        code = main(["run", "--bus", ABSENT_BUS, *file_option, file_name, *others])
     except OpenedError:
         capsys.readouterr()
         return ""
@@ -194,34 +211,34 @@ def refusal(capsys, option, file):
 ALL_MISTAKE_CASES = list(mistake_cases())
 
 
-@pytest.mark.parametrize("name", CONTENT_AND_OPTIONS)
-def test_unchanged_hand_file_is_accepted(work_folder, capsys, name):
-    content, option = CONTENT_AND_OPTIONS[name]
-    (work_folder / "file.toml").write_text(text_of(content))
-    assert refusal(capsys, option, "file.toml") == ""
+@pytest.mark.parametrize("content_name", CONTENT_AND_OPTIONS)
+def test_unchanged_hand_file_is_accepted(work_folder, capsys, content_name):
+    content, option = CONTENT_AND_OPTIONS[content_name]
+    (work_folder / "file.toml").write_text(toml_text_of(content))
+    assert refusal_of_file(capsys, option, "file.toml") == ""
 
 
 @pytest.mark.parametrize(
-    ("name", "path", "kind"),
+    ("content_name", "key_path", "mistake_kind"),
     ALL_MISTAKE_CASES[::SAMPLE_STEP],
     ids=lambda x: str(x) if isinstance(x, str) else None,
 )
-def test_every_wrong_key_is_refused(work_folder, capsys, name, path, kind):
-    content, option = CONTENT_AND_OPTIONS[name]
-    (work_folder / "file.toml").write_text(text_with_mistake(content, path, kind))
-    line = refusal(capsys, option, "file.toml")
-    if kind == "twice":
+def test_every_wrong_key_is_refused(work_folder, capsys, content_name, key_path, mistake_kind):
+    content, option = CONTENT_AND_OPTIONS[content_name]
+    (work_folder / "file.toml").write_text(text_with_mistake(content, key_path, mistake_kind))
+    line = refusal_of_file(capsys, option, "file.toml")
+    if mistake_kind == "twice":
         assert "file.toml" in line
         assert "TOML" in line
-    elif kind in ALWAYS_WRONG or kind == "renamed":
+    elif mistake_kind in ALWAYS_WRONG or mistake_kind == "renamed":
         assert "file.toml: " in line, "the message names the file"
         spoken = (
-            key_path_text(content_without_key(content, path), path[:-1])
-            if kind == "renamed"
-            else key_path_text(content, path)
+            key_path_text(content_without_key(content, key_path), key_path[:-1])
+            if mistake_kind == "renamed"
+            else key_path_text(content, key_path)
         )
         assert spoken in line
         assert "expected" in line
     elif line:
         assert "file.toml" in line
-        assert any(key in line for key in path if isinstance(key, str))
+        assert any(key in line for key in key_path if isinstance(key, str))

@@ -52,35 +52,37 @@ def run_in_shell():
         shutil.rmtree(path, ignore_errors=True)
 
 
-def run_example(run_in_shell, words):
+def run_example(run_in_shell, command_words):
     """Yield a function that runs a command line in an empty folder, with this environment's handctl."""
     how = {"shell": True, "capture_output": True, "text": True, "timeout": 280, "check": False}
-    ended = run_in_shell(EXAMPLE_BY_COMMAND[words].command_line, **how)
-    assert ended.returncode in ({0, 1} if words in COMMANDS_WITH_FINDINGS else {0}), ended.stderr
+    ended = run_in_shell(EXAMPLE_BY_COMMAND[command_words].command_line, **how)
+    assert ended.returncode in ({0, 1} if command_words in COMMANDS_WITH_FINDINGS else {0}), (
+        ended.stderr
+    )
     assert ended.stdout.strip()
     assert "Traceback" not in ended.stderr
 
 
-@pytest.mark.parametrize("words", EXAMPLES_ALONE)
-def test_an_example_works_in_one_terminal(run_in_shell, words):
-    run_example(run_in_shell, words)
+@pytest.mark.parametrize("command_words", EXAMPLES_ALONE)
+def test_an_example_works_in_one_terminal(run_in_shell, command_words):
+    run_example(run_in_shell, command_words)
 
 
 @pytest.fixture
-def start_others(run_in_shell):
+def start_in_background(run_in_shell):
     """Yield a function that starts a command in the background, as in another terminal.
 
     End all such commands after the test.
     """
     children = []
 
-    def start_command(command):
+    def start_command(command_line):
         keywords = {
             "stdout": subprocess.DEVNULL,
             "stderr": subprocess.DEVNULL,
             "stdin": subprocess.DEVNULL,
         }
-        children.append(run_in_shell(command.split(), subprocess.Popen, **keywords))
+        children.append(run_in_shell(command_line.split(), subprocess.Popen, **keywords))
 
     yield start_command
     for child in reversed(children):
@@ -88,11 +90,11 @@ def start_others(run_in_shell):
         child.wait(30)
 
 
-def repeat_until_success(run_in_shell, command):
+def repeat_until_success(run_in_shell, command_line):
     """Repeat a command until it succeeds."""
     end = time.monotonic() + READY_TIMEOUT_S
     while (
-        ended := run_in_shell(command.split(), capture_output=True, text=True, check=False)
+        ended := run_in_shell(command_line.split(), capture_output=True, text=True, check=False)
     ).returncode:
         assert time.monotonic() < end, ended.stderr
         time.sleep(0.3)
@@ -100,17 +102,17 @@ def repeat_until_success(run_in_shell, command):
 
 @pytest.mark.realtime
 def test_examples_work_beside_a_simulator_and_a_running_hand(
-    run_in_shell, start_others, repeat_time_scale
+    run_in_shell, start_in_background, repeat_time_scale
 ):
     simulator, run = EXAMPLE_BY_COMMAND["stop"].parallel_commands
-    start_others(f"{simulator} --time-scale {TIME_SCALE * repeat_time_scale:g}")
+    start_in_background(f"{simulator} --time-scale {TIME_SCALE * repeat_time_scale:g}")
     repeat_until_success(run_in_shell, "handctl fault kinds --bus local:demo")
     for words in EXAMPLES_BESIDE_SIMULATOR:
         if words != "fault inject":  # the injected fault would disturb the run of this example
             run_example(run_in_shell, words)
     for words in sorted(EXAMPLES_BESIDE_RUN, key=lambda one: one == "stop"):  # ``stop`` is last
         if words == EXAMPLES_BESIDE_RUN[0]:
-            start_others(run)
+            start_in_background(run)
             repeat_until_success(
                 run_in_shell, "handctl gains set motion.force_N=11 --bus local:demo"
             )  # the controller refuses this command until the hand is commissioned

@@ -32,14 +32,14 @@ ESCAPE_SEQUENCES = "\x1b[2J\x1b]0;mine\x07\x9b31m\r\u202e\u2028\x7f"
 TASKS_FOLDER = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
-def is_harmless(text):
-    return all(c.isprintable() or c in "\n\t" for c in text)
+def is_harmless(printed_text):
+    return all(c.isprintable() or c in "\n\t" for c in printed_text)
 
 
-def exit_code(words):
+def exit_code(command_words):
     """Run a command line and return its exit code, even if argparse refuses the command line."""
     try:
-        return main(words)
+        return main(command_words)
     except SystemExit as ended:
         return ended.code
 
@@ -52,15 +52,15 @@ def test_unprintable_characters_are_escaped():
     assert escape_surrogates("a\udcff\x1b").encode() == b"a\\udcff\x1b"
 
 
-@pytest.mark.parametrize("size", [499, 500, 501, 2000, 100_000])
-@pytest.mark.parametrize("letter", ["x", "\x1b"])
-def test_a_message_keeps_its_beginning_and_its_end(size, letter):
-    line = one_line_message("what" + letter * (size - 8) + "right\n"[:4])
+@pytest.mark.parametrize("text_length", [499, 500, 501, 2000, 100_000])
+@pytest.mark.parametrize("repeated_letter", ["x", "\x1b"])
+def test_a_message_keeps_its_beginning_and_its_end(text_length, repeated_letter):
+    line = one_line_message("what" + repeated_letter * (text_length - 8) + "right\n"[:4])
     assert len(line) <= MAX_MESSAGE_CHARACTERS
     assert line.startswith("what")
     assert line.endswith("righ")
     assert line.isprintable()
-    assert ("[...]" in line) == (size > 500 or letter == "\x1b")
+    assert ("[...]" in line) == (text_length > 500 or repeated_letter == "\x1b")
 
 
 def test_an_error_is_one_harmless_line():
@@ -123,14 +123,14 @@ def test_a_long_line_is_cut(capsys):
     assert len(capsys.readouterr().out) <= MAX_MESSAGE_CHARACTERS + 1
 
 
-@pytest.mark.parametrize("verb", VERB_HELP)
-def test_argparse_messages_are_escaped_and_shortened(capsys, verb):
+@pytest.mark.parametrize("cli_verb", VERB_HELP)
+def test_argparse_messages_are_escaped_and_shortened(capsys, cli_verb):
     for words in (
         [f"--no{ESCAPE_SEQUENCES}\n{'x' * 3000}"],
         [ESCAPE_SEQUENCES],
         [f"--gain{ESCAPE_SEQUENCES}=3"],
     ):
-        assert exit_code([verb, *words, "--no-such-option", ESCAPE_SEQUENCES]) == 2
+        assert exit_code([cli_verb, *words, "--no-such-option", ESCAPE_SEQUENCES]) == 2
         out, err = capsys.readouterr()
         assert is_harmless(out + err)
         assert len(err.splitlines()[-1]) < MAX_MESSAGE_CHARACTERS + 60
@@ -161,12 +161,12 @@ READING_COMMANDS = {
 }
 
 
-@pytest.mark.parametrize("content", TEXT_BY_MISTAKE)
-@pytest.mark.parametrize("what", READING_COMMANDS)
-def test_texts_of_files_are_escaped_and_shortened(work_folder, capsys, what, content):
-    (work_folder / "odd.toml").write_text(TEXT_BY_MISTAKE[content])
-    lines = refusal_lines(capsys, *READING_COMMANDS[what])
-    assert len(lines) == 1 or what == "hand"  # a hand file may cause several error lines
+@pytest.mark.parametrize("mistake_name", TEXT_BY_MISTAKE)
+@pytest.mark.parametrize("file_kind", READING_COMMANDS)
+def test_texts_of_files_are_escaped_and_shortened(work_folder, capsys, file_kind, mistake_name):
+    (work_folder / "odd.toml").write_text(TEXT_BY_MISTAKE[mistake_name])
+    lines = refusal_lines(capsys, *READING_COMMANDS[file_kind])
+    assert len(lines) == 1 or file_kind == "hand"  # a hand file may cause several error lines
     for line in lines:
         assert line[:-1].isprintable()
         assert len(line) < MAX_MESSAGE_CHARACTERS + 20
@@ -202,11 +202,11 @@ WIDE_NUMBERS = {
 """Integers with so many digits that Python refuses to print them, or outside the range of TOML."""
 
 
-@pytest.mark.parametrize("number", WIDE_NUMBERS)
-@pytest.mark.parametrize("what", READING_COMMANDS)
-def test_very_long_number_in_a_file_is_refused(work_folder, capsys, what, number):
-    (work_folder / "odd.toml").write_text(f"schema = 1\nname = {WIDE_NUMBERS[number]}\n")
-    line = refusal_line(capsys, *READING_COMMANDS[what])
+@pytest.mark.parametrize("number_form", WIDE_NUMBERS)
+@pytest.mark.parametrize("file_kind", READING_COMMANDS)
+def test_very_long_number_in_a_file_is_refused(work_folder, capsys, file_kind, number_form):
+    (work_folder / "odd.toml").write_text(f"schema = 1\nname = {WIDE_NUMBERS[number_form]}\n")
+    line = refusal_line(capsys, *READING_COMMANDS[file_kind])
     assert "odd.toml" in line
     assert len(line) < MAX_MESSAGE_CHARACTERS
 
@@ -217,18 +217,19 @@ def test_the_largest_numbers_of_toml_are_read():
 
 
 @pytest.mark.parametrize(
-    "option", ["bus", "rate", "gain", "log", "hand", "jobs", "seed", "output", "wire", "perturb"]
+    "option_name",
+    ["bus", "rate", "gain", "log", "hand", "jobs", "seed", "output", "wire", "perturb"],
 )
 @pytest.mark.parametrize(
-    "verb", ["run", "demo", "report", "fault", "tune", "identify", "scan", "sim"]
+    "cli_verb", ["run", "demo", "report", "fault", "tune", "identify", "scan", "sim"]
 )
-def test_double_dash_is_no_option_value(capsys, verb, option):
-    assert f"--{option}" in refusal_line(capsys, verb, f"--{option}=--")
+def test_double_dash_is_no_option_value(capsys, cli_verb, option_name):
+    assert f"--{option_name}" in refusal_line(capsys, cli_verb, f"--{option_name}=--")
 
 
-@pytest.mark.parametrize("name", [".", "", "/", ".."])
+@pytest.mark.parametrize("log_name", [".", "", "/", ".."])
 @pytest.mark.parametrize(
-    "verb",
+    "cli_verb",
     [
         ("report",),
         ("log", "export", "--csv"),
@@ -240,15 +241,22 @@ def test_double_dash_is_no_option_value(capsys, verb, option):
     ],
     ids=" ".join,
 )
-def test_a_log_whose_name_is_a_folder(work_folder, capsys, verb, name):
+def test_a_log_whose_name_is_a_folder(work_folder, capsys, cli_verb, log_name):
     (work_folder / "gains.toml").write_text("schema = 1\n")
-    refusal_line(capsys, *verb, name)
+    refusal_line(capsys, *cli_verb, log_name)
 
 
-@pytest.mark.parametrize("number", ["9" * 50, "9" * 5000, "-1", "0.5", "1e99", "\x1b[2J"])
-@pytest.mark.parametrize("drive", PROTOCOL_TRAITS)
-def test_invalid_node_number_is_refused(capsys, drive, number):
-    words = ("conformance", "--protocol", drive, f"--node={number}", "--bus", "local:nobody")
+@pytest.mark.parametrize("number_form", ["9" * 50, "9" * 5000, "-1", "0.5", "1e99", "\x1b[2J"])
+@pytest.mark.parametrize("drive_text", PROTOCOL_TRAITS)
+def test_invalid_node_number_is_refused(capsys, drive_text, number_form):
+    words = (
+        "conformance",
+        "--protocol",
+        drive_text,
+        f"--node={number_form}",
+        "--bus",
+        "local:nobody",
+    )
     assert exit_code([*words, "--torque-limit-Nm", "0.1", "--dry-run"]) == 2
     out, err = capsys.readouterr()
     assert out == ""
@@ -323,7 +331,7 @@ FORGED_LINE = "\nFORGED"
 
 
 @pytest.mark.parametrize(
-    "words",
+    "command_words",
     [
         ("gains", "show", "--gains", "g.toml"),
         ("gains", "apply", "g.toml"),
@@ -332,7 +340,7 @@ FORGED_LINE = "\nFORGED"
         ("config", "check", "--gains", "g.toml"),
     ],
 )
-def test_a_line_end_in_a_file_makes_no_second_line(work_folder, capsys, words):
+def test_a_line_end_in_a_file_makes_no_second_line(work_folder, capsys, command_words):
     forged = "".join(
         f"{key} = {json.dumps(key + FORGED_LINE)}\n"
         for key in ("note", "made", "version", "fit", "study")
@@ -342,15 +350,15 @@ def test_a_line_end_in_a_file_makes_no_second_line(work_folder, capsys, words):
         f"log = [{json.dumps(FORGED_LINE)}]\n{forged}"
     )
     (work_folder / "g.toml").write_text(text)
-    if words in (("gains", "log"), ("gains", "show")):
+    if command_words in (("gains", "log"), ("gains", "show")):
         assert main(["gains", "apply", "g.toml"]) == 0
-    assert main(list(words)) == 0
+    assert main(list(command_words)) == 0
     out, err = capsys.readouterr()
     assert not [line for line in (out + err).splitlines() if line.startswith("FORGED")]
 
 
 @pytest.mark.parametrize(
-    "words",
+    "command_words",
     [
         ("sim", "--bus", f"local:x{FORGED_LINE}", "--dry-run"),
         ("bus", "doctor", "--bus", f"local:x{FORGED_LINE}"),
@@ -359,8 +367,8 @@ def test_a_line_end_in_a_file_makes_no_second_line(work_folder, capsys, words):
         (f"x{FORGED_LINE}",),
     ],
 )
-def test_a_line_end_in_an_argument_is_refused(capsys, words):
-    assert main(words) == 2
+def test_a_line_end_in_an_argument_is_refused(capsys, command_words):
+    assert main(command_words) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from handctl.cli.main import main
 from handctl.session.verdict import _copy_truth
-from tests.report.invented_run import JAMIA, write_truth, zero_truth
+from tests.report.generated_run import JAMIA_HAND, write_truth, zero_truth
 
 GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
 FULL_DEVICE = Path("/dev/full")
@@ -38,7 +38,7 @@ def test_a_run_without_room_for_its_picture_keeps_its_numbers(work_folder, capsy
 
 def test_a_truth_file_that_cannot_be_copied_is_read_in_place(work_folder):
     truth = work_folder / "sim.truth"
-    record = zero_truth(JAMIA, 10)
+    record = zero_truth(JAMIA_HAND, 10)
     write_truth(truth, record)
     times = record.t_ns[[0, -1]].tolist()
     (work_folder / "run.truth").symlink_to(FULL_DEVICE)

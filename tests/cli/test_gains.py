@@ -29,13 +29,15 @@ def twice_changed_hand(work_folder):
         assert main(["gains", "apply", "new.toml", "--note", f"{newtons} N"]) == 0
 
 
-def write_gains(path, hand, identity):
-    path.write_text(gains_text(Gains(), GainsProvenance(hand=hand, identity=identity)))
+def write_gains(gain_file, hand_name, hand_identity):
+    gain_file.write_text(
+        gains_text(Gains(), GainsProvenance(hand=hand_name, identity=hand_identity))
+    )
 
 
-def output_of(capsys, *words):
+def output_of(capsys, *command_words):
     capsys.readouterr()
-    assert main([*words, "--json"]) == 0
+    assert main([*command_words, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
@@ -57,7 +59,7 @@ def test_gains_show_tells_the_origin_of_each_value(twice_changed_hand, capsys):
 
 
 @pytest.mark.parametrize(
-    "verb",
+    "cli_verb",
     [
         ("run", "--bus", "local:nowhere", "--dry-run", "--gains"),
         ("gains", "show", "--gains"),
@@ -66,9 +68,9 @@ def test_gains_show_tells_the_origin_of_each_value(twice_changed_hand, capsys):
         ("tune", "verify", "--lockstep"),
     ],
 )
-def test_gains_of_another_hand_are_refused(work_folder, capsys, verb):
-    write_gains(work_folder / "new.toml", hand="jamia11", identity="1" * 64)
-    assert main([*verb, "new.toml"]) == 2
+def test_gains_of_another_hand_are_refused(work_folder, capsys, cli_verb):
+    write_gains(work_folder / "new.toml", hand_name="jamia11", hand_identity="1" * 64)
+    assert main([*cli_verb, "new.toml"]) == 2
     assert (
         capsys.readouterr().err
         == "handctl: new.toml: is for hand 'jamia11'; expected gains for 'jamia'\n"
@@ -76,7 +78,7 @@ def test_gains_of_another_hand_are_refused(work_folder, capsys, verb):
 
 
 def test_gains_of_an_earlier_hand_file_are_used_and_reported(work_folder, capsys):
-    write_gains(work_folder / "new.toml", hand="jamia", identity="1" * 64)
+    write_gains(work_folder / "new.toml", hand_name="jamia", hand_identity="1" * 64)
     assert main(["gains", "show", "--gains", "new.toml", "--json"]) == 0
     said = capsys.readouterr()
     assert json.loads(said.out)["provenance"]["identity"] == "1" * 64
@@ -85,11 +87,11 @@ def test_gains_of_an_earlier_hand_file_are_used_and_reported(work_folder, capsys
 
 
 @pytest.mark.parametrize(
-    "verb", [("gains", "apply"), ("tune", "verify", "--lockstep", "--dry-run")]
+    "cli_verb", [("gains", "apply"), ("tune", "verify", "--lockstep", "--dry-run")]
 )
-def test_gains_of_a_changed_hand_are_reported_by_apply_and_verify(work_folder, capsys, verb):
-    write_gains(work_folder / "new.toml", hand="jamia", identity="1" * 64)
-    assert main([*verb, "new.toml"]) == 0
+def test_gains_of_a_changed_hand_are_reported_by_apply_and_verify(work_folder, capsys, cli_verb):
+    write_gains(work_folder / "new.toml", hand_name="jamia", hand_identity="1" * 64)
+    assert main([*cli_verb, "new.toml"]) == 0
     assert "new.toml was made for jamia as 111111111111" in capsys.readouterr().err
 
 
@@ -110,7 +112,7 @@ def test_rollback_changes_diff_and_log(twice_changed_hand, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("command_words", "expected_message"),
     [
         (["set", "motion.farce_N=3", "--bus", "local:x"], "motion.force_N?"),
         (["set", "motion.force_N=3000", "--bus", "local:x"], "at most 500"),
@@ -123,10 +125,10 @@ def test_rollback_changes_diff_and_log(twice_changed_hand, capsys):
         (["rollback"], "nothing was applied"),
     ],
 )
-def test_mistakes_give_one_line_and_exit_code_2(words, said, capsys):
-    assert main(["gains", *words]) == 2
+def test_mistakes_give_one_line_and_exit_code_2(command_words, expected_message, capsys):
+    assert main(["gains", *command_words]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert expected_message in error
     assert error.count("\n") == 1
 
 

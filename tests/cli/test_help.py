@@ -53,26 +53,26 @@ def test_help_shows_21_verbs_in_groups(capsys):
     assert lines[-1] == "  handctl demo --lockstep"
 
 
-@pytest.mark.parametrize("words", sorted({*VERB_HELP, *leaf_parsers()}))
-def test_every_help_ends_with_an_example_of_its_verb(capsys, words):
+@pytest.mark.parametrize("command_words", sorted({*VERB_HELP, *leaf_parsers()}))
+def test_every_help_ends_with_an_example_of_its_verb(capsys, command_words):
     with pytest.raises(SystemExit) as ended:
-        main([*words.split(), "--help"])
+        main([*command_words.split(), "--help"])
     assert ended.value.code == 0
     lines = capsys.readouterr().out.splitlines()
-    assert f"handctl {words} " in f"{lines[-1]} "
+    assert f"handctl {command_words} " in f"{lines[-1]} "
     assert lines[-2] == "example:"
 
 
-@pytest.mark.parametrize("words", sorted(leaf_parsers()))
-def test_every_verb_has_verbose_and_quiet_and_one_name_for_one_thing(words):
-    options = set(leaf_parsers()[words]._option_string_actions)
+@pytest.mark.parametrize("command_words", sorted(leaf_parsers()))
+def test_every_verb_has_verbose_and_quiet_and_one_name_for_one_thing(command_words):
+    options = set(leaf_parsers()[command_words]._option_string_actions)
     assert {"-v", "--verbose", "-q", "--quiet"} <= options
     for name, others in OTHER_NAMES_OF_OPTION.items():
-        assert not options & others, f"{words}: {name} is the name"
+        assert not options & others, f"{command_words}: {name} is the name"
 
 
 @pytest.mark.parametrize(
-    ("words", "suggestion"),
+    ("command_words", "suggested_word"),
     [
         ("dmeo", "unknown verb 'dmeo', did you mean demo?"),
         ("demo --lockstepp", "demo: unknown option '--lockstepp', did you mean --lockstep?"),
@@ -86,8 +86,8 @@ def test_every_verb_has_verbose_and_quiet_and_one_name_for_one_thing(words):
         ("config show list", "config show: unknown argument 'list'"),
     ],
 )
-def test_a_misspelt_word_is_answered_with_the_nearest_one(capsys, words, suggestion):
-    assert suggestion in refusal_line(capsys, *words.split())
+def test_a_misspelt_word_is_answered_with_the_nearest_one(capsys, command_words, suggested_word):
+    assert suggested_word in refusal_line(capsys, *command_words.split())
 
 
 RENAMED_OPTION_ROWS = [
@@ -96,15 +96,17 @@ RENAMED_OPTION_ROWS = [
 
 
 @pytest.mark.parametrize(
-    ("verb", "old", "new"),
+    ("cli_verb", "old_option", "new_option"),
     RENAMED_OPTION_ROWS,
     ids=[f"{verb} {old}" for verb, old, _ in RENAMED_OPTION_ROWS],
 )
-def test_an_old_spelling_is_refused_and_names_the_new_one(capsys, verb, old, new):
-    assert new in leaf_parsers()[verb]._option_string_actions
-    for words in ([old, "x"], [f"{old}=x"]):
-        line = refusal_line(capsys, *verb.split(), *words)
-        assert line == f"handctl: {verb}: {old} has been renamed; expected {new}\n"
+def test_an_old_spelling_is_refused_and_names_the_new_one(capsys, cli_verb, old_option, new_option):
+    assert new_option in leaf_parsers()[cli_verb]._option_string_actions
+    for words in ([old_option, "x"], [f"{old_option}=x"]):
+        line = refusal_line(capsys, *cli_verb.split(), *words)
+        assert (
+            line == f"handctl: {cli_verb}: {old_option} has been renamed; expected {new_option}\n"
+        )
 
 
 def test_the_document_lists_the_renamed_options():
@@ -116,12 +118,12 @@ def test_the_document_lists_the_renamed_options():
     assert sorted(rows) == sorted(RENAMED_OPTION_ROWS)
 
 
-def shell_completions(tmp_path, line):
+def shell_completions(tmp_path, unfinished_line):
     """Return the completions that a shell offers for an unfinished command line."""
     answer = tmp_path / "answer"
     environment = os.environ | {
         "_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
-        "COMP_LINE": line, "COMP_POINT": str(len(line)),
+        "COMP_LINE": unfinished_line, "COMP_POINT": str(len(unfinished_line)),
     }  # fmt: skip
     code = "import sys; sys.argv[0] = 'handctl'; from handctl.cli.main import main; main()"
     subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=60)
@@ -129,7 +131,7 @@ def shell_completions(tmp_path, line):
 
 
 @pytest.mark.parametrize(
-    ("line", "expected"),
+    ("unfinished_line", "expected_completions"),
     [
         ("handctl de", ["demo"]),
         ("handctl tune ver", ["verify"]),
@@ -138,8 +140,8 @@ def shell_completions(tmp_path, line):
         ("handctl demo --hand jamia1", ["jamia11"]),
     ],
 )
-def test_a_shell_completes_verbs_options_and_hands(tmp_path, line, expected):
-    assert shell_completions(tmp_path, line) == expected
+def test_a_shell_completes_verbs_options_and_hands(tmp_path, unfinished_line, expected_completions):
+    assert shell_completions(tmp_path, unfinished_line) == expected_completions
 
 
 def test_verbose_adds_details_on_standard_error_and_leaves_the_result(capsys):
@@ -199,8 +201,8 @@ def test_a_command_prints_each_caution_once(capsys):
         assert capsys.readouterr().err == "handctl: caution: hot\nhandctl: caution: cold\n"
 
 
-@pytest.mark.parametrize("good", [True, False])
-def test_the_doctor_fails_if_something_needs_a_repair(monkeypatch, capsys, good):
+@pytest.mark.parametrize("is_ready", [True, False])
+def test_the_doctor_fails_if_something_needs_a_repair(monkeypatch, capsys, is_ready):
     from handctl.cli.checks import doctor
 
     for name in (
@@ -214,27 +216,29 @@ def test_the_doctor_fails_if_something_needs_a_repair(monkeypatch, capsys, good)
         "_check_space",
     ):
         monkeypatch.setattr(doctor, name, lambda: ("a part", True, ""))
-    monkeypatch.setattr(doctor, "_check_memory", lambda: ("locked memory", good, "allow it"))
-    assert main(["doctor"]) == (0 if good else 1)
-    assert main(["doctor", "--json"]) == (0 if good else 1)
+    monkeypatch.setattr(doctor, "_check_memory", lambda: ("locked memory", is_ready, "allow it"))
+    assert main(["doctor"]) == (0 if is_ready else 1)
+    assert main(["doctor", "--json"]) == (0 if is_ready else 1)
 
 
 @pytest.mark.parametrize(
-    ("late_s", "stolen", "good", "text"),
+    ("late_s", "stolen_ticks", "is_ready", "expected_message"),
     [
         (0.0005, 0, True, "0.5 ms late in 1 s"),
         (0.005, 30, False, "5.0 ms late in 1 s, a hypervisor took 15.0 %"),
     ],
 )
-def test_the_doctor_measures_wake_ups(monkeypatch, late_s, stolen, good, text):
+def test_the_doctor_measures_wake_ups(
+    monkeypatch, late_s, stolen_ticks, is_ready, expected_message
+):
     from handctl.cli.checks import doctor
 
-    now, ticks = [0.0], iter([(1000, 10), (1200, 10 + stolen)])
+    now, ticks = [0.0], iter([(1000, 10), (1200, 10 + stolen_ticks)])
     monkeypatch.setattr(doctor.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(doctor.time, "sleep", lambda s: now.__setitem__(0, now[0] + s + late_s))
     monkeypatch.setattr(doctor, "_processor_ticks", lambda: next(ticks))
     what, is_good, fix = doctor._check_wakeups()
-    assert (text in what, is_good) == (True, good)
+    assert (expected_message in what, is_good) == (True, is_ready)
     assert "--time-scale" in fix
 
 

@@ -11,11 +11,11 @@ from handctl.cli.main import main
 from handctl.hand.hand_loading import hand_path, load_hand
 
 
-def jamia_without_load_cell(folder: Path) -> str:
+def jamia_without_load_cell(hand_folder: Path) -> str:
     """Write the file of jamia without the load cell of its first tendon, and return its path."""
     text = hand_path("jamia").read_text()
     assert 'tendons = "all"' in text
-    path = folder / "bare.toml"
+    path = hand_folder / "bare.toml"
     path.write_text(
         text.replace(
             'tendons = "all"', 'tendons = ["middle_tendon", "ring_tendon", "thumb_tendon"]'

@@ -47,9 +47,9 @@ The size of the cylinder did not depend on the hand, so the fingertips touched e
 MAX_SLIP_MM = 5.0
 
 
-def write_initial_hand(*words: str) -> None:
+def write_initial_hand(*init_options: str) -> None:
     """Run `config init` with the given options. The command writes the hand file mine.toml."""
-    assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
+    assert main(["config", "init", "--yes", *init_options, "--output", "mine.toml"]) == 0
 
 
 def check_grasp(capsys: pytest.CaptureFixture[str], seed: int) -> None:
@@ -64,18 +64,26 @@ def check_grasp(capsys: pytest.CaptureFixture[str], seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fingers", "links", "tendons", "seed"), HAND_CASES if NIGHTLY else SAMPLE_CASES
+    ("finger_count", "link_lengths_mm", "tendon_choice", "seed"),
+    HAND_CASES if NIGHTLY else SAMPLE_CASES,
 )
 def test_new_hand_grasps_holds_and_releases(
     work_folder: Path,
     capsys: pytest.CaptureFixture[str],
-    fingers: int,
-    links: str,
-    tendons: str,
+    finger_count: int,
+    link_lengths_mm: str,
+    tendon_choice: str,
     seed: int,
 ) -> None:
     write_initial_hand(
-        "--fingers", str(fingers), "--opposed", "1", "--links", links, "--tendons", tendons
+        "--fingers",
+        str(finger_count),
+        "--opposed",
+        "1",
+        "--links",
+        link_lengths_mm,
+        "--tendons",
+        tendon_choice,
     )
     assert "warning" not in capsys.readouterr().out
     check_grasp(capsys, seed)
@@ -88,14 +96,14 @@ def test_new_hand_grasps_holds_and_releases(
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("case", SENSOR_CASES, ids="-".join)
+@pytest.mark.parametrize("sensor_case", SENSOR_CASES, ids="-".join)
 def test_every_choice_of_sensors_and_springs_grasps(
     work_folder: Path,
     capsys: pytest.CaptureFixture[str],
-    case: tuple[str, str, str, str],
+    sensor_case: tuple[str, str, str, str],
     seed: int,
 ) -> None:
-    write_initial_hand("--fingers", "1", "--opposed", "1", *sensor_options(case))
+    write_initial_hand("--fingers", "1", "--opposed", "1", *sensor_options(sensor_case))
     capsys.readouterr()
     check_grasp(capsys, seed)
 
@@ -121,16 +129,19 @@ ALL_THREE_LINK_CASES = [
 
 
 @pytest.mark.parametrize(
-    ("links", "case", "seed"), ALL_THREE_LINK_CASES if NIGHTLY else THREE_LINK_CASES
+    ("link_lengths_mm", "sensor_case", "seed"),
+    ALL_THREE_LINK_CASES if NIGHTLY else THREE_LINK_CASES,
 )
 def test_three_links_without_load_cells_grasp(
     work_folder: Path,
     capsys: pytest.CaptureFixture[str],
-    links: str,
-    case: tuple[str, str, str, str],
+    link_lengths_mm: str,
+    sensor_case: tuple[str, str, str, str],
     seed: int,
 ) -> None:
-    write_initial_hand("--fingers", "1", "--opposed", "1", "--links", links, *sensor_options(case))
+    write_initial_hand(
+        "--fingers", "1", "--opposed", "1", "--links", link_lengths_mm, *sensor_options(sensor_case)
+    )
     capsys.readouterr()
     check_grasp(capsys, seed)
 
@@ -146,13 +157,21 @@ def test_the_object_fits_between_the_digits(work_folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fingers", "opposed", "links"), [(4, 1, "55,40,25"), (4, 4, "40,30"), (3, 0, "40,30")]
+    ("finger_count", "opposed_digit_count", "link_lengths_mm"),
+    [(4, 1, "55,40,25"), (4, 4, "40,30"), (3, 0, "40,30")],
 )
 def test_no_bus_is_slower_than_250_hz(
-    work_folder: Path, fingers: int, opposed: int, links: str
+    work_folder: Path, finger_count: int, opposed_digit_count: int, link_lengths_mm: str
 ) -> None:
     write_initial_hand(
-        "--fingers", str(fingers), "--opposed", str(opposed), "--links", links, "--tendons", "each"
+        "--fingers",
+        str(finger_count),
+        "--opposed",
+        str(opposed_digit_count),
+        "--links",
+        link_lengths_mm,
+        "--tendons",
+        "each",
     )
     assert default_rate(load_hand("mine.toml")) >= 250.0
 
@@ -178,12 +197,12 @@ def test_a_rate_that_leaves_no_margin_is_a_warning(
     assert line.endswith("; 2 buses allow 250 Hz (bus plan --rate 250)")
 
 
-@pytest.mark.parametrize(("links", "margin_db"), [("55,40,25", 3.5), ("50,30,20", 4.3)])
+@pytest.mark.parametrize(("link_lengths_mm", "margin_db"), [("55,40,25", 3.5), ("50,30,20", 4.3)])
 def test_gains_that_leave_no_margin_without_load_cells_are_a_warning(
-    work_folder: Path, capsys: pytest.CaptureFixture[str], links: str, margin_db: float
+    work_folder: Path, capsys: pytest.CaptureFixture[str], link_lengths_mm: str, margin_db: float
 ) -> None:
     """Reproduce a defect: `config check` did not check hands with springs and without load cells at 400 Hz."""
-    words = ["--fingers", "1", "--links", links, "--tendons", "each", "--cells"]
+    words = ["--fingers", "1", "--links", link_lengths_mm, "--tendons", "each", "--cells"]
     write_initial_hand(*words, "none")
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
     warned = [line for line in capsys.readouterr().out.splitlines() if "gain margin" in line]
@@ -224,7 +243,7 @@ def test_antagonists_without_load_cells_need_a_higher_rate(
 
 
 @pytest.mark.parametrize(
-    ("words", "reason"),
+    ("init_options", "expected_reason"),
     [
         (("--opposed", "0"), "no digit closes against another: the default task lifts no object"),
         (("--tension", "15"), "pressing with 1 N at its tip takes"),
@@ -235,12 +254,15 @@ def test_antagonists_without_load_cells_need_a_higher_rate(
     ],
 )
 def test_config_check_warns_of_a_hand_that_cannot_grasp(
-    work_folder: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], reason: str
+    work_folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    init_options: tuple[str, ...],
+    expected_reason: str,
 ) -> None:
-    write_initial_hand(*words)
+    write_initial_hand(*init_options)
     out = capsys.readouterr().out
     assert "warning: " in out
-    assert reason in out
+    assert expected_reason in out
     assert "next: handctl" in out
 
 

@@ -24,7 +24,7 @@ JOG_OPTIONS = [
 
 @pytest.mark.realtime
 @pytest.mark.parametrize(
-    ("protocol", "mode", "more"),
+    ("protocol", "drive_mode", "protocol_options"),
     [
         pytest.param("mit", "velocity", [], id="mit"),
         pytest.param(
@@ -45,26 +45,28 @@ JOG_OPTIONS = [
         pytest.param("cia402", "velocity", [], id="cia402-velocity", marks=pytest.mark.nightly),
     ],
 )
-def test_a_drive_in_another_process_is_moved_and_left_off(protocol, mode, more):
-    setpoint = "0.1" if mode == "torque" else "1.0"
+def test_a_drive_in_another_process_is_moved_and_left_off(protocol, drive_mode, protocol_options):
+    setpoint = "0.1" if drive_mode == "torque" else "1.0"
     with run_simulated_drives("local:j", protocol, "--ids", "33"):
         words = [
             "--protocol",
             protocol,
             "--mode",
-            mode,
+            drive_mode,
             "--setpoint",
             setpoint,
             "--yes",
             "--json",
-            *more,
+            *protocol_options,
         ]
         done = run_handctl(*JOG_OPTIONS, *words)
         assert done.returncode == 0, done.stderr
         result = json.loads(done.stdout)
         assert (result["failure"], result["confirmed_off"]) == ("", True)
-        if mode != "torque":
-            assert result["moved_rad"] == pytest.approx(1.0 if "position" in mode else 1.5, abs=0.2)
+        if drive_mode != "torque":
+            assert result["moved_rad"] == pytest.approx(
+                1.0 if "position" in drive_mode else 1.5, abs=0.2
+            )
             assert result["final_rad_s"] < 0.2
         found = run_handctl("scan", "--bus", "local:j", "--json")
     (node,) = json.loads(found.stdout)["buses"][0]["nodes"]
@@ -92,7 +94,7 @@ def test_a_limit_stops_a_drive_in_another_process(capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "expected"),
+    ("command_words", "expected_message"),
     [
         ("--mode velocity --setpoint nan --protocol mit", "--setpoint: nan; expected -5 to 5"),
         ("--mode position --setpoint 21 --protocol mit", "--setpoint: 21; expected -20 to 20"),
@@ -121,11 +123,13 @@ def test_a_limit_stops_a_drive_in_another_process(capsys):
         ),
     ],
 )
-def test_wrong_input_is_one_line_and_opens_no_bus(words, expected, capsys, monkeypatch):
+def test_wrong_input_is_one_line_and_opens_no_bus(
+    command_words, expected_message, capsys, monkeypatch
+):
     monkeypatch.setattr("handctl.cli.console.bench_drive.open_bus", None)
-    assert main([*JOG_OPTIONS, *words.split(), "--yes"]) == 2
+    assert main([*JOG_OPTIONS, *command_words.split(), "--yes"]) == 2
     text = capsys.readouterr().err
-    assert expected in text
+    assert expected_message in text
     assert text.count("\n") == 1
 
 

@@ -26,15 +26,15 @@ RESULT_KEYS = {
 }  # fmt: skip
 
 
-def run_demos(folder, *hands, task=""):
+def run_demos(result_folder, *hand_names, task_file=""):
     """Run lockstep demos of hands in parallel processes, and return the folder and the result of each.
 
-    If ``task`` is not empty, this task replaces the grasp.
+    If ``task_file`` is not empty, this task replaces the grasp.
     """
     running = []
-    for number, hand in enumerate(hands):
+    for number, hand in enumerate(hand_names):
         time.sleep(1.1 * number)  # the two runs start in different seconds of the wall clock
-        place = folder / str(number)
+        place = result_folder / str(number)
         place.mkdir()
         command = [
             sys.executable,
@@ -46,8 +46,8 @@ def run_demos(folder, *hands, task=""):
             "--log",
             "run.mcap",
         ]
-        if task:
-            (place.parent / "task.toml").write_text(task)
+        if task_file:
+            (place.parent / "task.toml").write_text(task_file)
             command += ["--task", "../task.toml", "--scene", "none"]
         options = {"cwd": place, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -70,7 +70,10 @@ def equal_demos(tmp_path_factory):
     grasp.
     """
     return run_demos(
-        tmp_path_factory.mktemp("equal_demos"), "jamia", "jamia", task="" if NIGHTLY else SHORT_TASK
+        tmp_path_factory.mktemp("equal_demos"),
+        "jamia",
+        "jamia",
+        task_file="" if NIGHTLY else SHORT_TASK,
     )
 
 
@@ -86,9 +89,9 @@ def jamia11_demo(tmp_path_factory):
     return run_demos(tmp_path_factory.mktemp("jamia11_demo"), "jamia11")[0]
 
 
-def messages_of(path):
+def messages_of(log_path):
     """Return the topic, the time and the data of every message in a log, in the order of the file."""
-    with path.open("rb") as file:
+    with log_path.open("rb") as file:
         messages = make_reader(file).iter_messages(log_time_order=False)
         return [(channel.topic, message.log_time, message.data) for _, channel, message in messages]
 
@@ -96,10 +99,10 @@ def messages_of(path):
 DEMO_FILES = {"run.mcap", "run.truth", "run.png", "run.commission.mcap", "run.calibration.toml"}
 
 
-@pytest.mark.parametrize("name", sorted(DEMO_FILES))
-def test_two_runs_write_the_same_bytes(equal_demos, name):
+@pytest.mark.parametrize("file_name", sorted(DEMO_FILES))
+def test_two_runs_write_the_same_bytes(equal_demos, file_name):
     (first, _), (second, _) = equal_demos
-    one, other = (first / name).read_bytes(), (second / name).read_bytes()
+    one, other = (first / file_name).read_bytes(), (second / file_name).read_bytes()
     assert len(one) == len(other)
     differ = (
         [i for i, (a, b) in enumerate(zip(one, other, strict=True)) if a != b]
@@ -123,23 +126,28 @@ def test_two_lockstep_runs_print_equal_results(equal_demos):
     }
 
 
-def meets_requirements(result):
-    assert result.keys() >= RESULT_KEYS
-    assert result["late_us"].keys() >= {"p50", "p99_9", "max"}
-    assert (result["missed"], result["frames_late"], result["frames_lost"], result["failure"]) == (
+def meets_requirements(demo_result):
+    assert demo_result.keys() >= RESULT_KEYS
+    assert demo_result["late_us"].keys() >= {"p50", "p99_9", "max"}
+    assert (
+        demo_result["missed"],
+        demo_result["frames_late"],
+        demo_result["frames_lost"],
+        demo_result["failure"],
+    ) == (
         0,
         0,
         0,
         "",
     )
-    assert result["object_motion_mm"] < 1.0
-    assert result["tension_hold_error_n"] < 2.0
-    assert len(result["tracking_rmse_deg"]) == 4
-    assert max(result["tracking_rmse_deg"].values()) < 1.0
-    assert result["bus_load"] < 0.7
-    for digit, force in result["contact_force_n"].items():
+    assert demo_result["object_motion_mm"] < 1.0
+    assert demo_result["tension_hold_error_n"] < 2.0
+    assert len(demo_result["tracking_rmse_deg"]) == 4
+    assert max(demo_result["tracking_rmse_deg"].values()) < 1.0
+    assert demo_result["bus_load"] < 0.7
+    for digit, force in demo_result["contact_force_n"].items():
         assert force > 0.5, digit
-        assert result["tip_equivalent_force_n"][digit] is not None
+        assert demo_result["tip_equivalent_force_n"][digit] is not None
 
 
 @pytest.mark.nightly

@@ -12,24 +12,24 @@ from tests.cli.command_refusals import refusal_line
 ABSENT_BUS_OPTION = ("--bus", "local:nobody")
 
 
-def make_pipe(path):
-    os.mkfifo(path)
+def make_pipe(odd_path):
+    os.mkfifo(odd_path)
 
 
-def make_folder(path):
-    path.mkdir()
+def make_folder(odd_path):
+    odd_path.mkdir()
 
 
-def write_endless_number(path):
-    path.write_text("schema = " + "9" * 5000)
+def write_endless_number(odd_path):
+    odd_path.write_text("schema = " + "9" * 5000)
 
 
-def write_endless_nesting(path):
-    path.write_text("a = " + "[" * 3000 + "]" * 3000)
+def write_endless_nesting(odd_path):
+    odd_path.write_text("a = " + "[" * 3000 + "]" * 3000)
 
 
-def make_link_loop(path):
-    path.symlink_to(path.name)
+def make_link_loop(odd_path):
+    odd_path.symlink_to(odd_path.name)
 
 
 READING_COMMANDS = {
@@ -45,15 +45,17 @@ READING_COMMANDS = {
 
 
 @pytest.mark.parametrize(
-    "make",
+    "create_unreadable_file",
     [make_pipe, make_folder, write_endless_number, write_endless_nesting],
     ids=lambda f: f.__name__,
 )
-@pytest.mark.parametrize("what", READING_COMMANDS)
-def test_unreadable_file_is_refused_in_one_line(work_folder, capsys, what, make):
-    make(work_folder / "odd")
+@pytest.mark.parametrize("file_kind", READING_COMMANDS)
+def test_unreadable_file_is_refused_in_one_line(
+    work_folder, capsys, file_kind, create_unreadable_file
+):
+    create_unreadable_file(work_folder / "odd")
     (work_folder / "odd.toml").symlink_to("odd")
-    assert "odd" in refusal_line(capsys, *READING_COMMANDS[what])
+    assert "odd" in refusal_line(capsys, *READING_COMMANDS[file_kind])
 
 
 def test_a_truth_that_is_a_pipe_is_not_waited_for(work_folder, capsys):
@@ -73,12 +75,12 @@ def test_a_truth_file_of_another_run_is_refused(work_folder, capsys):
     assert not (work_folder / "x.html").exists()
 
 
-@pytest.mark.parametrize("name", ["n" * 300, "odd/x", "loop"])
-@pytest.mark.parametrize("what", [what for what in READING_COMMANDS if what != "scene"])
-def test_impossible_file_name_is_refused(work_folder, capsys, what, name):
+@pytest.mark.parametrize("file_name", ["n" * 300, "odd/x", "loop"])
+@pytest.mark.parametrize("file_kind", [what for what in READING_COMMANDS if what != "scene"])
+def test_impossible_file_name_is_refused(work_folder, capsys, file_kind, file_name):
     (work_folder / "odd").write_text("")
     make_link_loop(work_folder / "loop")
-    refusal_line(capsys, *(word.replace("odd", name) for word in READING_COMMANDS[what]))
+    refusal_line(capsys, *(word.replace("odd", file_name) for word in READING_COMMANDS[file_kind]))
 
 
 def test_a_name_with_nul_is_refused(capsys):
@@ -111,9 +113,9 @@ WRONG_NUMBER_COMMANDS = [
 ]
 
 
-@pytest.mark.parametrize("words", WRONG_NUMBER_COMMANDS, ids=" ".join)
-def test_invalid_number_is_refused(capsys, words):
-    assert words[-1].partition("=")[0] in refusal_line(capsys, *words)
+@pytest.mark.parametrize("command_words", WRONG_NUMBER_COMMANDS, ids=" ".join)
+def test_invalid_number_is_refused(capsys, command_words):
+    assert command_words[-1].partition("=")[0] in refusal_line(capsys, *command_words)
 
 
 def test_campaign_of_rows_without_scenarios_is_refused(capsys):
@@ -154,12 +156,12 @@ def test_very_long_drive_option_is_refused(capsys):
     )
 
 
-@pytest.mark.parametrize("rate", ["-1", "0", "9" * 30])
-@pytest.mark.parametrize("option", ["--bitrate", "--data-bitrate"])
-@pytest.mark.parametrize("verb", [("bus", "doctor"), ("scan",)], ids=" ".join)
-def test_impossible_bit_rate_is_refused(capsys, verb, option, rate):
+@pytest.mark.parametrize("bit_rate", ["-1", "0", "9" * 30])
+@pytest.mark.parametrize("option_name", ["--bitrate", "--data-bitrate"])
+@pytest.mark.parametrize("cli_verb", [("bus", "doctor"), ("scan",)], ids=" ".join)
+def test_impossible_bit_rate_is_refused(capsys, cli_verb, option_name, bit_rate):
     assert "expected 10000 to 8000000" in refusal_line(
-        capsys, *verb, *ABSENT_BUS_OPTION, f"{option}={rate}"
+        capsys, *cli_verb, *ABSENT_BUS_OPTION, f"{option_name}={bit_rate}"
     )
 
 
@@ -167,17 +169,19 @@ def test_an_unknown_perturbation_is_refused_before_the_run(capsys):
     refusal_line(capsys, "identify", "--lockstep", "--digits", "thumb", "--perturb", "luck=2")
 
 
-@pytest.mark.parametrize("verb", [("identify",), ("tune", "verify", "new.toml")], ids=" ".join)
+@pytest.mark.parametrize("cli_verb", [("identify",), ("tune", "verify", "new.toml")], ids=" ".join)
 @pytest.mark.parametrize(
-    "words",
+    "command_words",
     [
         ("--lockstep", "--perturb", "stiffness=nan"),
         (*ABSENT_BUS_OPTION, "--perturb", "stiffness=2"),
     ],
 )
-def test_perturbation_without_a_simulated_hand_is_refused(work_folder, capsys, verb, words):
+def test_perturbation_without_a_simulated_hand_is_refused(
+    work_folder, capsys, cli_verb, command_words
+):
     (work_folder / "new.toml").write_text("schema = 1\n")
-    assert "--perturb" in refusal_line(capsys, *verb, *words, "--dry-run")
+    assert "--perturb" in refusal_line(capsys, *cli_verb, *command_words, "--dry-run")
 
 
 WRONG_BUS_SPECS = ["x", ":x", "local:", "local:../x", "local:a/b", "local:.x", "socketcan:", ""]

@@ -75,14 +75,14 @@ UNWRITABLE_CASES = [
 UNWRITABLE_CASES.remove(("save", "other.mcap"))  # ``save`` writes to other.mcap.rrd
 
 
-@pytest.mark.parametrize(("what", "name"), UNWRITABLE_CASES)
-def test_unwritable_output_path_is_refused(capsys, what, name):
-    assert main([word.replace("@", name) for word in OUTPUT_COMMANDS[what]]) == 2
+@pytest.mark.parametrize(("command_kind", "output_name"), UNWRITABLE_CASES)
+def test_unwritable_output_path_is_refused(capsys, command_kind, output_name):
+    assert main([word.replace("@", output_name) for word in OUTPUT_COMMANDS[command_kind]]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("handctl: ")
     assert err.count("\n") == 1, err
-    assert name in err
+    assert output_name in err
 
 
 def write_input_files(work_folder):
@@ -93,7 +93,7 @@ def write_input_files(work_folder):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "command_words",
     [
         ("report", "log.html"),
         ("report", GOLDEN_LOG_TEXT, "--truth", "file", "--output", "file"),
@@ -116,10 +116,10 @@ def write_input_files(work_folder):
     ],
     ids=lambda words: " ".join(words[:2]),
 )
-def test_output_never_replaces_an_input(work_folder, capsys, words):
+def test_output_never_replaces_an_input(work_folder, capsys, command_words):
     write_input_files(work_folder)
     before = files_below(work_folder)
-    assert main(list(words)) == 2
+    assert main(list(command_words)) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1), err
     assert "another name" in err
@@ -128,26 +128,29 @@ def test_output_never_replaces_an_input(work_folder, capsys, words):
         (work_folder / name).unlink()
 
 
-@pytest.mark.parametrize("form", EXPORT_FORMATS)
-def test_an_export_that_fails_leaves_nothing(work_folder, monkeypatch, capsys, form):
+@pytest.mark.parametrize("export_format", EXPORT_FORMATS)
+def test_an_export_that_fails_leaves_nothing(work_folder, monkeypatch, capsys, export_format):
     def raise_full_disk(path):
         raise OSError(28, "No space left on device", str(path))
 
     monkeypatch.setattr("handctl.output._fsync_file", raise_full_disk)
-    assert main(["log", "export", f"--{form}", GOLDEN_LOG_TEXT, "--output", "new", "--json"]) == 1
+    assert (
+        main(["log", "export", f"--{export_format}", GOLDEN_LOG_TEXT, "--output", "new", "--json"])
+        == 1
+    )
     assert capsys.readouterr() == ("", "handctl: new: No space left on device\n")
 
 
-@pytest.mark.parametrize("ended", [KeyboardInterrupt, ValueError])
-def test_interrupted_write_leaves_only_the_old_file(work_folder, ended):
+@pytest.mark.parametrize("interruption", [KeyboardInterrupt, ValueError])
+def test_interrupted_write_leaves_only_the_old_file(work_folder, interruption):
     def write_half(part):
         part.parent.mkdir(exist_ok=True)
         part.write_text("half of")
-        raise ended
+        raise interruption
 
-    with pytest.raises(ended), atomic_path(work_folder / "file") as part:
+    with pytest.raises(interruption), atomic_path(work_folder / "file") as part:
         write_half(part)
-    with pytest.raises(ended), atomic_path(work_folder / "new", new=True) as part:
+    with pytest.raises(interruption), atomic_path(work_folder / "new", new=True) as part:
         write_half(part / "deep")
 
 

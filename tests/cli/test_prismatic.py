@@ -15,26 +15,26 @@ from handctl.replay.dataset_episode import find_episode
 from handctl.report.truth_record import read_truth
 from tests.cli.command_refusals import refusal_line
 
-FOLDER = Path(__file__).parents[1] / "hand"
-GRIPPER, MIXED = "parallel_gripper.toml", "mixed_gripper.toml"
-SEEDS = range(5)
+HAND_FILE_FOLDER = Path(__file__).parents[1] / "hand"
+PARALLEL_GRIPPER_FILE, MIXED_GRIPPER_FILE = "parallel_gripper.toml", "mixed_gripper.toml"
+SIMULATOR_SEEDS = range(5)
 MAX_SLIP_MM = 6.0
 
 
 @pytest.fixture
-def hands(work_folder: Path) -> Path:
+def gripper_hand_files(work_folder: Path) -> Path:
     """Copy the hand files of the two grippers into the current folder."""
-    for name in (GRIPPER, MIXED):
-        shutil.copy(FOLDER / name, work_folder)
+    for name in (PARALLEL_GRIPPER_FILE, MIXED_GRIPPER_FILE):
+        shutil.copy(HAND_FILE_FOLDER / name, work_folder)
     return work_folder
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("hand", [GRIPPER, MIXED])
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
+@pytest.mark.parametrize("hand_file", [PARALLEL_GRIPPER_FILE, MIXED_GRIPPER_FILE])
 def test_a_gripper_grasps_holds_releases_and_is_re_executed(
-    hands: Path, capsys: pytest.CaptureFixture[str], hand: str, seed: int
+    gripper_hand_files: Path, capsys: pytest.CaptureFixture[str], hand_file: str, seed: int
 ) -> None:
-    words = ["--hand", hand, "--log", "run.mcap", "--seed", str(seed), "--json"]
+    words = ["--hand", hand_file, "--log", "run.mcap", "--seed", str(seed), "--json"]
     code = main(["demo", "--lockstep", *words])
     out, err = capsys.readouterr()
     assert code == 0, err
@@ -44,28 +44,30 @@ def test_a_gripper_grasps_holds_releases_and_is_re_executed(
     jaw = next(iter(result["joint_angles"].values()))
     assert jaw["unit"] == "mm"
     assert 0.0 <= jaw["error_deg"] < 0.2
-    truth = read_truth(hands / "run.truth")
+    truth = read_truth(gripper_hand_files / "run.truth")
     forces = [name for name in truth.columns if name.startswith("contact_force/")]
     assert abs(truth.columns_at(forces, truth.t_ns[-1:])).max() == 0.0, "the hand has released"
-    opened = truth.columns_at([f"q/{joint}" for joint in load_hand(hand).joints], truth.t_ns[-1:])
+    opened = truth.columns_at(
+        [f"q/{joint}" for joint in load_hand(hand_file).joints], truth.t_ns[-1:]
+    )
     assert np.abs(opened).max() < 0.06
     assert main(["replay", "execute", "run.mcap", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["differing"] == 0
 
 
-@pytest.mark.parametrize("hand", [GRIPPER, MIXED])
+@pytest.mark.parametrize("hand_file", [PARALLEL_GRIPPER_FILE, MIXED_GRIPPER_FILE])
 def test_exports_have_the_units_of_prismatic_joints(
-    hands: Path, capsys: pytest.CaptureFixture[str], hand: str
+    gripper_hand_files: Path, capsys: pytest.CaptureFixture[str], hand_file: str
 ) -> None:
     """Reproduce a defect: all exports labelled positions in m with rad, and forces in N with N m.
 
     The documentation promises the unit of every exported value.
     """
-    assert main(["demo", "--lockstep", "--hand", hand, "--log", "run.mcap"]) == 0
+    assert main(["demo", "--lockstep", "--hand", hand_file, "--log", "run.mcap"]) == 0
     for form in ("--csv", "--parquet", "--lerobot"):
         assert main(["log", "export", "run.mcap", form]) == 0
     capsys.readouterr()
-    described = load_hand(hand)
+    described = load_hand(hand_file)
     titles = Path("run.csv").read_text().partition("\n")[0].split(",")
     schema = pq.read_schema("run.parquet")
     info = json.loads(Path("run.lerobot/meta/info.json").read_text())
@@ -94,13 +96,14 @@ def test_exports_have_the_units_of_prismatic_joints(
     assert ((goals.q >= low - 1e-6) & (goals.q <= high + 1e-6)).all()
 
 
-TYPES = 'joint_type = ["prismatic"]'
-MISTAKES = {
+JOINT_TYPE_LINE = 'joint_type = ["prismatic"]'
+HAND_FILE_MISTAKES = {
     "a type that no joint has": (
-        TYPES, 'joint_type = ["linear"]', 'joint_type[0]: "linear"; expected "revolute" or "prismatic"',
+        JOINT_TYPE_LINE, 'joint_type = ["linear"]', 'joint_type[0]: "linear"; expected "revolute" or "prismatic"',
     ),
     "too many types": (
-        TYPES, 'joint_type = ["prismatic", "prismatic"]', "joint_type: 2 values; expected 1, one per link_length_m",
+        JOINT_TYPE_LINE, 'joint_type = ["prismatic", "prismatic"]',
+        "joint_type: 2 values; expected 1, one per link_length_m",
     ),
     "a range in millimetres": ("joint_max_m = 0.028", "joint_max_m = 28", "joint_max_m: 28; expected a number from"),
     "a range in degrees": (
@@ -118,8 +121,8 @@ MISTAKES = {
         "joint_min_m = 0.0", "joint_min_m = 0.05", "joint_max_m: 0.028; expected more than joint_min_m[0] = 0.05",
     ),
     "too many values": ("joint_min_m = 0.0", "joint_min_m = [0.0, 0.0]", "joint_min_m: 2 values; expected 1, one per"),
-    "no types": (TYPES + "\n", "", "joint_min_deg: missing"),
-    "revolute joints": (TYPES, 'joint_type = ["revolute"]', "joint_min_deg: missing"),
+    "no types": (JOINT_TYPE_LINE + "\n", "", "joint_min_deg: missing"),
+    "revolute joints": (JOINT_TYPE_LINE, 'joint_type = ["revolute"]', "joint_min_deg: missing"),
     "a moment arm": (
         "excursion_ratio = { j1 = 1.0 }", "moment_arm_m = { j1 = 0.01 }",
         "moment_arm_m.j1: left_j1 is prismatic; expected excursion_ratio.left_j1, in metres of tendon per metre",
@@ -150,24 +153,28 @@ MISTAKES = {
 """Each case: a text in the gripper's file, a wrong text that replaces it, and a part of the error line."""
 
 
-@pytest.mark.parametrize("name", MISTAKES)
-def test_a_mistake_is_one_line(hands: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
-    good, bad, line = MISTAKES[name]
-    text = Path(GRIPPER).read_text()
+@pytest.mark.parametrize("mistake_name", HAND_FILE_MISTAKES)
+def test_a_mistake_is_one_line(
+    gripper_hand_files: Path, capsys: pytest.CaptureFixture[str], mistake_name: str
+) -> None:
+    good, bad, line = HAND_FILE_MISTAKES[mistake_name]
+    text = Path(PARALLEL_GRIPPER_FILE).read_text()
     assert good in text
     Path("bad.toml").write_text(text.replace(good, bad, 1))
     assert main(["config", "check", "--hand", "bad.toml"]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert any(line in one for one in lines), lines
     # A missing key for a joint type and an unnecessary key for a joint type are separate mistakes.
-    assert len(lines) <= 1 or name in ("no types", "revolute joints", "a misspelt key"), lines
+    assert len(lines) <= 1 or mistake_name in ("no types", "revolute joints", "a misspelt key"), (
+        lines
+    )
 
 
 def test_a_coordinate_moves_joints_of_one_type(
-    hands: Path, capsys: pytest.CaptureFixture[str]
+    gripper_hand_files: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = (
-        Path(MIXED)
+        Path(MIXED_GRIPPER_FILE)
         .read_text()
         .replace("joint_axis = [[", "coupling = [[1.0], [10.0]]\njoint_axis = [[")
     )
@@ -178,17 +185,19 @@ def test_a_coordinate_moves_joints_of_one_type(
     )
 
 
-@pytest.mark.parametrize("hand", [GRIPPER, MIXED])
-@pytest.mark.parametrize("form", ["--urdf", "--mjcf"])
+@pytest.mark.parametrize("hand_file", [PARALLEL_GRIPPER_FILE, MIXED_GRIPPER_FILE])
+@pytest.mark.parametrize("format_option", ["--urdf", "--mjcf"])
 def test_an_exported_hand_has_the_same_joints_after_its_import(
-    hands: Path, capsys: pytest.CaptureFixture[str], hand: str, form: str
+    gripper_hand_files: Path, capsys: pytest.CaptureFixture[str], hand_file: str, format_option: str
 ) -> None:
-    assert main(["config", "export", form, "--hand", hand, "--output", "out.xml"]) == 0
+    assert (
+        main(["config", "export", format_option, "--hand", hand_file, "--output", "out.xml"]) == 0
+    )
     words = ("--springs", "none", "--tendons", "each", "--output", "mine.toml")
-    assert main(["config", "init", "--yes", form, "out.xml", *words]) == 0
+    assert main(["config", "init", "--yes", format_option, "out.xml", *words]) == 0
     capsys.readouterr()
     text = Path("mine.toml").read_text()
-    described = load_hand(hand)
+    described = load_hand(hand_file)
     for digit in described.digit:
         assert f'name = "{digit.name}"' in text
     assert text.count('"prismatic"') == described.is_prismatic.sum()
@@ -200,41 +209,62 @@ def test_an_exported_hand_has_the_same_joints_after_its_import(
 
 
 @pytest.mark.parametrize(
-    ("angle", "said"),
+    ("angle_text", "expected_message"),
     [
         ("left = 40", "40 mm for left; expected 0 to 28 mm"),
         ("left_j1 = 29", "29 mm for left_j1; expected 0 to 28 mm"),
     ],
 )
 def test_positions_of_a_task_are_in_mm(
-    hands: Path, capsys: pytest.CaptureFixture[str], angle: str, said: str
+    gripper_hand_files: Path,
+    capsys: pytest.CaptureFixture[str],
+    angle_text: str,
+    expected_message: str,
 ) -> None:
     Path("task.toml").write_text(
-        f'schema = 1\nname = "t"\n[[phase]]\nkind = "move"\nangle_deg = {{ {angle} }}\nduration_s = 1.0\n'
+        f'schema = 1\nname = "t"\n[[phase]]\nkind = "move"\nangle_deg = {{ {angle_text} }}\nduration_s = 1.0\n'
     )
-    words = ("demo", "--lockstep", "--dry-run", "--hand", GRIPPER, "--task", "task.toml")
-    assert said in refusal_line(capsys, *words)
+    words = (
+        "demo",
+        "--lockstep",
+        "--dry-run",
+        "--hand",
+        PARALLEL_GRIPPER_FILE,
+        "--task",
+        "task.toml",
+    )
+    assert expected_message in refusal_line(capsys, *words)
 
 
 def test_a_fast_move_of_a_prismatic_joint_is_refused_in_mm(
-    hands: Path, capsys: pytest.CaptureFixture[str]
+    gripper_hand_files: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("task.toml").write_text(
         'schema = 1\nname = "t"\n[[phase]]\nkind = "move"\nangle_deg = { left = 28 }\nduration_s = 0.2\n'
     )
-    words = ("demo", "--lockstep", "--dry-run", "--hand", GRIPPER, "--task", "task.toml")
+    words = (
+        "demo",
+        "--lockstep",
+        "--dry-run",
+        "--hand",
+        PARALLEL_GRIPPER_FILE,
+        "--task",
+        "task.toml",
+    )
     assert "left may have 28 mm to go, at 122.2 mm/s" in refusal_line(capsys, *words)
 
 
 def test_identification_refuses_prismatic_joints(
-    hands: Path, capsys: pytest.CaptureFixture[str]
+    gripper_hand_files: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = refusal_line(capsys, "identify", "--hand", GRIPPER, "--lockstep", "--dry-run")
+    line = refusal_line(
+        capsys, "identify", "--hand", PARALLEL_GRIPPER_FILE, "--lockstep", "--dry-run"
+    )
     assert "left has a prismatic joint; expected digits with hinges only" in line
 
 
-def test_the_schema_2_file_and_its_content_are_the_same_hand(hands: Path) -> None:
-    for name in (GRIPPER, MIXED):
+def test_the_schema_2_file_and_its_content_are_the_same_hand(gripper_hand_files: Path) -> None:
+    for name in (PARALLEL_GRIPPER_FILE, MIXED_GRIPPER_FILE):
         hand = load_hand(name)
         Path("whole.toml").write_text(hand.to_toml())
         again = load_hand("whole.toml")

@@ -13,16 +13,16 @@ from handctl.cli.console.progress import progress_bar
 GOLDEN_LOG_TEXT = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-lost.mcap")
 
 
-def at_a_terminal(words: tuple[str, ...], folder: Path) -> tuple[str, str]:
+def at_a_terminal(command_words: tuple[str, ...], work_folder: Path) -> tuple[str, str]:
     """Run a command whose standard error is a terminal.
 
     Return the standard output of the command, and the text on the terminal.
     """
     shown, terminal = pty.openpty()
-    command = [sys.executable, "-m", "handctl.cli", *words]
+    command = [sys.executable, "-m", "handctl.cli", *command_words]
     environment = os.environ | {"TERM": "xterm", "COLUMNS": "100"}
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=terminal, cwd=folder, env=environment
+        command, stdout=subprocess.PIPE, stderr=terminal, cwd=work_folder, env=environment
     ) as process:
         os.close(terminal)
         error_output = b""

@@ -117,7 +117,7 @@ def test_the_calibration_of_a_simulated_hand_arms_no_real_hand(work_folder, caps
     assert main([*named, "local:a"]) == 0
 
 
-def at_a_terminal(answer: str) -> tuple[int, str]:
+def at_a_terminal(typed_answer: str) -> tuple[int, str]:
     """Run ``handctl run`` in a terminal, and answer its question.
 
     Return the exit code and the text on the terminal.
@@ -144,15 +144,15 @@ def at_a_terminal(answer: str) -> tuple[int, str]:
             break
         shown += piece
         if "[y/N]" in shown and not answered:
-            os.write(ours, f"{answer}\n".encode())
+            os.write(ours, f"{typed_answer}\n".encode())
             answered = True
     os.close(ours)
     return process.wait(20.0), shown
 
 
-@pytest.mark.parametrize(("answer", "code"), [("y", 1), ("", 2)])
-def test_a_run_at_a_terminal_asks_once_for_consent(answer, code):
-    exit_code, shown = at_a_terminal(answer)
+@pytest.mark.parametrize(("typed_answer", "code"), [("y", 1), ("", 2)])
+def test_a_run_at_a_terminal_asks_once_for_consent(typed_answer, code):
+    exit_code, shown = at_a_terminal(typed_answer)
     assert exit_code == code, shown
     assert shown.count("[y/N]") == 1
     assert ("not confirmed" in shown) == (code == 2)
@@ -198,7 +198,7 @@ def test_files_in_use_are_named_in_the_first_line(work_folder, capsys):
 
 
 @pytest.mark.parametrize(
-    ("seconds", "text"),
+    ("age_s", "expected_text"),
     [
         (-5.0, "0 s"),
         (59.0, "59 s"),
@@ -208,8 +208,8 @@ def test_files_in_use_are_named_in_the_first_line(work_folder, capsys):
         (200_000.0, "2 days"),
     ],
 )
-def test_an_age_has_one_unit(seconds, text):
-    assert age_text(seconds) == text
+def test_an_age_has_one_unit(age_s, expected_text):
+    assert age_text(age_s) == expected_text
 
 
 def test_folder_without_files_prints_nothing(work_folder: Path, capsys):

@@ -22,8 +22,8 @@ BUS_COMMANDS = {"run": GRASP_TASK_OPTION, "commission": (), "jog": ("index", "--
 
 
 @pytest.fixture(autouse=True)
-def no_bus(monkeypatch):
-    def fail_on_open(*words, **options):
+def refuse_to_open_buses(monkeypatch):
+    def fail_on_open(*command_words, **options):
         raise AssertionError("a bus was opened")
 
     monkeypatch.setattr("handctl.session.run.open_bus", fail_on_open)
@@ -35,72 +35,76 @@ def jamia_content():
     return hand_content("jamia")
 
 
-def nan_mass(content):
-    content["digit"][0]["link_mass_kg"][1] = float("nan")
+def add_nan_mass(hand_content):
+    hand_content["digit"][0]["link_mass_kg"][1] = float("nan")
 
 
-def negative_mass(content):
-    content["digit"][0]["link_mass_kg"][1] = -0.003
+def add_negative_mass(hand_content):
+    hand_content["digit"][0]["link_mass_kg"][1] = -0.003
 
 
-def unknown_key(content):
-    content["digit"][0]["link_lenght_m"] = [0.03, 0.015, 0.01]
+def add_unknown_key(hand_content):
+    hand_content["digit"][0]["link_lenght_m"] = [0.03, 0.015, 0.01]
 
 
-def same_node(content):
-    content["motor"][1]["node_id"] = content["motor"][0]["node_id"]
+def repeat_node_number(hand_content):
+    hand_content["motor"][1]["node_id"] = hand_content["motor"][0]["node_id"]
 
 
-def too_strong(content):
-    content["tendon"][0]["tension_max_N"] = 700.0
+def exceed_tension_limit(hand_content):
+    hand_content["tendon"][0]["tension_max_N"] = 700.0
 
 
-HAND_FILES = {
-    nan_mass: ("link_mass_kg", "nan"),
-    negative_mass: ("link_mass_kg", "-0.003"),
-    unknown_key: ("link_lenght_m", "unknown key"),
-    same_node: ("node_id", "index_motor"),
-    too_strong: ("tension_max_N", "700"),
+REFUSAL_BY_MISTAKE = {
+    add_nan_mass: ("link_mass_kg", "nan"),
+    add_negative_mass: ("link_mass_kg", "-0.003"),
+    add_unknown_key: ("link_lenght_m", "unknown key"),
+    repeat_node_number: ("node_id", "index_motor"),
+    exceed_tension_limit: ("tension_max_N", "700"),
 }
 
 
-@pytest.mark.parametrize("verb", ["config", "demo", "sim", *BUS_COMMANDS])
-@pytest.mark.parametrize("spoil", HAND_FILES, ids=lambda spoil: spoil.__name__)
-def test_a_wrong_hand_file_is_refused(work_folder, capsys, spoil, verb):
+@pytest.mark.parametrize("cli_verb", ["config", "demo", "sim", *BUS_COMMANDS])
+@pytest.mark.parametrize("add_mistake", REFUSAL_BY_MISTAKE, ids=lambda spoil: spoil.__name__)
+def test_a_wrong_hand_file_is_refused(work_folder, capsys, add_mistake, cli_verb):
     content = jamia_content()
-    spoil(content)
+    add_mistake(content)
     (work_folder / "hand.toml").write_text(toml_text(content))
-    words = {"config": ("check",), "demo": (), "sim": ABSENT_BUS_OPTION}.get(verb) or (
+    words = {"config": ("check",), "demo": (), "sim": ABSENT_BUS_OPTION}.get(cli_verb) or (
         *ABSENT_BUS_OPTION,
-        *BUS_COMMANDS.get(verb, ()),
+        *BUS_COMMANDS.get(cli_verb, ()),
     )
-    line = refusal_line(capsys, verb, *(() if verb == "demo" else words), "--hand", "hand.toml")
-    for word in HAND_FILES[spoil]:
+    line = refusal_line(
+        capsys, cli_verb, *(() if cli_verb == "demo" else words), "--hand", "hand.toml"
+    )
+    for word in REFUSAL_BY_MISTAKE[add_mistake]:
         assert word in line
     assert "expected" in line
 
 
-@pytest.mark.parametrize("verb", ["config", "demo", "sim", *BUS_COMMANDS])
-def test_missing_hand_file_is_refused(capsys, verb):
+@pytest.mark.parametrize("cli_verb", ["config", "demo", "sim", *BUS_COMMANDS])
+def test_missing_hand_file_is_refused(capsys, cli_verb):
     words = (
-        {"config": ("show",), "demo": (), "sim": ABSENT_BUS_OPTION}[verb]
-        if verb not in BUS_COMMANDS
-        else (*ABSENT_BUS_OPTION, *BUS_COMMANDS[verb])
+        {"config": ("show",), "demo": (), "sim": ABSENT_BUS_OPTION}[cli_verb]
+        if cli_verb not in BUS_COMMANDS
+        else (*ABSENT_BUS_OPTION, *BUS_COMMANDS[cli_verb])
     )
-    assert "one of jamia" in refusal_line(capsys, verb, *words, "--hand", "jama")
+    assert "one of jamia" in refusal_line(capsys, cli_verb, *words, "--hand", "jama")
 
 
-@pytest.mark.parametrize("verb", BUS_COMMANDS)
-@pytest.mark.parametrize("rate", ["0", "-500", "nan", "inf", "5", "600", "5000"])
-def test_rate_above_bus_or_drive_limit_is_refused(capsys, verb, rate):
-    line = refusal_line(capsys, verb, *ABSENT_BUS_OPTION, *BUS_COMMANDS[verb], f"--rate={rate}")
+@pytest.mark.parametrize("cli_verb", BUS_COMMANDS)
+@pytest.mark.parametrize("rate_text", ["0", "-500", "nan", "inf", "5", "600", "5000"])
+def test_rate_above_bus_or_drive_limit_is_refused(capsys, cli_verb, rate_text):
+    line = refusal_line(
+        capsys, cli_verb, *ABSENT_BUS_OPTION, *BUS_COMMANDS[cli_verb], f"--rate={rate_text}"
+    )
     assert line.startswith("handctl: --rate: ")
     assert "at most 500" in line or "at least 40" in line
 
 
-@pytest.mark.parametrize("verb", BUS_COMMANDS)
+@pytest.mark.parametrize("cli_verb", BUS_COMMANDS)
 @pytest.mark.parametrize(
-    "words",
+    "time_scale_options",
     [
         ("--time-scale", "0"),
         ("--time-scale", "1e-300"),
@@ -108,21 +112,21 @@ def test_rate_above_bus_or_drive_limit_is_refused(capsys, verb, rate):
         ("--time-scale", "101"),
     ],
 )
-def test_a_time_scale_out_of_range_is_refused(capsys, verb, words):
+def test_a_time_scale_out_of_range_is_refused(capsys, cli_verb, time_scale_options):
     assert "--time-scale" in refusal_line(
-        capsys, verb, *ABSENT_BUS_OPTION, *BUS_COMMANDS[verb], *words
+        capsys, cli_verb, *ABSENT_BUS_OPTION, *BUS_COMMANDS[cli_verb], *time_scale_options
     )
 
 
-@pytest.mark.parametrize("verb", BUS_COMMANDS)
+@pytest.mark.parametrize("cli_verb", BUS_COMMANDS)
 @pytest.mark.parametrize(
-    "text", ["schema = 1\n[motion]\nforce_N = -1\n", "[motion]\nforce = 1\n", "a = = b", None]
+    "gain_text", ["schema = 1\n[motion]\nforce_N = -1\n", "[motion]\nforce = 1\n", "a = = b", None]
 )
-def test_bad_gains_are_refused(work_folder, capsys, verb, text):
-    if text is not None:
-        (work_folder / "gains.toml").write_text(text)
+def test_bad_gains_are_refused(work_folder, capsys, cli_verb, gain_text):
+    if gain_text is not None:
+        (work_folder / "gains.toml").write_text(gain_text)
     assert "gains.toml" in refusal_line(
-        capsys, verb, *ABSENT_BUS_OPTION, *BUS_COMMANDS[verb], "--gains", "gains.toml"
+        capsys, cli_verb, *ABSENT_BUS_OPTION, *BUS_COMMANDS[cli_verb], "--gains", "gains.toml"
     )
 
 
@@ -145,14 +149,14 @@ WRONG_TASKS = {
 }
 
 
-@pytest.mark.parametrize("verb", ["run", "demo", "config"])
-@pytest.mark.parametrize(("text", "named"), WRONG_TASKS.items())
-def test_a_bad_task_is_refused(work_folder, capsys, verb, text, named):
-    (work_folder / "task.toml").write_text(text)
-    words = {"run": ABSENT_BUS_OPTION, "demo": (), "config": ("check",)}[verb]
-    line = refusal_line(capsys, verb, *words, "--task", "task.toml")
+@pytest.mark.parametrize("cli_verb", ["run", "demo", "config"])
+@pytest.mark.parametrize(("task_text", "named_key"), WRONG_TASKS.items())
+def test_a_bad_task_is_refused(work_folder, capsys, cli_verb, task_text, named_key):
+    (work_folder / "task.toml").write_text(task_text)
+    words = {"run": ABSENT_BUS_OPTION, "demo": (), "config": ("check",)}[cli_verb]
+    line = refusal_line(capsys, cli_verb, *words, "--task", "task.toml")
     assert "task.toml" in line
-    assert named in line
+    assert named_key in line
 
 
 UNDATED_CALIBRATION = (
@@ -160,21 +164,23 @@ UNDATED_CALIBRATION = (
 )
 
 
-@pytest.mark.parametrize("verb", ["run", "jog"])
-@pytest.mark.parametrize("text", ["", "schema = 1\nhand = 3\n", UNDATED_CALIBRATION, "\x00"])
-def test_unusable_calibration_is_refused(work_folder, capsys, verb, text):
-    (work_folder / "c.toml").write_text(text)
+@pytest.mark.parametrize("cli_verb", ["run", "jog"])
+@pytest.mark.parametrize(
+    "calibration_text", ["", "schema = 1\nhand = 3\n", UNDATED_CALIBRATION, "\x00"]
+)
+def test_unusable_calibration_is_refused(work_folder, capsys, cli_verb, calibration_text):
+    (work_folder / "c.toml").write_text(calibration_text)
     assert "c.toml" in refusal_line(
-        capsys, verb, *ABSENT_BUS_OPTION, *BUS_COMMANDS[verb], "--calibration", "c.toml"
+        capsys, cli_verb, *ABSENT_BUS_OPTION, *BUS_COMMANDS[cli_verb], "--calibration", "c.toml"
     )
 
 
-@pytest.mark.parametrize("verb", BUS_COMMANDS)
-@pytest.mark.parametrize("log", ["no-folder/run.mcap", "there.mcap", "."])
-def test_existing_log_is_not_overwritten(work_folder, capsys, verb, log):
+@pytest.mark.parametrize("cli_verb", BUS_COMMANDS)
+@pytest.mark.parametrize("log_name", ["no-folder/run.mcap", "there.mcap", "."])
+def test_existing_log_is_not_overwritten(work_folder, capsys, cli_verb, log_name):
     (work_folder / "there.mcap").write_bytes(b"of another run")
     assert "--log" in refusal_line(
-        capsys, verb, *ABSENT_BUS_OPTION, *BUS_COMMANDS[verb], "--log", log
+        capsys, cli_verb, *ABSENT_BUS_OPTION, *BUS_COMMANDS[cli_verb], "--log", log_name
     )
     assert (work_folder / "there.mcap").read_bytes() == b"of another run"
 
@@ -197,19 +203,21 @@ BAD_BUSES = [
 ]
 
 
-@pytest.mark.parametrize("buses", BAD_BUSES, ids=" ".join)
-@pytest.mark.parametrize("verb", BUS_COMMANDS)
-def test_bus_names_of_another_hand_are_refused(work_folder, capsys, verb, buses):
+@pytest.mark.parametrize("bus_options", BAD_BUSES, ids=" ".join)
+@pytest.mark.parametrize("cli_verb", BUS_COMMANDS)
+def test_bus_names_of_another_hand_are_refused(work_folder, capsys, cli_verb, bus_options):
     (work_folder / "two.toml").write_text(toml_text(write_hand_on_two_buses()))
-    words = [word for bus in buses for word in ("--bus", bus)]
-    line = refusal_line(capsys, verb, "--hand", "two.toml", *words, *BUS_COMMANDS[verb])
+    words = [word for bus in bus_options for word in ("--bus", bus)]
+    line = refusal_line(capsys, cli_verb, "--hand", "two.toml", *words, *BUS_COMMANDS[cli_verb])
     assert "thumb=SPEC" in line
 
 
-@pytest.mark.parametrize("verb", BUS_COMMANDS)
-@pytest.mark.parametrize("bus", ["other=local:a", "main="])
-def test_unknown_bus_name_is_refused_for_one_bus(capsys, verb, bus):
-    assert "main=SPEC" in refusal_line(capsys, verb, "--bus", bus, *BUS_COMMANDS[verb])
+@pytest.mark.parametrize("cli_verb", BUS_COMMANDS)
+@pytest.mark.parametrize("bus_option", ["other=local:a", "main="])
+def test_unknown_bus_name_is_refused_for_one_bus(capsys, cli_verb, bus_option):
+    assert "main=SPEC" in refusal_line(
+        capsys, cli_verb, "--bus", bus_option, *BUS_COMMANDS[cli_verb]
+    )
 
 
 def test_buses_may_be_given_in_any_order(work_folder, capsys):
@@ -231,17 +239,17 @@ WRONG_JOG_WORDS = [
 ]
 
 
-@pytest.mark.parametrize("words", WRONG_JOG_WORDS, ids=" ".join)
-def test_a_bad_jog_is_refused(capsys, words):
-    refusal_line(capsys, "jog", *words, *ABSENT_BUS_OPTION)
+@pytest.mark.parametrize("command_words", WRONG_JOG_WORDS, ids=" ".join)
+def test_a_bad_jog_is_refused(capsys, command_words):
+    refusal_line(capsys, "jog", *command_words, *ABSENT_BUS_OPTION)
 
 
 @pytest.mark.parametrize(
-    "words", [("--lockstep",), ("--lockstep", "--dry-run"), ("--dry-run",)], ids=" ".join
+    "command_words", [("--lockstep",), ("--lockstep", "--dry-run"), ("--dry-run",)], ids=" ".join
 )
-@pytest.mark.parametrize("scene", ["nosuch", "cylinder:-3", "nosuch.toml"])
-def test_invalid_scene_is_refused(capsys, words, scene):
-    main(["demo", "--scene", scene, *words])
+@pytest.mark.parametrize("scene_name", ["nosuch", "cylinder:-3", "nosuch.toml"])
+def test_invalid_scene_is_refused(capsys, command_words, scene_name):
+    main(["demo", "--scene", scene_name, *command_words])
     lines = [
         line
         for line in capsys.readouterr().err.splitlines()
@@ -253,18 +261,20 @@ def test_invalid_scene_is_refused(capsys, words, scene):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("command_words", "expected_message"),
     [
         (("--scene", "nothing.toml"), "no such file"),
         (("--wire", "queue=-1"), "queue"),
         (("--time-scale", "0"), "0.001"),
     ],
 )
-def test_a_dry_run_of_the_simulator_checks_what_only_it_knows(capfd, words, said):
-    assert main(["sim", *ABSENT_BUS_OPTION, *words, "--dry-run", "--json"]) == 2
+def test_a_dry_run_of_the_simulator_checks_what_only_it_knows(
+    capfd, command_words, expected_message
+):
+    assert main(["sim", *ABSENT_BUS_OPTION, *command_words, "--dry-run", "--json"]) == 2
     out, err = capfd.readouterr()
     assert out == ""
-    assert said in err
+    assert expected_message in err
     assert err.count("\n") == 1
 
 
@@ -283,11 +293,11 @@ COMMAND_WORDS = {
 }
 
 
-@pytest.mark.parametrize("verb", COMMAND_WORDS)
-def test_unknown_words_of_a_verb_are_refused(capsys, verb):
-    assert verb in VERB_HELP
-    line = refusal_line(capsys, verb, *COMMAND_WORDS[verb])
-    assert line.startswith(f"handctl: {verb}")
+@pytest.mark.parametrize("cli_verb", COMMAND_WORDS)
+def test_unknown_words_of_a_verb_are_refused(capsys, cli_verb):
+    assert cli_verb in VERB_HELP
+    line = refusal_line(capsys, cli_verb, *COMMAND_WORDS[cli_verb])
+    assert line.startswith(f"handctl: {cli_verb}")
     assert "expected" in line or "choose from" in line
 
 
@@ -301,14 +311,14 @@ REQUESTS = (("stop",), ("stop", "--cut"), ("clear",), ("gains", "set", "motion.f
 """Commands that send a request to a running controller."""
 
 
-@pytest.mark.parametrize("words", REQUESTS, ids=" ".join)
-def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, words):
+@pytest.mark.parametrize("command_words", REQUESTS, ids=" ".join)
+def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, command_words):
     """Reproduce a defect.
 
     With exit code 71, the command asked the user to switch off the power of a simulated hand that
     does not run.
     """
-    assert main([*words, *ABSENT_BUS_OPTION]) == 1
+    assert main([*command_words, *ABSENT_BUS_OPTION]) == 1
     assert capsys.readouterr() == (
         "",
         "handctl: bus local:does-not-exist: no controller runs on this bus; "
@@ -316,18 +326,20 @@ def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, words):
     )
 
 
-@pytest.mark.parametrize("words", REQUESTS, ids=" ".join)
-@pytest.mark.parametrize("killed", [False, True], ids=["real bus", "killed controller"])
-def test_an_unconfirmed_request_is_reported_as_failed(capsys, words, killed):
+@pytest.mark.parametrize("command_words", REQUESTS, ids=" ".join)
+@pytest.mark.parametrize(
+    "controller_was_killed", [False, True], ids=["real bus", "killed controller"]
+)
+def test_an_unconfirmed_request_is_reported_as_failed(capsys, command_words, controller_was_killed):
     """Reproduce a defect: the command exited with code 0 as soon as it had sent the request, without a confirmation.
 
     The mailbox file of a killed controller still exists.
     """
-    bus = "local:killed" if killed else "socketcan:does-not-exist"
-    if killed:
+    bus = "local:killed" if controller_was_killed else "socketcan:does-not-exist"
+    if controller_was_killed:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as mailbox:
             mailbox.bind(str(mailbox_path(bus)))
-    assert main([*words, "--bus", bus]) == 71
+    assert main([*command_words, "--bus", bus]) == 71
     out, err = capsys.readouterr()
     expected = f"handctl: bus {bus}: no confirmation from the controller: switch the power off ("
     assert (out, err.count("\n")) == ("", 1)
@@ -335,34 +347,41 @@ def test_an_unconfirmed_request_is_reported_as_failed(capsys, words, killed):
 
 
 @pytest.mark.parametrize(
-    ("log", "problem"),
+    ("log_name", "expected_problem"),
     [
         ("old.mcap", "old.mcap exists already; expected a new file ending in .mcap"),
         ("new.log", "new.log has another ending; expected a new file ending in .mcap"),
         ("none/new.mcap", "none is no folder; expected a file in a folder that exists"),
     ],
 )
-def test_the_message_about_a_log_names_the_condition(work_folder, capsys, log, problem):
+def test_the_message_about_a_log_names_the_condition(
+    work_folder, capsys, log_name, expected_problem
+):
     (work_folder / "old.mcap").write_text("")
     for words in (("demo", "--lockstep"), ("run", *GRASP_TASK_OPTION, *ABSENT_BUS_OPTION)):
-        assert refusal_line(capsys, *words, "--log", log) == f"handctl: --log: {problem}\n"
+        assert (
+            refusal_line(capsys, *words, "--log", log_name)
+            == f"handctl: --log: {expected_problem}\n"
+        )
 
 
-@pytest.mark.parametrize("name", packaged_hands())
-def test_the_output_of_config_show_is_the_same_hand(work_folder, capsys, name):
-    assert main(["config", "show", "--hand", name]) == 0
+@pytest.mark.parametrize("hand_name", packaged_hands())
+def test_the_output_of_config_show_is_the_same_hand(work_folder, capsys, hand_name):
+    assert main(["config", "show", "--hand", hand_name]) == 0
     text = capsys.readouterr().out
     (work_folder / "mine.toml").write_text(text)
-    assert load_hand("mine.toml").content == load_hand(name).content
-    assert hand_from_content(tomllib.loads(text), "shown").identity == load_hand(name).identity
+    assert load_hand("mine.toml").content == load_hand(hand_name).content
+    assert hand_from_content(tomllib.loads(text), "shown").identity == load_hand(hand_name).identity
 
 
-@pytest.mark.parametrize("name", ["grasps/grasp.toml", "grasp.json", "pinch.v2", "grap"])
-def test_a_missing_task_file_is_not_replaced_by_a_packaged_task(work_folder, capsys, name):
+@pytest.mark.parametrize("task_name", ["grasps/grasp.toml", "grasp.json", "pinch.v2", "grap"])
+def test_a_missing_task_file_is_not_replaced_by_a_packaged_task(work_folder, capsys, task_name):
     """Reproduce a defect: if a task file was missing, the packaged task of the same name was executed."""
     words = ("demo", "--lockstep", "--dry-run", "--task")
     right = "expected a task file, or one of grasp.toml, hook.toml, pinch-joints.toml, pinch.toml"
-    assert refusal_line(capsys, *words, name) == f"handctl: {name}: no such task; {right}\n"
+    assert (
+        refusal_line(capsys, *words, task_name) == f"handctl: {task_name}: no such task; {right}\n"
+    )
     for packaged in ("grasp", "grasp.toml"):
         assert main([*words, packaged]) == 0
         assert "power grasp" in capsys.readouterr().out

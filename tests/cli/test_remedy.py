@@ -21,18 +21,18 @@ TORQUE_LIMIT = ("--torque-limit-Nm", "0.1")
 LATE_FAULTS, TORN_TENDON_FAULTS = ("B03b", "N02"), ("T01",)
 
 
-def run_with_faults(*rows: str, cpu_s: float = 0.0) -> RunOutcome:
+def run_with_faults(*fault_ids: str, cpu_s: float = 0.0) -> RunOutcome:
     """Return the outcome of a run that ended with the given faults.
 
     The control loop of the run used ``cpu_s`` of CPU time [s].
     """
-    latched = [SimpleNamespace(id=row) for row in rows]
-    state = SimpleNamespace(latched=latched, failure="fault" if rows else "", k=1000)
+    latched = [SimpleNamespace(id=row) for row in fault_ids]
+    state = SimpleNamespace(latched=latched, failure="fault" if fault_ids else "", k=1000)
     return RunOutcome(cast(ControllerState, state), LoopStats(cpu_s=cpu_s), {}, None, 0)
 
 
 @pytest.mark.parametrize(
-    ("bus", "rows", "advised"),
+    ("bus_text", "fault_ids", "is_advised"),
     [
         ("local:lab", LATE_FAULTS, True),
         ("socketcan:vcan0", LATE_FAULTS, True),
@@ -44,14 +44,14 @@ def run_with_faults(*rows: str, cpu_s: float = 0.0) -> RunOutcome:
     ids=["simulated", "virtual", "real", "torn tendon", "nothing", "lockstep"],
 )
 def test_slower_time_is_advised_only_for_late_simulated_hands(
-    bus: str, rows: tuple[str, ...], advised: bool
+    bus_text: str, fault_ids: tuple[str, ...], is_advised: bool
 ) -> None:
-    plan = RunPlan(load_hand("jamia"), Gains(), 500.0, (0.6,), (bus,) if bus else ())
-    assert ("--time-scale" in pace_advice(plan, run_with_faults(*rows))) == advised
+    plan = RunPlan(load_hand("jamia"), Gains(), 500.0, (0.6,), (bus_text,) if bus_text else ())
+    assert ("--time-scale" in pace_advice(plan, run_with_faults(*fault_ids))) == is_advised
 
 
 @pytest.mark.parametrize(
-    ("cpu_s", "capacity", "advice", "number"),
+    ("cpu_s", "measured_capacity", "advised_scale", "number"),
     [
         (0.0, None, None, 0.7),
         (4.0, None, None, 0.3),
@@ -70,8 +70,8 @@ def test_slower_time_is_advised_only_for_late_simulated_hands(
 def test_the_advised_pace_is_measured(
     monkeypatch: pytest.MonkeyPatch,
     cpu_s: float,
-    capacity: float | None,
-    advice: float | None,
+    measured_capacity: float | None,
+    advised_scale: float | None,
     number: float,
 ) -> None:
     """The advised time scale follows from measurements in the run.
@@ -80,7 +80,7 @@ def test_the_advised_pace_is_measured(
 
     Earlier defect: the advised time scale was always 0.5.
     """
-    answer = {"pace": {"advice": advice, "plant_s_per_cpu_s": capacity}}
+    answer = {"pace": {"advice": advised_scale, "plant_s_per_cpu_s": measured_capacity}}
     monkeypatch.setattr(
         time_scale_advice,
         "ask_simulator",
@@ -109,7 +109,7 @@ def test_virtual_time_is_not_slowed(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "command"),
+    ("command_words", "expected_command"),
     [
         (
             ("commission", "--hand", "ak hand.toml"),
@@ -125,8 +125,8 @@ def test_virtual_time_is_not_slowed(capsys: pytest.CaptureFixture[str]) -> None:
     ids=["hand file", "packaged hand", "no hand", "one drive"],
 )
 def test_a_missing_simulator_is_named_with_the_hand_of_the_command(
-    words: tuple[str, ...],
-    command: str,
+    command_words: tuple[str, ...],
+    expected_command: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -135,7 +135,7 @@ def test_a_missing_simulator_is_named_with_the_hand_of_the_command(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     shutil.copy(hand_path("t42"), "ak hand.toml")
-    assert main([*words, "--bus", "local:nobody"]) == 1
+    assert main([*command_words, "--bus", "local:nobody"]) == 1
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith("handctl: local:nobody: no simulator serves this bus: ")
-    assert last.endswith(f"; expected a simulator there; type: {command}")
+    assert last.endswith(f"; expected a simulator there; type: {expected_command}")

@@ -19,17 +19,21 @@ from handctl.session.run import RunOutcome
 FAILURE_TEXT = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: index_motor"
 
 
-def outcome_with_enabled_motor(plan, controller, log):
+def outcome_with_enabled_motor(plan, controller, log_path):
     """Return the outcome of a run after which a motor may still make torque."""
     state = controller.initial_state()
     state.decide(failure=FAILURE_TEXT, unconfirmed=("index_motor",))
     return RunOutcome(state, LoopStats(), {}, None, 0)
 
 
-@pytest.mark.parametrize(("module", "verb"), [(commission, "commission"), (identify, "identify")])
-def test_the_exit_code_reports_a_motor_left_enabled(work_folder, monkeypatch, capsys, module, verb):
-    monkeypatch.setattr(module, "run_live", outcome_with_enabled_motor)
-    assert main([verb, "--bus", "local:nobody", "--log", "run.mcap"]) == 71
+@pytest.mark.parametrize(
+    ("command_module", "cli_verb"), [(commission, "commission"), (identify, "identify")]
+)
+def test_the_exit_code_reports_a_motor_left_enabled(
+    work_folder, monkeypatch, capsys, command_module, cli_verb
+):
+    monkeypatch.setattr(command_module, "run_live", outcome_with_enabled_motor)
+    assert main([cli_verb, "--bus", "local:nobody", "--log", "run.mcap"]) == 71
     assert "REMOVE POWER" in capsys.readouterr().err
 
 
@@ -62,8 +66,10 @@ class SilentBus:
         pass
 
 
-@pytest.mark.parametrize(("off", "code"), [(False, 71), (True, 130)])
-def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(monkeypatch, capsys, off, code):
+@pytest.mark.parametrize(("drive_is_off", "exit_code"), [(False, 71), (True, 130)])
+def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(
+    monkeypatch, capsys, drive_is_off, exit_code
+):
     def interrupted(subject):
         raise KeyboardInterrupt
         yield
@@ -71,7 +77,7 @@ def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(monkeypatch, 
     monkeypatch.setattr(conformance, "run_checks", interrupted)
     monkeypatch.setattr(bench_drive, "open_bus", lambda *what: SilentBus())
     monkeypatch.setattr(conformance, "find_drive", lambda args: DiscoveredNode("mit", 1))
-    monkeypatch.setattr(DriveRig, "confirm_off", lambda rig, watchdog_s: off)
+    monkeypatch.setattr(DriveRig, "confirm_off", lambda rig, watchdog_s: drive_is_off)
     words = (
         "--protocol",
         "mit",
@@ -83,5 +89,5 @@ def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(monkeypatch, 
         "0.1",
         "--yes",
     )
-    assert main(["conformance", *words]) == code
-    assert ("REMOVE ITS POWER" in capsys.readouterr().err) != off
+    assert main(["conformance", *words]) == exit_code
+    assert ("REMOVE ITS POWER" in capsys.readouterr().err) != drive_is_off

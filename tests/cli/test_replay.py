@@ -62,9 +62,11 @@ def test_other_gains_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert picture.stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("log", sorted(GOLDEN_FOLDER.glob("*.mcap")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "log_path", sorted(GOLDEN_FOLDER.glob("*.mcap")), ids=lambda path: path.stem
+)
 def test_the_comparison_ends_at_a_fault_that_the_log_does_not_have(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    log_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Reproduce a defect.
 
@@ -73,7 +75,7 @@ def test_the_comparison_ends_at_a_fault_that_the_log_does_not_have(
     """
     gains = tmp_path / "gains.toml"
     gains.write_text("[motion]\nposition_error_m = 3e-5\nspeed_error_m_s = 3e-3\n")
-    words = ["replay", "execute", str(log), "--gains", str(gains), "--picture"]
+    words = ["replay", "execute", str(log_path), "--gains", str(gains), "--picture"]
     assert main([*words, str(tmp_path / "a.png"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert main([*words, str(tmp_path / "b.png")]) == 0
@@ -94,12 +96,12 @@ def test_gains_that_are_wrong_are_bad_input(
 
 
 @pytest.mark.parametrize(
-    "more", [["--picture", "x.png"], ["--gains", "gains.toml", "--within", "1e-9"]]
+    "extra_options", [["--picture", "x.png"], ["--gains", "gains.toml", "--within", "1e-9"]]
 )
 def test_an_option_without_effect_is_refused(
-    more: list[str], capsys: pytest.CaptureFixture[str]
+    extra_options: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["replay", "execute", GRASP_LOG, *more]) == 2
+    assert main(["replay", "execute", GRASP_LOG, *extra_options]) == 2
     assert "--gains" in capsys.readouterr().err
 
 
@@ -113,7 +115,7 @@ def test_replay_safety_names_the_reading_of_a_fault(
 
 
 @pytest.mark.parametrize(
-    "words",
+    "command_words",
     [
         ["log", "diff", GRASP_LOG, OTHER_LOG],
         ["replay", "drive", OTHER_LOG, "--hand", "jamia", "--bus", "local:x", "--dry-run"],
@@ -121,9 +123,9 @@ def test_replay_safety_names_the_reading_of_a_fault(
     ids=["diff", "drive"],
 )
 def test_another_hand_s_log_is_refused_with_both_identities(
-    words: list[str], capsys: pytest.CaptureFixture[str]
+    command_words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(words) == 4
+    assert main(command_words) == 4
     error_output = capsys.readouterr().err
     assert len(error_output.splitlines()) == 1
     for hand in ("jamia", "jamia11"):
@@ -137,15 +139,15 @@ def test_replay_drive_has_a_dry_run_without_a_bus(
     assert "would drive 2." in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["parquet", "csv", "candump", "rrd"])
+@pytest.mark.parametrize("export_format", ["parquet", "csv", "candump", "rrd"])
 def test_export_writes_beside_the_log(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    export_format: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "run.mcap"
     log.write_bytes(Path(GRASP_LOG).read_bytes())
-    assert main(["log", "export", str(log), f"--{name}", "--json"]) == 0
+    assert main(["log", "export", str(log), f"--{export_format}", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["count"] > 600
-    assert (tmp_path / f"run.{name}").stat().st_size > 100_000
+    assert (tmp_path / f"run.{export_format}").stat().st_size > 100_000
 
 
 def test_a_truncated_log_is_checked_and_executed_in_part(
@@ -174,18 +176,18 @@ def test_log_info_prints_readable_text(capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.parametrize(
-    "verb",
+    "command_words",
     [["report"], ["log", "export", "--csv"], ["log", "diff", GRASP_LOG], ["replay", "safety"]],
 )
 def test_result_of_an_incomplete_log_is_marked(
-    verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command_words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut, limits = tmp_path / "cut.mcap", tmp_path / "limits.toml"
     whole = Path(GRASP_LOG).read_bytes()
     cut.write_bytes(whole[: len(whole) // 2])
     limits.write_text("tension_trip_N = 20\n")
-    more = ["--limits", str(limits)] if verb[-1] == "safety" else []
-    assert main([*verb, str(cut), *more]) == 3
+    more = ["--limits", str(limits)] if command_words[-1] == "safety" else []
+    assert main([*command_words, str(cut), *more]) == 3
     assert "cut.mcap: ends at byte" in capsys.readouterr().err
 
 

@@ -28,12 +28,12 @@ from tests.drives.protocol_bench import hand_file
 
 
 class BenchBus:
-    """A bus with simulated drives. Another host sends the frames ``talk`` on this bus."""
+    """A bus with simulated drives. Another host sends the frames ``foreign_frames`` on this bus."""
 
     name = "bench"
 
-    def __init__(self, bench, talk=()):
-        self.bench, self.talk = bench, list(talk)
+    def __init__(self, drive_bench, foreign_frames=()):
+        self.bench, self.talk = drive_bench, list(foreign_frames)
         self.heard, self.waiting = [], []
 
     def send(self, frames):
@@ -53,17 +53,17 @@ class BenchBus:
         return []
 
 
-def advance_and_listen(bus, for_s, seen):
-    bus.bench.advance(bus.bench.t_ns + round(for_s * 1e9))
-    seen += bus.drain()
+def advance_and_listen(bus, duration_s, received_frames):
+    bus.bench.advance(bus.bench.t_ns + round(duration_s * 1e9))
+    received_frames += bus.drain()
 
 
 def scan_bench(
-    *specs, talk=(), force=False, fault=""
+    *drive_specs, foreign_frames=(), force_scan=False, fault_command=""
 ) -> tuple[BusScan, SimulatedDriveBench, BenchBus]:
-    bench = SimulatedDriveBench([drive_spec(*spec) for spec in specs], fault=fault)
-    bus = BenchBus(bench, talk)
-    return scan_bus(bus, force, listen=advance_and_listen), bench, bus
+    bench = SimulatedDriveBench([drive_spec(*spec) for spec in drive_specs], fault=fault_command)
+    bus = BenchBus(bench, foreign_frames)
+    return scan_bus(bus, force_scan, listen=advance_and_listen), bench, bus
 
 
 def test_damiao_and_canopen_drives_are_found_on_one_bus():
@@ -132,10 +132,11 @@ def test_two_drives_with_one_number_are_named(protocol):
     assert node.twins
 
 
-@pytest.mark.parametrize("kind", [1, 3, 4, 6, 0x12])
-def test_scan_only_listens_if_another_robstride_host_is_active(kind):
+@pytest.mark.parametrize("frame_kind", [1, 3, 4, 6, 0x12])
+def test_scan_only_listens_if_another_robstride_host_is_active(frame_kind):
     result, _, bus = scan_bench(
-        ("robstride", 1), talk=[Frame(EXTENDED_FLAG | kind << 24 | 0xFD01, bytes(8))]
+        ("robstride", 1),
+        foreign_frames=[Frame(EXTENDED_FLAG | frame_kind << 24 | 0xFD01, bytes(8))],
     )
     assert result.foreign_frames
     assert bus.heard == []
@@ -156,7 +157,9 @@ def test_scan_does_not_change_an_enabled_moteus_or_robstride():
 
 
 def test_scan_only_listens_if_another_moteus_host_is_active():
-    result, _, bus = scan_bench(("moteus", 1), talk=[Frame(EXTENDED_FLAG | 0x8101, b"\x11\x00")])
+    result, _, bus = scan_bench(
+        ("moteus", 1), foreign_frames=[Frame(EXTENDED_FLAG | 0x8101, b"\x11\x00")]
+    )
     assert result.foreign_frames
     assert bus.heard == []
 
@@ -188,7 +191,7 @@ def test_an_enabled_drive_stays_as_it_is():
 
 
 @pytest.mark.parametrize(
-    "talk",
+    "foreign_frames",
     [
         Frame(0x001, bytes(8)),
         Frame(0x080, b"\1"),
@@ -197,11 +200,11 @@ def test_an_enabled_drive_stays_as_it_is():
         Frame(0, b"\1\0"),
     ],
 )
-def test_scan_only_listens_if_another_host_is_active(talk):
-    result, _, bus = scan_bench(("mit", 1), talk=[talk])
+def test_scan_only_listens_if_another_host_is_active(foreign_frames):
+    result, _, bus = scan_bench(("mit", 1), foreign_frames=[foreign_frames])
     assert result.foreign_frames
     assert bus.heard == []
-    assert scan_bench(("mit", 1), talk=[talk], force=True)[0].found_nodes
+    assert scan_bench(("mit", 1), foreign_frames=[foreign_frames], force_scan=True)[0].found_nodes
 
 
 def test_scan_reports_no_firmware_if_another_host_is_active():
@@ -210,7 +213,7 @@ def test_scan_reports_no_firmware_if_another_host_is_active():
     Earlier defect: an ODrive with firmware 0.6 that did not reply was reported as firmware 0.5.
     """
     request = Frame(3 << 5 | 0x09 | REMOTE_FLAG, b"")
-    result, _, bus = scan_bench(("odrive", 3), talk=[request])
+    result, _, bus = scan_bench(("odrive", 3), foreign_frames=[request])
     assert bus.heard == []
     (drive,) = result.found_nodes
     assert (drive.firmware, drive.options, drive.origins) == ("", {}, {})
@@ -228,14 +231,14 @@ def test_the_hand_file_part_marks_firmware_05_as_concluded():
 
 
 @pytest.mark.parametrize(
-    "spec",
+    "drive_spec",
     [("mit", 5), ("cia402", 33), ("odrive", 3), ("odrive", 3, "", False, None, "0.5")],
     ids=str,
 )
-def test_two_drives_with_one_number_are_found(spec):
-    (alone,) = scan_bench(spec)[0].found_nodes
+def test_two_drives_with_one_number_are_found(drive_spec):
+    (alone,) = scan_bench(drive_spec)[0].found_nodes
     assert (alone.twins, TWO_DRIVES_WARNING in alone.notes) == (False, False)
-    (drive,) = scan_bench(spec, fault="twin")[0].found_nodes
+    (drive,) = scan_bench(drive_spec, fault_command="twin")[0].found_nodes
     assert (drive.twins, drive.notes[0]) == (True, TWO_DRIVES_WARNING)
 
 
@@ -337,7 +340,7 @@ def test_scan_reads_two_buses_and_prints_a_part_of_a_hand_file(capsys):
 def test_a_repeated_frame_of_another_host_is_printed_once(capsys):
     """Reproduce a defect: the output showed the same frame eight times, and no other frame."""
     talk = [Frame(0x6E, bytes(8)), Frame(0x67, bytes(8))]
-    result, _, _ = scan_bench(("odrive", 3), talk=talk)
+    result, _, _ = scan_bench(("odrive", 3), foreign_frames=talk)
     _print_scans({"main": "local:s"}, {"main": result}, "")
     line = capsys.readouterr().out.splitlines()[1]
     assert line.count("06E#") == line.count("067#") == 1

@@ -14,23 +14,23 @@ from handctl.log.write.writer import LogWriter
 GRASP_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
-def ticks_of(log: RunLog) -> list[bytes]:
+def tick_records_of(run_log: RunLog) -> list[bytes]:
     """Return the ticks of a log as bytes, in the format that the controller sends to its recorder."""
-    axes = [len(log.header.axis_names(name)) for name in ("joint", "tendon", "motor", "digit")]
-    pairs = zip(log.tick_messages(), log.packed_telemetry(), strict=True)
+    axes = [len(run_log.header.axis_names(name)) for name in ("joint", "tendon", "motor", "digit")]
+    pairs = zip(run_log.tick_messages(), run_log.packed_telemetry(), strict=True)
     return [
         TICK_SIZES_STRUCT.pack(len(message), *axes) + message + numbers
         for message, numbers in pairs
     ]
 
 
-def write_log(path: Path, log: RunLog, ticks: Sequence[bytes]) -> str:
+def write_log(log_path: Path, source_log: RunLog, tick_records: Sequence[bytes]) -> str:
     """Write a complete log that has the given ticks and the header of another log, and return its path."""
-    writer = LogWriter(path, log.header, lambda *what: None, 1)
-    for tick in ticks:
+    writer = LogWriter(log_path, source_log.header, lambda *what: None, 1)
+    for tick in tick_records:
         writer.add_tick(tick)
     writer.finish("done", 0)
-    return str(path)
+    return str(log_path)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def test_every_verb_reads_or_refuses_a_short_log(
     ticks: slice, work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with RunLog(GRASP_LOG) as log:
-        short = write_log(work_folder / "short.mcap", log, ticks_of(log)[ticks])
+        short = write_log(work_folder / "short.mcap", log, tick_records_of(log)[ticks])
     (work_folder / "gains.toml").write_text("[motion]\nposition_error_m = 3e-4\n")
     verbs = {
         ("log", "info", short): (0,),
@@ -60,27 +60,33 @@ def test_every_verb_reads_or_refuses_a_short_log(
         assert len(error_lines) <= 1, words
 
 
-def _shifted_tick(tick: bytes, ticks: int, period_ns: int) -> bytes:
+def _shifted_tick(tick_record: bytes, tick_shift: int, period_ns: int) -> bytes:
     """Return a copy of a recorded tick that is shifted in time by a number of ticks."""
     at = TICK_SIZES_STRUCT.size + 4
-    k, t_ns = struct.unpack_from("<qq", tick, at)
-    return tick[:at] + struct.pack("<qq", k + ticks, t_ns + ticks * period_ns) + tick[at + 16 :]
+    k, t_ns = struct.unpack_from("<qq", tick_record, at)
+    return (
+        tick_record[:at]
+        + struct.pack("<qq", k + tick_shift, t_ns + tick_shift * period_ns)
+        + tick_record[at + 16 :]
+    )
 
 
-@pytest.mark.parametrize("what", ["far apart", "in no order"])
+@pytest.mark.parametrize("clock_mistake", ["far apart", "in no order"])
 def test_an_inconsistent_clock_in_a_log_is_refused(
-    what: str, work_folder: Path, capsys: pytest.CaptureFixture[str]
+    clock_mistake: str, work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with RunLog(GRASP_LOG) as log:
-        ticks, period_ns = ticks_of(log), log.header.period_ns
+        ticks, period_ns = tick_records_of(log), log.header.period_ns
         far = ticks[:300] + [_shifted_tick(tick, 10**11, period_ns) for tick in ticks[300:]]
         odd = write_log(
-            work_folder / "odd.mcap", log, far if what == "far apart" else ticks[311:] + ticks[:311]
+            work_folder / "odd.mcap",
+            log,
+            far if clock_mistake == "far apart" else ticks[311:] + ticks[:311],
         )
     assert main(["log", "check", odd]) == 1
     assert main(["report", odd]) == 0
     output = capsys.readouterr().out
-    assert "missing between 299" in output if what == "far apart" else "gap" not in output
+    assert "missing between 299" in output if clock_mistake == "far apart" else "gap" not in output
     drive = ["replay", "drive", "--bus", "local:nobody", "--dry-run", odd]
     for words in (["log", "diff", odd, odd], ["log", "export", "--lerobot", odd], drive):
         assert main(words) == 2, words

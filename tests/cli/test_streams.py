@@ -22,21 +22,21 @@ BUFFERED_ENVIRONMENT = {
 }
 
 
-def run_in_shell(redirected, words=VERSION_COMMAND, **environment):
+def run_in_shell(redirections, command_words=VERSION_COMMAND, **environment):
     """Run a command in a shell with redirected streams.
 
     Return the exit code, the output and the errors of the command.
     """
-    command = ["sh", "-c", f'exec "$0" "$@" {redirected}', *words]
+    command = ["sh", "-c", f'exec "$0" "$@" {redirections}', *command_words]
     ran = subprocess.run(
         command, env=BUFFERED_ENVIRONMENT | environment, capture_output=True, text=True, check=False
     )
     return ran.returncode, ran.stdout, ran.stderr
 
 
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_a_full_disk_for_the_output_is_one_line(unbuffered):
-    code, _, err = run_in_shell("> /dev/full", PYTHONUNBUFFERED=unbuffered)
+@pytest.mark.parametrize("with_unbuffered_output", ["", "1"])
+def test_a_full_disk_for_the_output_is_one_line(with_unbuffered_output):
+    code, _, err = run_in_shell("> /dev/full", PYTHONUNBUFFERED=with_unbuffered_output)
     assert code == 1
     assert err.startswith("handctl: ")
     assert err.endswith("No space left on device\n")
@@ -44,12 +44,12 @@ def test_a_full_disk_for_the_output_is_one_line(unbuffered):
 
 
 @pytest.mark.parametrize(
-    "verb", [("config", "list"), ("paper", "--quick")]
+    "cli_verb", [("config", "list"), ("paper", "--quick")]
 )  # the first command prints plain text, and the second one prints a table of the package rich
-def test_output_without_a_reader_is_no_error(verb):
+def test_output_without_a_reader_is_no_error(cli_verb):
     read, write = os.pipe()
     os.close(read)
-    command = (sys.executable, "-m", "handctl.cli", *verb)
+    command = (sys.executable, "-m", "handctl.cli", *cli_verb)
     ran = subprocess.run(
         command, env=BUFFERED_ENVIRONMENT, stdout=write, stderr=subprocess.PIPE, check=False
     )
@@ -78,9 +78,9 @@ def test_the_name_of_a_file_is_no_markup(capsys):
     assert capsys.readouterr().out == "log: [bold]/x[/y]:warning:.mcap\n"
 
 
-@pytest.mark.parametrize("closed", [">&-", "<&-", "2>&-", ">&- 2>&- <&-"])
-def test_closed_streams_are_no_error(closed):
-    code, _, err = run_in_shell(closed)
+@pytest.mark.parametrize("closed_streams", [">&-", "<&-", "2>&-", ">&- 2>&- <&-"])
+def test_closed_streams_are_no_error(closed_streams):
+    code, _, err = run_in_shell(closed_streams)
     assert (code, err) == (0, "")
 
 
@@ -96,19 +96,22 @@ def test_characters_that_a_terminal_cannot_show_are_escaped(work_folder):
 
 
 @pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 143)]
+    ("signal_number", "exit_code"),
+    [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 143)],
 )
-def test_a_signal_ends_a_verb_with_a_line_and_its_code(capsys, monkeypatch, number, code):
+def test_a_signal_ends_a_verb_with_a_line_and_its_code(
+    capsys, monkeypatch, signal_number, exit_code
+):
     handlers = {
         one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     }
 
     def interrupted(args):
-        os.kill(os.getpid(), number)
+        os.kill(os.getpid(), signal_number)
         raise AssertionError("the signal was not felt")
 
     monkeypatch.setattr("handctl.cli.checks.config.run", interrupted)
-    assert main(["config", "list"]) == code
+    assert main(["config", "list"]) == exit_code
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("handctl: ")
@@ -155,11 +158,11 @@ def test_an_interrupted_search_names_the_study_to_continue(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    "workers",
+    "start_workers",
     [lambda: closing(ProcessPool(1)), lambda: worker_pool(1, print)],
     ids=["search", "paper"],
 )
-def test_workers_ignore_the_ctrl_c_of_a_terminal(monkeypatch, workers):
+def test_workers_ignore_the_ctrl_c_of_a_terminal(monkeypatch, start_workers):
     children = []
     begin = subprocess.Popen
 
@@ -168,7 +171,7 @@ def test_workers_ignore_the_ctrl_c_of_a_terminal(monkeypatch, workers):
         return children[-1]
 
     monkeypatch.setattr("subprocess.Popen", started)
-    with workers():
+    with start_workers():
         assert (
             [os.getsid(child.pid) for child in children] == [child.pid for child in children] != []
         )

@@ -36,14 +36,14 @@ def jamia_model() -> HandModel:
     return HandModel.from_hand(load_hand("jamia"), Gains(), 500.0)
 
 
-def own_force(force: float) -> Gains:
+def gains_with_own_force(force_N: float) -> Gains:
     """Return gains with a separate force weight [N] for the tendon of jamia's index finger."""
-    return with_values(Gains(), {FORCE_KEY: force}, "test")
+    return with_values(Gains(), {FORCE_KEY: force_N}, "test")
 
 
 def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia_model: HandModel) -> None:
     shared = design_motion(jamia_model.space, Gains(), jamia_model.period)
-    own = design_motion(jamia_model.space, own_force(5.0), jamia_model.period)
+    own = design_motion(jamia_model.space, gains_with_own_force(5.0), jamia_model.period)
     all_five = design_motion(
         jamia_model.space, with_values(Gains(), {"motion.force_N": 5.0}, "test"), jamia_model.period
     )
@@ -58,7 +58,9 @@ def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia_model: H
 
 def test_the_text_of_the_gains_reads_back(tmp_path: Path) -> None:
     gains = with_values(
-        own_force(5.0), {"tendon.thumb_tendon.tension_force_N": 2.0, "motion.force_N": 9.0}, "test"
+        gains_with_own_force(5.0),
+        {"tendon.thumb_tendon.tension_force_N": 2.0, "motion.force_N": 9.0},
+        "test",
     )
     path = tmp_path / "gains.toml"
     path.write_text(gains_text(gains, GainsProvenance(hand="jamia")))
@@ -68,10 +70,14 @@ def test_the_text_of_the_gains_reads_back(tmp_path: Path) -> None:
 
 
 def test_a_tendon_without_its_own_force_uses_the_common_force() -> None:
-    assert different_values(Gains(), own_force(5.0)) == {FORCE_KEY: (Gains().motion.force_N, 5.0)}
-    assert different_values(own_force(5.0), Gains()) == {FORCE_KEY: (5.0, Gains().motion.force_N)}
-    assert different_values(Gains(), own_force(Gains().motion.force_N)) == {}
-    events = gain_change_events(Gains(), own_force(5.0))
+    assert different_values(Gains(), gains_with_own_force(5.0)) == {
+        FORCE_KEY: (Gains().motion.force_N, 5.0)
+    }
+    assert different_values(gains_with_own_force(5.0), Gains()) == {
+        FORCE_KEY: (5.0, Gains().motion.force_N)
+    }
+    assert different_values(Gains(), gains_with_own_force(Gains().motion.force_N)) == {}
+    events = gain_change_events(Gains(), gains_with_own_force(5.0))
     assert [(event.where, event.text) for event in events] == [
         (FORCE_KEY, "5.0"),
         ("", "taken over: 1 changed"),
@@ -79,7 +85,7 @@ def test_a_tendon_without_its_own_force_uses_the_common_force() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("gain_text", "expected_message"),
     [
         (FORCES_FILE_TEXT + FORCES_FILE_TEXT, "tendon 'index_tendon' is there twice"),
         (
@@ -96,19 +102,19 @@ def test_a_tendon_without_its_own_force_uses_the_common_force() -> None:
     ],
 )
 def test_a_wrong_entry_is_refused_in_one_line(
-    work_folder: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], gain_text: str, expected_message: str
 ) -> None:
-    (work_folder / "new.toml").write_text("schema = 1\n" + text)
+    (work_folder / "new.toml").write_text("schema = 1\n" + gain_text)
     assert main(["gains", "apply", "new.toml", "--hand", "jamia"]) == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1
-    for part in message.split(": "):
+    for part in expected_message.split(": "):
         assert part in line
     assert not (work_folder / "jamia.gains.toml").exists()
 
 
 @pytest.mark.parametrize(
-    "key",
+    "gain_key",
     [
         "tendon.index_tendon",
         "tendon..motion_force_N",
@@ -116,9 +122,9 @@ def test_a_wrong_entry_is_refused_in_one_line(
         "tendon.index_tendon.force_N",
     ],
 )
-def test_a_key_that_no_tendon_can_have_is_unknown(key: str) -> None:
+def test_a_key_that_no_tendon_can_have_is_unknown(gain_key: str) -> None:
     with pytest.raises(ConfigError, match="no such gain"):
-        bounds_after_check(key, 5.0, "test")
+        bounds_after_check(gain_key, 5.0, "test")
 
 
 def test_a_running_controller_refuses_a_tendon_of_another_hand(jamia_model: HandModel) -> None:

@@ -54,16 +54,18 @@ def test_a_search_without_a_good_trial_prints_json(fake_search, work_folder, cap
     assert not (work_folder / "jamia.search.toml").exists()
 
 
-@pytest.mark.parametrize("words", [(), ("--json",)])
-def test_a_design_without_stable_gains_writes_nothing(work_folder, capsys, monkeypatch, words):
-    def refuses(*words):
+@pytest.mark.parametrize("command_words", [(), ("--json",)])
+def test_a_design_without_stable_gains_writes_nothing(
+    work_folder, capsys, monkeypatch, command_words
+):
+    def refuses(*command_words):
         raise ValueError("no authority keeps the margins")
 
     monkeypatch.setattr("handctl.tune.loops.design.design_gains", refuses)
-    assert main(["tune", "design", "--plants", "1", *words]) == 1
+    assert main(["tune", "design", "--plants", "1", *command_words]) == 1
     said = capsys.readouterr()
     assert said.err == "handctl: tune design: no authority keeps the margins; nothing is written\n"
-    assert not words or json.loads(said.out)["gains"] is None
+    assert not command_words or json.loads(said.out)["gains"] is None
     assert not list(work_folder.iterdir())
 
 
@@ -80,9 +82,9 @@ def test_poles_that_are_not_stable_in_simulation_are_not_written(work_folder, ca
     assert not list(work_folder.iterdir())
 
 
-@pytest.mark.parametrize("words", [(), ("--json",)])
+@pytest.mark.parametrize("command_words", [(), ("--json",)])
 def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
-    work_folder, capsys, monkeypatch, words
+    work_folder, capsys, monkeypatch, command_words
 ):
     """Reproduce a defect.
 
@@ -96,9 +98,9 @@ def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
         lambda self, model: reasons.get(model.gains.motion.position_error_m, ""),
     )
     command = ["tune", "design", "--plants", "1", "--gain", "motion.position_error_m=7e-4"]
-    assert main([*command, "--poles-Hz", "2,25", *words]) in (0, 1)
+    assert main([*command, "--poles-Hz", "2,25", *command_words]) in (0, 1)
     said = capsys.readouterr().out
-    if words:
+    if command_words:
         assert json.loads(said)["not_at_rest_before"] == swing
         return
     assert f"before: in simulation the hand does not come to rest: {swing}\n" in said
@@ -106,8 +108,8 @@ def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
     assert "none" not in said
 
 
-def gain_score(tracking):
-    return GainScore(tracking, 2.0, 3.0, 60.0, 0.0)
+def gain_score(tracking_error):
+    return GainScore(tracking_error, 2.0, 3.0, 60.0, 0.0)
 
 
 def test_a_measure_is_worse_only_beyond_its_spread():
@@ -123,25 +125,27 @@ def test_a_measure_is_worse_only_beyond_its_spread():
     assert compare_rounds(noisy)[0].verdict == "same"
 
 
-@pytest.mark.parametrize(("accept", "code"), [(False, 1), (True, 0)])
-def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(capsys, accept, code):
+@pytest.mark.parametrize(("accept_worse", "exit_code"), [(False, 1), (True, 0)])
+def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(
+    capsys, accept_worse, exit_code
+):
     from handctl.cli.tuning.tune_verify import _report_verification
 
     rounds = [gain_score(1.0), gain_score(1.0), gain_score(3.0), gain_score(3.0), gain_score(3.0)]
     run = {"through": True, "returned": None, "failure": "", "rounds": rounds, "judged_by": "truth"}
     run |= {"log": "l", "picture": "p", "stopped": "", "amplitudes": (0.3, 1.0, 0.3, 0.6, 1.0)}
-    args = Namespace(candidate="new.toml", hand="jamia", accept_worse=accept, json=False)
-    assert _report_verification(args, [run] * 3, SimpleNamespace(exit_code=0)) == code
+    args = Namespace(candidate="new.toml", hand="jamia", accept_worse=accept_worse, json=False)
+    assert _report_verification(args, [run] * 3, SimpleNamespace(exit_code=0)) == exit_code
     said = capsys.readouterr().out
     assert "tracking: worse, 1.00 -> 3.00 deg" in said
-    assert ("gains apply" in said) == accept
-    assert ("--accept-worse" in said) != accept
+    assert ("gains apply" in said) == accept_worse
+    assert ("--accept-worse" in said) != accept_worse
     last = said.splitlines()[-1]
-    assert last.startswith("verified; " if accept else "not verified: tracking worse than")
+    assert last.startswith("verified; " if accept_worse else "not verified: tracking worse than")
 
 
 @pytest.mark.parametrize(
-    ("failure", "rollback", "blocked", "reason"),
+    ("failure_text", "rolls_back", "blocked", "expected_reason"),
     [
         ("T01 torn", None, None, "the run failed: T01 torn"),
         ("", GainsRollback(1.0, 500, 0.6, "safety: HOLD"), None, "safety: HOLD at amplitude 0.6"),
@@ -155,18 +159,20 @@ def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(capsys, acce
         ("", None, None, "the run ended in round 1 of 5"),
     ],
 )
-def test_the_last_line_of_a_verification_is_its_verdict(capsys, failure, rollback, blocked, reason):
+def test_the_last_line_of_a_verification_is_its_verdict(
+    capsys, failure_text, rolls_back, blocked, expected_reason
+):
     """Reproduce a defect: `tune verify` printed no verdict if the run returned to the old gains."""
     from handctl.cli.tuning.tune_verify import _report_verification, _stop_reason
 
     amplitudes = (0.3, 1.0, 0.3, 0.6, 1.0)
-    observer = SimpleNamespace(rollback=rollback, blocked=blocked, amplitudes=amplitudes)
+    observer = SimpleNamespace(rollback=rolls_back, blocked=blocked, amplitudes=amplitudes)
     run = {
         "through": False,
-        "stopped": _stop_reason(failure, observer, 1),
+        "stopped": _stop_reason(failure_text, observer, 1),
         "amplitudes": amplitudes,
-        "returned": asdict(rollback) if rollback else None,
-        "failure": failure,
+        "returned": asdict(rolls_back) if rolls_back else None,
+        "failure": failure_text,
         "rounds": [gain_score(1.0)],
         "judged_by": "truth",
         "log": "l",
@@ -177,9 +183,12 @@ def test_the_last_line_of_a_verification_is_its_verdict(capsys, failure, rollbac
         assert _report_verification(args, [run], SimpleNamespace(exit_code=0)) == 1
         said = capsys.readouterr().out
         if as_json:
-            assert (json.loads(said)["verified"], json.loads(said)["why_not"]) == (False, reason)
+            assert (json.loads(said)["verified"], json.loads(said)["why_not"]) == (
+                False,
+                expected_reason,
+            )
         else:
-            assert said.splitlines()[-1] == f"not verified: {reason}"
+            assert said.splitlines()[-1] == f"not verified: {expected_reason}"
 
 
 def test_an_existing_commissioning_log_is_accepted(work_folder):
@@ -244,7 +253,7 @@ def test_units_in_brackets_are_no_markup(fake_search, capsys):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "command_words",
     [
         ("identify", "--lockstep"),
         ("identify", "--from-log", GOLDEN_LOG),
@@ -255,27 +264,28 @@ def test_units_in_brackets_are_no_markup(fake_search, capsys):
         ("replay", "drive", GOLDEN_LOG, "--bus", "local:nobody"),
     ],
 )
-def test_a_dry_run_writes_nothing_and_answers_in_json(work_folder, capsys, words):
+def test_a_dry_run_writes_nothing_and_answers_in_json(work_folder, capsys, command_words):
     (work_folder / "new.toml").write_text("schema = 1\n")
-    assert main([*words, "--dry-run", "--json"]) == 0
+    assert main([*command_words, "--dry-run", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["hand"] == "jamia"
     assert [path.name for path in work_folder.iterdir()] == ["new.toml"]
 
 
 @pytest.mark.parametrize(
-    "words", [(), ("--from-log", GOLDEN_LOG, "--lockstep"), ("--lockstep", "--bus", "local:nobody")]
+    "command_words",
+    [(), ("--from-log", GOLDEN_LOG, "--lockstep"), ("--lockstep", "--bus", "local:nobody")],
 )
-def test_an_identification_refuses_two_sources(capsys, words):
-    assert "expected one of them" in refusal_line(capsys, "identify", *words)
+def test_an_identification_refuses_two_sources(capsys, command_words):
+    assert "expected one of them" in refusal_line(capsys, "identify", *command_words)
 
 
-def jamia_calibration(simulated: bool = False) -> Calibration:
+def jamia_calibration(is_simulated: bool = False) -> Calibration:
     """Return a calibration of the packaged hand jamia without identified parameters."""
     hand = load_hand("jamia")
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     return Calibration(
         hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00",
-        tendon=dict.fromkeys(hand.tendon_names, nothing), simulated=simulated,
+        tendon=dict.fromkeys(hand.tendon_names, nothing), simulated=is_simulated,
     )  # fmt: skip
 
 
@@ -298,7 +308,7 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
     assert json.loads(capsys.readouterr().out)["calibration"] == own.name
 
 
-def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffness",)):
+def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("tendon_stiffness",)):
     """Return an invented result for the identification of a tendon.
 
     ``blocked`` and ``met`` describe what the tendon's digit touched during the excitation.
@@ -306,7 +316,7 @@ def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffne
     from handctl.tune.identify.fit import PARAMETER_NAMES
     from handctl.tune.identify.identify import TendonResult
 
-    values = dict.fromkeys(PARAMETER_NAMES, 1.0) | {"tendon_stiffness": stiffness}
+    values = dict.fromkeys(PARAMETER_NAMES, 1.0) | {"tendon_stiffness": spring_stiffness}
     problem = SimpleNamespace(parameter_scales=np.ones(len(PARAMETER_NAMES)))
     fit = SimpleNamespace(
         problem=problem,
@@ -317,7 +327,7 @@ def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffne
     judged = SimpleNamespace(names=names, missing=())
     spectrum = (np.zeros(1), np.zeros(1))
     return TendonResult(
-        SimpleNamespace(digit=digit, tendon=f"{digit}_tendon"),
+        SimpleNamespace(digit=digit_name, tendon=f"{digit_name}_tendon"),
         fit,
         judged,
         1.0,
@@ -327,12 +337,16 @@ def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffne
     )
 
 
-def _replace_identification(monkeypatch, made, found):
+def _replace_identification(monkeypatch, calibration, digit_results):
     """Make ``handctl identify --lockstep`` use a given calibration and given results of the identification."""
     outcome = SimpleNamespace(check_finished=lambda where: None)
-    monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
+    monkeypatch.setattr(
+        "handctl.cli.tuning.identify._in_lockstep", lambda *words: (calibration, outcome)
+    )
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
-    monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: found)
+    monkeypatch.setattr(
+        "handctl.cli.tuning.identify.identify_tendons", lambda *words: digit_results
+    )
     monkeypatch.setattr("handctl.cli.tuning.identify._draw_pictures", lambda *words: [])
     monkeypatch.setattr("handctl.cli.tuning.identify.result_table", lambda *words: [])
 
@@ -358,22 +372,22 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, c
 
 
 @pytest.mark.parametrize(
-    ("index", "reason"),
+    ("digit_condition", "expected_reason"),
     [
         ({"met": "more load"}, "no parameter was identified"),
         ({"blocked": "middle is blocked"}, "every digit was blocked"),
     ],
 )
 def test_the_reason_why_no_calibration_is_written_is_true(
-    work_folder, capsys, monkeypatch, index, reason
+    work_folder, capsys, monkeypatch, digit_condition, expected_reason
 ):
     """Reproduce a defect: "there is no own.toml: handctl commission first", although the hand was commissioned."""
     made = jamia_calibration()
     write_calibration(work_folder / "own.toml", made)
-    result = result_of_digit("index", 9e4, names=("spring_stiffness",), **index)
+    result = result_of_digit("index", 9e4, names=("spring_stiffness",), **digit_condition)
     _replace_identification(monkeypatch, made, {"index_tendon": result})
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
-    assert capsys.readouterr().out.splitlines()[-1] == f"no calibration written: {reason}"
+    assert capsys.readouterr().out.splitlines()[-1] == f"no calibration written: {expected_reason}"
 
 
 @pytest.mark.parametrize("coherence", [0.08, 0.18, 0.25])
@@ -393,8 +407,8 @@ def test_values_of_a_low_coherence_are_not_kept(work_folder, capsys, monkeypatch
     assert ("not worth using" in said.err) != kept
 
 
-@pytest.mark.parametrize("others", [(), ("ring",), ("ring", "thumb")])
-def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatch, others):
+@pytest.mark.parametrize("blocked_digits", [(), ("ring",), ("ring", "thumb")])
+def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatch, blocked_digits):
     """Reproduce a defect: while fingers touched each other, a spring parameter of 3.05 was identified and stored.
 
     The true value of this parameter is 1.2.
@@ -405,7 +419,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatc
     before = made.model_copy(update={"identified": {"index_tendon": entry}})
     write_calibration(path, before)
     known = path.read_bytes()
-    found = {f"{name}_tendon": result_of_digit(name, 8e4) for name in others}
+    found = {f"{name}_tendon": result_of_digit(name, 8e4) for name in blocked_digits}
     found["index_tendon"] = result_of_digit(
         "index", 3.05e5, "middle is blocked: 7.0 N at 3.1 s, in its sweep"
     )
@@ -416,26 +430,28 @@ def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatc
     kept = load_calibration(path, hand).identified
     assert kept["index_tendon"].values == (9e4,)
     assert {name: one.values for name, one in kept.items() if name != "index_tendon"} == {
-        f"{name}_tendon": (8e4,) for name in others
+        f"{name}_tendon": (8e4,) for name in blocked_digits
     }
-    assert others or path.read_bytes() == known
+    assert blocked_digits or path.read_bytes() == known
 
 
 @pytest.mark.parametrize(
-    "words", [("--output", "x.png"), ("--output", "x.toml", "--picture", "./x.toml")]
+    "command_words", [("--output", "x.png"), ("--output", "x.toml", "--picture", "./x.toml")]
 )
-@pytest.mark.parametrize("kind", ["design", "search"])
-def test_gains_and_picture_are_two_files(work_folder, capsys, kind, words):
+@pytest.mark.parametrize("tune_command", ["design", "search"])
+def test_gains_and_picture_are_two_files(work_folder, capsys, tune_command, command_words):
     """The command refuses one name for gains and picture, because the picture would overwrite the gains."""
-    assert "the name of the picture" in refusal_line(capsys, "tune", kind, "--plants", "1", *words)
+    assert "the name of the picture" in refusal_line(
+        capsys, "tune", tune_command, "--plants", "1", *command_words
+    )
     assert not list(work_folder.iterdir())
 
 
 @pytest.mark.parametrize(
-    "name", ["jamia.calibration.toml", "jamia.gains.toml", "mine.study", "jamia.study"]
+    "file_name", ["jamia.calibration.toml", "jamia.gains.toml", "mine.study", "jamia.study"]
 )
-@pytest.mark.parametrize("option", ["--output", "--picture"])
-def test_tuning_overwrites_no_other_file_of_the_hand(work_folder, capsys, name, option):
+@pytest.mark.parametrize("option_name", ["--output", "--picture"])
+def test_tuning_overwrites_no_other_file_of_the_hand(work_folder, capsys, file_name, option_name):
     (work_folder / "mine.study").write_text("mine")
     words = (
         "tune",
@@ -446,8 +462,8 @@ def test_tuning_overwrites_no_other_file_of_the_hand(work_folder, capsys, name, 
         "1",
         "--study",
         "mine.study",
-        option,
-        name,
+        option_name,
+        file_name,
     )
     assert "expected another name" in refusal_line(capsys, *words)
     assert (work_folder / "mine.study").read_text() == "mine"
@@ -476,7 +492,7 @@ def test_repeated_options_are_collected():
 
 
 @pytest.mark.parametrize(
-    ("words", "line"),
+    ("command_words", "expected_message"),
     [
         (
             ("identify", "--from-log", GOLDEN_LOG, "--digits", "thumb"),
@@ -491,8 +507,10 @@ def test_repeated_options_are_collected():
         (("bus", "plan", "--rate", "1e-300"), "--rate: 1e-300; expected 1 to 10000 Hz"),
     ],
 )
-def test_options_that_do_not_fit_together_are_refused(work_folder, capsys, words, line):
-    assert line in refusal_line(capsys, *words)
+def test_options_that_do_not_fit_together_are_refused(
+    work_folder, capsys, command_words, expected_message
+):
+    assert expected_message in refusal_line(capsys, *command_words)
 
 
 PERTURBING_COMMANDS = [
@@ -508,9 +526,9 @@ The command ``sim`` has its own test, because it starts a simulator.
 """
 
 
-@pytest.mark.parametrize("verb", PERTURBING_COMMANDS, ids=lambda words: "-".join(words[:2]))
+@pytest.mark.parametrize("cli_verb", PERTURBING_COMMANDS, ids=lambda words: "-".join(words[:2]))
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("command_words", "expected_message"),
     [
         (
             ("luck=2",),
@@ -526,36 +544,46 @@ The command ``sim`` has its own test, because it starts a simulator.
         ),
     ],
 )
-def test_a_wrong_perturbation_is_one_line_in_every_verb(work_folder, capsys, verb, words, said):
+def test_a_wrong_perturbation_is_one_line_in_every_verb(
+    work_folder, capsys, cli_verb, command_words, expected_message
+):
     (work_folder / "new.toml").write_text("schema = 1\n")
-    assert said in refusal_line(capsys, *verb, "--perturb", *words)
+    assert expected_message in refusal_line(capsys, *cli_verb, "--perturb", *command_words)
     assert [path.name for path in work_folder.iterdir()] == ["new.toml"]
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("command_words", "expected_message"),
     [
         ("luck=2", "--perturb: no such parameter: luck; expected one of"),
         ("mass=2 mass=3", "--perturb: mass is given twice"),
     ],
 )
-def test_the_simulator_refuses_the_same_perturbations(capsys, words, said):
+def test_the_simulator_refuses_the_same_perturbations(capsys, command_words, expected_message):
     from firmware_sim.__main__ import main as simulate
 
     assert (
         simulate(
-            ["--hand", "jamia", "--bus", "local:nobody", "--dry-run", "--perturb", *words.split()]
+            [
+                "--hand",
+                "jamia",
+                "--bus",
+                "local:nobody",
+                "--dry-run",
+                "--perturb",
+                *command_words.split(),
+            ]
         )
         == 2
     )
     err = capsys.readouterr().err
-    assert said in err
+    assert expected_message in err
     assert err.count("\n") == 1
 
 
-def next_command(out):
+def next_command(printed_output):
     """Return the words of the next command that the output of a command proposes."""
-    [line] = [line for line in out.splitlines() if line.startswith("next: handctl ")]
+    [line] = [line for line in printed_output.splitlines() if line.startswith("next: handctl ")]
     return shlex.split(line)[2:]
 
 
@@ -579,15 +607,19 @@ def test_the_printed_next_command_has_the_options_of_the_same_hand(capsys):
     assert verify_command(args, Path("new.toml")) == head + own
 
 
-@pytest.mark.parametrize("fit", [None, Path("x.calibration.toml")])
-def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(fit):
+@pytest.mark.parametrize("calibration_file", [None, Path("x.calibration.toml")])
+def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(calibration_file):
     from handctl.cli.tuning.tune_files import ensemble_of_tuned_hand
 
     args = Namespace(
-        hand="jamia", perturb=["stiffness=0.5", "torque_constant=1.1"], plants=3, seed=0, fit=fit
+        hand="jamia",
+        perturb=["stiffness=0.5", "torque_constant=1.1"],
+        plants=3,
+        seed=0,
+        fit=calibration_file,
     )
     plain = ensemble_of_tuned_hand(Namespace(**vars(args) | {"perturb": []}), {}, 8)
-    factors = {"stiffness": 0.5, "torque_constant": 1.1} if fit is None else {}
+    factors = {"stiffness": 0.5, "torque_constant": 1.1} if calibration_file is None else {}
     wanted = tuple(
         one | {key: one.get(key, 1.0) * x for key, x in factors.items()} for one in plain
     )
@@ -626,7 +658,7 @@ def test_a_log_does_not_change_the_calibration_of_another_hand(
     work_folder, capsys, monkeypatch, bus, other
 ):
     """Reproduce a defect: a log of a simulated bus changed the identified parameters of the real hand."""
-    made = jamia_calibration(simulated=other)
+    made = jamia_calibration(is_simulated=other)
     write_calibration(Path("jamia.calibration.toml"), made)
     before = Path("jamia.calibration.toml").read_bytes()
     with RunLog(Path(GOLDEN_LOG)) as log:

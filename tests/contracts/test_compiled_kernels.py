@@ -56,7 +56,7 @@ def hash_of_execution(log: Path) -> str:
     return digest.hexdigest()
 
 
-def run_without_compiler(*words: str) -> subprocess.Popen[str]:
+def run_without_compiler(*python_arguments: str) -> subprocess.Popen[str]:
     """Start a Python process in which kernels are interpreted instead of compiled."""
     environment = {
         **os.environ,
@@ -64,7 +64,7 @@ def run_without_compiler(*words: str) -> subprocess.Popen[str]:
         "PYTHONPATH": os.pathsep.join(map(str, sys.path)),
     }
     return subprocess.Popen(
-        [sys.executable, *words], env=environment, stdout=subprocess.PIPE, text=True
+        [sys.executable, *python_arguments], env=environment, stdout=subprocess.PIPE, text=True
     )
 
 
@@ -121,7 +121,7 @@ drives.
 
 
 @pytest.mark.parametrize(
-    "hands",
+    "seeds_and_lengths",
     [
         DAILY_RANDOM_HANDS,
         pytest.param([(n, s) for n in range(1, 25) for s in (2, 3)], marks=pytest.mark.nightly),
@@ -129,18 +129,18 @@ drives.
     ids=len,
 )
 def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
-    hands: list[tuple[int, int]],
+    seeds_and_lengths: list[tuple[int, int]],
 ) -> None:
     """Compiled and interpreted kernels give the same state, telemetry, frames and events in every tick.
 
     Received frames may be lost, duplicated, late or corrupt.
     """
     with run_without_compiler(
-        "-m", "tests.contracts.random_hands", *[f"{n}:{seed}" for n, seed in hands]
+        "-m", "tests.contracts.random_hands", *[f"{n}:{seed}" for n, seed in seeds_and_lengths]
     ) as other:
-        mine = [tick_hashes(*hand) for hand in hands]
-        output, _ = other.communicate(timeout=60.0 * len(hands))
-    for hand, one, two in zip(hands, mine, json.loads(output), strict=True):
+        mine = [tick_hashes(*hand) for hand in seeds_and_lengths]
+        output, _ = other.communicate(timeout=60.0 * len(seeds_and_lengths))
+    for hand, one, two in zip(seeds_and_lengths, mine, json.loads(output), strict=True):
         apart = [i for i, (a, b) in enumerate(zip(one, two, strict=True)) if a != b]
         assert not apart, f"{hand[0]} tendons, seed {hand[1]}: from tick {apart[0]} on"
         assert len(set(one)) == TICKS_PER_HAND, "all ticks differ"
@@ -248,16 +248,25 @@ def package_copy(tmp_path: Path) -> Path:
     return package
 
 
-def run_copied_kernel(package: Path, cache: Path) -> tuple[bool, bool, bool]:
+def run_copied_kernel(package_folder: Path, cache_folder: Path) -> tuple[bool, bool, bool]:
     """Run the added kernel of a copied package in another process.
 
     Returns: The result of the kernel, True if its machine code was loaded from a file, and True if
         its machine code can be stored in a file.
     """
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(package.parent)}
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(cache_folder),
+        "PYTHONPATH": str(package_folder.parent),
+    }
     command = [sys.executable, "-c", ASK_PROBE_CODE]
     done = subprocess.run(
-        command, env=environment, capture_output=True, text=True, cwd=package.parent, timeout=120
+        command,
+        env=environment,
+        capture_output=True,
+        text=True,
+        cwd=package_folder.parent,
+        timeout=120,
     )
     assert done.returncode == 0, done.stderr[-2000:]
     result, hits, stored = done.stdout.split()
@@ -300,20 +309,20 @@ def test_two_installations_of_one_version_store_their_code_apart(
     assert len(list((cache / "handctl").glob("kernels-*"))) == 2
 
 
-@pytest.mark.parametrize("kind", ["missing", "a file", "read-only"])
+@pytest.mark.parametrize("cache_kind", ["missing", "a file", "read-only"])
 def test_without_a_writable_cache_each_process_compiles(
-    package_copy: Path, tmp_path: Path, kind: str
+    package_copy: Path, tmp_path: Path, cache_kind: str
 ) -> None:
-    cache = Path("/dev/null/none") if kind == "missing" else tmp_path / "cache"
-    if kind != "missing":
+    cache = Path("/dev/null/none") if cache_kind == "missing" else tmp_path / "cache"
+    if cache_kind != "missing":
         cache.mkdir()
-    if kind == "a file":
+    if cache_kind == "a file":
         (cache / "handctl").write_text("")
-    if kind == "read-only":
+    if cache_kind == "read-only":
         cache.chmod(0o555)
     result, hit, stored = run_copied_kernel(package_copy, cache)
     assert (result, hit) == (True, False)
-    assert not stored or (kind == "read-only" and os.geteuid() == 0), (
+    assert not stored or (cache_kind == "read-only" and os.geteuid() == 0), (
         "root can write into read-only folders"
     )
 
@@ -330,13 +339,13 @@ class KernelSources:
         self._seen = set[tuple[str, str]]()
         self._trees: dict[str, ast.Module] = {}
 
-    def follow_name(self, module: str, name: str) -> None:
+    def follow_name(self, module_name: str, name: str) -> None:
         """Add the module that defines a name, and the modules of all names in this definition."""
-        if (module, name) in self._seen:
+        if (module_name, name) in self._seen:
             return
-        self._seen.add((module, name))
-        self.modules.add(module)
-        for node in self._syntax_tree(module).body:
+        self._seen.add((module_name, name))
+        self.modules.add(module_name)
+        for node in self._syntax_tree(module_name).body:
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("handctl"):
                 for one in node.names:
                     if (one.asname or one.name) == name:
@@ -344,26 +353,26 @@ class KernelSources:
             elif name in defined_names(node):
                 for used in ast.walk(node):
                     if isinstance(used, ast.Name):
-                        self.follow_name(module, used.id)
+                        self.follow_name(module_name, used.id)
 
-    def _follow_import(self, module: str, name: str) -> None:
+    def _follow_import(self, module_name: str, name: str) -> None:
         """Follow an imported name, or all names of an imported module."""
-        inner = f"{module}.{name}"
+        inner = f"{module_name}.{name}"
         if inner not in sys.modules:
-            self.follow_name(module, name)
+            self.follow_name(module_name, name)
             return
         self.modules.add(inner)
         for node in self._syntax_tree(inner).body:
             for one in defined_names(node):
                 self.follow_name(inner, one)
 
-    def _syntax_tree(self, module: str) -> ast.Module:
+    def _syntax_tree(self, module_name: str) -> ast.Module:
         """Return the syntax tree of a module."""
-        if module not in self._trees:
-            self._trees[module] = ast.parse(
-                Path(str(sys.modules[module].__file__)).read_text(encoding="utf-8")
+        if module_name not in self._trees:
+            self._trees[module_name] = ast.parse(
+                Path(str(sys.modules[module_name].__file__)).read_text(encoding="utf-8")
             )
-        return self._trees[module]
+        return self._trees[module_name]
 
 
 def defined_names(node: ast.stmt) -> set[str]:
@@ -378,12 +387,12 @@ def defined_names(node: ast.stmt) -> set[str]:
     return set()
 
 
-def is_source(module: str) -> bool:
+def is_source(module_name: str) -> bool:
     """Return True if the name of the cache folder depends on the source text of a module."""
     inside = tuple(
         "handctl." + name.removesuffix(".py").replace("/", ".") + "." for name in KERNEL_SOURCES
     )
-    return f"{module}.".startswith(inside)
+    return f"{module_name}.".startswith(inside)
 
 
 def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:

@@ -64,10 +64,10 @@ def test_a_topic_is_added_as_the_page_says(tmp_path: Path) -> None:
     assert json.loads(ran.stdout.splitlines()[-1]) == 120
 
 
-def insert_text(path: Path, place: str, text: str) -> None:
-    source = path.read_text(encoding="utf-8")
-    assert source.count(place) == 1, place
-    path.write_text(source.replace(place, place + text), encoding="utf-8")
+def insert_text(file_path: Path, text_before: str, inserted_text: str) -> None:
+    source = file_path.read_text(encoding="utf-8")
+    assert source.count(text_before) == 1, text_before
+    file_path.write_text(source.replace(text_before, text_before + inserted_text), encoding="utf-8")
 
 
 PAGES_WITH_FILE_NAMES = (
@@ -78,10 +78,10 @@ PAGES_WITH_FILE_NAMES = (
 )
 
 
-@pytest.mark.parametrize("page", PAGES_WITH_FILE_NAMES)
-def test_every_file_that_a_page_names_exists(page: str) -> None:
-    text = (REPOSITORY / page).read_text(encoding="utf-8")
-    folder = (REPOSITORY / page).parent
+@pytest.mark.parametrize("page_name", PAGES_WITH_FILE_NAMES)
+def test_every_file_that_a_page_names_exists(page_name: str) -> None:
+    text = (REPOSITORY / page_name).read_text(encoding="utf-8")
+    folder = (REPOSITORY / page_name).parent
     links = {name.partition("#")[0] for name in re.findall(r"\]\(([^)#:]+[^):]*)\)", text)}
     assert [name for name in links if not (folder / name).exists()] == []
     quoted = re.findall(r"`((?:src|tests|tools|docs|firmware_sim|benchmarks)/[\w./-]+)`", text)

@@ -9,12 +9,14 @@ import pytest
 from handctl.core.deferred_imports import import_without_package
 
 
-@pytest.mark.parametrize("first", ["", "import control\n"])
-def test_a_user_s_own_control_py_does_not_hide_the_package(tmp_path: Path, first: str) -> None:
+@pytest.mark.parametrize("first_statement", ["", "import control\n"])
+def test_a_user_s_own_control_py_does_not_hide_the_package(
+    tmp_path: Path, first_statement: str
+) -> None:
     (tmp_path / "control.py").write_text("MINE = True\n")
     program = tmp_path / "program.py"
     program.write_text(
-        f"{first}import handctl.core.gains.riccati\nimport control\n"
+        f"{first_statement}import handctl.core.gains.riccati\nimport control\n"
         "assert control.MINE\nprint(handctl.core.gains.riccati.solve_covariance.__module__)\n"
     )
     done = subprocess.run(

@@ -158,9 +158,9 @@ def test_every_fault_says_in_one_line_what_to_do_about_it() -> None:
     assert remedy_for("index: 24 N in 3 s") == ""
 
 
-@pytest.mark.parametrize("fault", AUTOSAR_FAULTS)
-def test_each_fault_of_the_autosar_list_is_a_fault_of_the_table(fault: str) -> None:
-    assert set(AUTOSAR_FAULTS[fault].split()) <= set(CATALOGUE_IDS)
+@pytest.mark.parametrize("autosar_fault", AUTOSAR_FAULTS)
+def test_each_fault_of_the_autosar_list_is_a_fault_of_the_table(autosar_fault: str) -> None:
+    assert set(AUTOSAR_FAULTS[autosar_fault].split()) <= set(CATALOGUE_IDS)
 
 
 def test_each_cell_of_the_px4_table_is_a_fault_or_has_a_reason() -> None:

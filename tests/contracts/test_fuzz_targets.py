@@ -11,9 +11,9 @@ import pytest
 from mcap.opcode import Opcode
 
 from firmware_sim.hand_description import SimulatorError
-from fuzz import blind, files, logs, texts, wire
+from fuzz import file_targets, frame_targets, fuzz_without_coverage, log_targets, text_targets
 from fuzz.__main__ import MAX_INPUT_BYTES, fuzz_target
-from fuzz.drives import FUZZED_DRIVES
+from fuzz.fuzzed_drives import FUZZED_DRIVES
 from fuzz.targets import TARGET_FACTORIES, seed_inputs
 from handctl.drives.contract import DrivePhase
 
@@ -21,33 +21,35 @@ DOCUMENT_TARGETS = ("hand", "task", "trajectory", "gains", "calibration", "log")
 """Fuzz targets that change a document. An empty fuzz input leaves the document unchanged."""
 
 
-@pytest.mark.parametrize("name", DOCUMENT_TARGETS)
-def test_an_unchanged_document_is_accepted(name: str, tmp_path: Path) -> None:
-    assert TARGET_FACTORIES[name](tmp_path)(b"")
+@pytest.mark.parametrize("target_name", DOCUMENT_TARGETS)
+def test_an_unchanged_document_is_accepted(target_name: str, tmp_path: Path) -> None:
+    assert TARGET_FACTORIES[target_name](tmp_path)(b"")
 
 
-@pytest.mark.parametrize("name", [*FUZZED_DRIVES, "hand-text", "log-bytes", "request", "fault"])
-def test_seeds_of_a_corpus_are_accepted(name: str, tmp_path: Path) -> None:
-    target = TARGET_FACTORIES[name](tmp_path)
-    seeds = seed_inputs(name, tmp_path)
+@pytest.mark.parametrize(
+    "target_name", [*FUZZED_DRIVES, "hand-text", "log-bytes", "request", "fault"]
+)
+def test_seeds_of_a_corpus_are_accepted(target_name: str, tmp_path: Path) -> None:
+    target = TARGET_FACTORIES[target_name](tmp_path)
+    seeds = seed_inputs(target_name, tmp_path)
     assert seeds
-    assert all(target(seed[: MAX_INPUT_BYTES[name]]) for seed in seeds), (
+    assert all(target(seed[: MAX_INPUT_BYTES[target_name]]) for seed in seeds), (
         "inputs of the largest length are accepted"
     )
 
 
-@pytest.mark.parametrize("name", FUZZED_DRIVES)
-def test_seeds_of_a_drive_s_corpus_reach_torque(name: str, tmp_path: Path) -> None:
-    motor, seen = wire.path_to_torque(name, tmp_path)
+@pytest.mark.parametrize("target_name", FUZZED_DRIVES)
+def test_seeds_of_a_drive_s_corpus_reach_torque(target_name: str, tmp_path: Path) -> None:
+    motor, seen = frame_targets.states_until_torque(target_name, tmp_path)
     assert {one.state.phase for one in seen} >= {
         DrivePhase.SILENT,
         DrivePhase.READY,
         DrivePhase.ENABLED,
     }
-    ours = wire.selectable_identifiers(motor, seen)
-    for data in seed_inputs(name, tmp_path):
+    ours = frame_targets.selectable_identifiers(motor, seen)
+    for data in seed_inputs(target_name, tmp_path):
         state, t_ns, recorded = seen[data[0]]
-        sent = [frame for frame, _ in wire.frames_of_input(data, ours, t_ns)]
+        sent = [frame for frame, _ in frame_targets.frames_of_input(data, ours, t_ns)]
         assert [(frame.can_id, frame.data) for frame in sent] == [
             (frame.can_id, frame.data) for frame in recorded
         ]
@@ -60,9 +62,11 @@ def test_a_changed_field_of_a_log_is_found_by_its_check(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     error_lines: list[str] = []
-    monkeypatch.setattr(files, "check_one_line", lambda error: error_lines.append(str(error)))
+    monkeypatch.setattr(
+        file_targets, "check_one_line", lambda error: error_lines.append(str(error))
+    )
     target = TARGET_FACTORIES["log"](tmp_path)
-    parts = logs._log_parts(tmp_path / "small.mcap")
+    parts = log_targets._log_parts(tmp_path / "small.mcap")
     messages = (
         (i, at)
         for i, part in enumerate(parts)
@@ -78,14 +82,14 @@ def test_a_changed_field_of_a_log_is_found_by_its_check(
     assert "telemetry and ticks do not belong together" in error_lines[0]
 
 
-@pytest.mark.parametrize("text", ["", "two\nlines"])
+@pytest.mark.parametrize("refusal_text", ["", "two\nlines"])
 def test_the_fuzz_target_rejects_an_empty_or_two_line_refusal(
-    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    refusal_text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse_with_text(*_: object) -> None:
-        raise SimulatorError(text)
+        raise SimulatorError(refusal_text)
 
-    monkeypatch.setattr(texts, "parse_fault", refuse_with_text)
+    monkeypatch.setattr(text_targets, "parse_fault", refuse_with_text)
     target = TARGET_FACTORIES["fault"](tmp_path)
     with pytest.raises(AssertionError):
         target(b"")
@@ -94,7 +98,7 @@ def test_the_fuzz_target_rejects_an_empty_or_two_line_refusal(
 def test_fuzzing_without_an_accepted_input_is_a_failure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert blind.feed_inputs(
+    assert fuzz_without_coverage.feed_inputs(
         lambda data: data > b"b", iter([b"a", b"b", b"c"] * 100), tmp_path, 0.0, 256
     ) == (256, 85)
     monkeypatch.chdir(tmp_path)
@@ -102,6 +106,6 @@ def test_fuzzing_without_an_accepted_input_is_a_failure(
         summary = f"Done 256 runs in 2 second(s), {taken} inputs accepted, corpus of 3 inputs"
         done = subprocess.CompletedProcess([], 0, "", summary)
         monkeypatch.setattr(subprocess, "run", lambda *words, done=done, **more: done)
-        line, good = fuzz_target("log", 0, 256, blind=True)
+        line, good = fuzz_target("log", 0, 256, without_coverage=True)
         assert good == accepted
         assert ("25.0 % accepted" in line) == accepted

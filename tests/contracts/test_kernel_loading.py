@@ -29,9 +29,11 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def printed_lines(code: str) -> list[str]:
+def printed_lines(program_text: str) -> list[str]:
     """Run the text of a Python program, and return the lines that it prints."""
-    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    ran = subprocess.run(
+        [sys.executable, "-c", program_text], check=True, capture_output=True, text=True
+    )
     return ran.stdout.splitlines()
 
 

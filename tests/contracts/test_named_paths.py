@@ -21,9 +21,9 @@ HISTORY = "CHANGELOG.md"
 """Document that also names files of earlier versions."""
 
 
-def missing_paths(text: str) -> list[str]:
+def missing_paths(document_text: str) -> list[str]:
     """Return the paths of Python files in a text that do not exist."""
-    paths = sorted(set(PATH_PATTERN.findall(text)))
+    paths = sorted(set(PATH_PATTERN.findall(document_text)))
     checked = [p for p in paths if p.endswith(".py") and not PLACEHOLDER_PATTERN.search(p)]
     return [path for path in checked if not any(REPOSITORY.glob(path))]
 

@@ -22,10 +22,10 @@ def module_files() -> dict[str, Path]:
     return files
 
 
-def imported_modules(source: str, modules_known: set[str]) -> set[str]:
+def imported_modules(source_text: str, modules_known: set[str]) -> set[str]:
     """Return the modules that a source text imports, including imports in functions and for type hints."""
     imported: set[str] = set()
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(ast.parse(source_text)):
         match node:
             case ast.Import(names=names):
                 imported |= {alias.name for alias in names}
@@ -35,14 +35,16 @@ def imported_modules(source: str, modules_known: set[str]) -> set[str]:
     return imported & modules_known
 
 
-def import_cycles(graph: ImportGraph) -> list[set[str]]:
+def import_cycles(import_graph: ImportGraph) -> list[set[str]]:
     """Return the groups of modules that import each other, directly or through other modules."""
-    reach = {name: set(targets) for name, targets in graph.items()}
-    for middle in graph:
+    reach = {name: set(targets) for name, targets in import_graph.items()}
+    for middle in import_graph:
         for targets in reach.values():
             if middle in targets:
                 targets |= reach[middle]
-    groups = {frozenset(other for other in reach[name] if name in reach[other]) for name in graph}
+    groups = {
+        frozenset(other for other in reach[name] if name in reach[other]) for name in import_graph
+    }
     return sorted((set(group) for group in groups if group), key=sorted)
 
 
@@ -54,9 +56,11 @@ def test_the_search_detects_circles_of_any_length() -> None:
     assert imported_modules("def f():\n    import handctl.a", modules_known) == {"handctl.a"}
 
 
-@pytest.mark.parametrize("package", ["handctl", "firmware_sim"])
-def test_no_import_circles(package: str) -> None:
-    files = {name: path for name, path in module_files().items() if name.split(".")[0] == package}
+@pytest.mark.parametrize("package_name", ["handctl", "firmware_sim"])
+def test_no_import_circles(package_name: str) -> None:
+    files = {
+        name: path for name, path in module_files().items() if name.split(".")[0] == package_name
+    }
     graph = {
         name: imported_modules(path.read_text(encoding="utf-8"), set(files)) - {name}
         for name, path in files.items()

@@ -55,23 +55,26 @@ COMMANDS_WITH_EXTRA = [
 
 
 @pytest.mark.parametrize(
-    ("words", "package", "need", "extra"),
+    ("words", "package_name", "needed_for", "extra_name"),
     COMMANDS_WITH_EXTRA,
     ids=[row[0] for row in COMMANDS_WITH_EXTRA],
 )
 def test_a_missing_extra_is_one_line_that_names_it(
     words: str,
-    package: str,
-    need: str,
-    extra: str,
+    package_name: str,
+    needed_for: str,
+    extra_name: str,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
 ) -> None:
-    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setitem(sys.modules, package_name, None)
     monkeypatch.chdir(tmp_path)
     assert main(words.split()) == 2
-    assert capsys.readouterr() == ("", f"handctl: {need}: pip install 'handctl[{extra}]'\n")
+    assert capsys.readouterr() == (
+        "",
+        f"handctl: {needed_for}: pip install 'handctl[{extra_name}]'\n",
+    )
     assert list(tmp_path.iterdir()) == []
 
 

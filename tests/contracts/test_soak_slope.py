@@ -18,10 +18,10 @@ from handctl.session.calibration import load_calibration
 
 
 def memory_samples(
-    seconds: float, mib_per_h: float = 0.0, swings_mib: float = 0.0
+    duration_s: float, mib_per_h: float = 0.0, swings_mib: float = 0.0
 ) -> list[MemorySample]:
     chance = random.Random(1)
-    times = [30.0 * i for i in range(int(seconds / 30) + 1)]
+    times = [30.0 * i for i in range(int(duration_s / 30) + 1)]
     return [
         MemorySample(t, 350.0 + mib_per_h * t / 3600 + swings_mib * chance.random(), 7)
         for t in times

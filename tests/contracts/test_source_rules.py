@@ -19,15 +19,15 @@ BROAD_EXCEPTIONS = {"Exception", "BaseException"}
 OWN_PACKAGES = {"handctl", "firmware_sim", "tests", "fuzz", "benchmarks"}
 
 
-def source_files(*folders: str) -> list[Path]:
-    paths = sorted(path for folder in folders for path in (REPOSITORY / folder).rglob("*.py"))
-    assert paths, folders
+def source_files(*folder_names: str) -> list[Path]:
+    paths = sorted(path for folder in folder_names for path in (REPOSITORY / folder).rglob("*.py"))
+    assert paths, folder_names
     return paths
 
 
-def broad_handlers(source: str) -> Iterator[int]:
+def lines_of_broad_handlers(source_text: str) -> Iterator[int]:
     """Yield the numbers of the lines that catch all exceptions, with ``except`` or with ``suppress``."""
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(ast.parse(source_text)):
         match node:
             case ast.ExceptHandler(type=None):
                 yield node.lineno
@@ -49,7 +49,7 @@ def names_in_expression(node: ast.AST | None) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("handler", "lines"),
+    ("handler_text", "expected_lines"),
     [
         ("except:", [3]),
         ("except Exception:", [3]),
@@ -58,13 +58,16 @@ def names_in_expression(node: ast.AST | None) -> set[str]:
         ("except (ValueError, OSError):", []),
     ],
 )
-def test_the_search_finds_broad_handlers(handler: str, lines: list[int]) -> None:
-    assert list(broad_handlers(f"try:\n    pass\n{handler}\n    pass\n")) == lines
+def test_the_search_finds_broad_handlers(handler_text: str, expected_lines: list[int]) -> None:
+    assert (
+        list(lines_of_broad_handlers(f"try:\n    pass\n{handler_text}\n    pass\n"))
+        == expected_lines
+    )
 
 
 def test_only_the_loop_catches_all_exceptions_and_once() -> None:
     for path in source_files("src", "firmware_sim"):
-        lines = list(broad_handlers(path.read_text(encoding="utf-8")))
+        lines = list(lines_of_broad_handlers(path.read_text(encoding="utf-8")))
         allowed = 1 if path.relative_to(REPOSITORY) == LOOP_MODULE else 0
         assert len(lines) <= allowed, (
             f"{path.relative_to(REPOSITORY)} catches everything in lines {lines}"
@@ -116,9 +119,9 @@ def test_the_locks_name_no_index_and_hash_every_package() -> None:
         )
 
 
-def names_of_module(module: str) -> set[str]:
+def names_of_module(module_name: str) -> set[str]:
     """Return every name that a module or a package defines or imports."""
-    places = [top / module.replace(".", "/") for top in (REPOSITORY / "src", REPOSITORY)]
+    places = [top / module_name.replace(".", "/") for top in (REPOSITORY / "src", REPOSITORY)]
     place = next(place for place in places if place.is_dir() or place.with_suffix(".py").exists())
     if place.is_dir():
         below, file = {path.stem for path in place.iterdir()}, place / "__init__.py"

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from tests.stall_meter import StallMeter
+from tests.machine_stall_meter import MachineStallMeter
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 REPEATED_TEST = """
@@ -36,7 +36,7 @@ def test_each_repeat_runs_in_slower_time(stalled, request, repeat_time_scale):
 
 
 def test_a_stall_of_one_core_is_seen_once() -> None:
-    meter = StallMeter()
+    meter = MachineStallMeter()
     try:
         start = time.monotonic()
         os.kill(meter.pids[-1], signal.SIGSTOP)

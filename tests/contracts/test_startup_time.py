@@ -48,16 +48,16 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def seconds_to_run(code: str) -> float:
+def run_duration_s(program_text: str) -> float:
     start = time.perf_counter()
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+    subprocess.run([sys.executable, "-c", program_text], check=True, capture_output=True)
     return time.perf_counter() - start
 
 
 @pytest.mark.realtime
 @pytest.mark.alone
 def test_help_answers_at_once() -> None:
-    pairs = [(seconds_to_run("pass"), seconds_to_run(HELP_CODE)) for _ in range(5)]
+    pairs = [(run_duration_s("pass"), run_duration_s(HELP_CODE)) for _ in range(5)]
     bare, full = (min(column) for column in zip(*pairs, strict=True))
     allowed = max(HELP_LIMIT_S, HELP_LIMIT_INTERPRETERS * bare)
     assert full <= allowed, f"handctl --help {full:.2f} s, bare interpreter {bare:.3f} s"

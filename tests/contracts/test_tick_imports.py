@@ -55,10 +55,10 @@ print(*sorted(set(sys.modules) - before))
 """
 
 
-def run_code(code: str, hand: str) -> list[str]:
+def run_code(program_text: str, hand_name: str) -> list[str]:
     """Run a program in a process of its own, and return the words that it prints."""
     ran = subprocess.run(
-        [sys.executable, "-c", code, hand], capture_output=True, text=True, check=False
+        [sys.executable, "-c", program_text, hand_name], capture_output=True, text=True, check=False
     )
     assert ran.returncode == 0, ran.stderr
     return ran.stdout.split()

@@ -31,14 +31,14 @@ class WheelEnvironment:
     """A Python environment in which the wheel is installed, without access to the repository.
 
     Args:
-        folder: folder that contains the environment, and in which its programs run.
+        environment_folder: folder that contains the environment, and in which its programs run.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, environment_folder: Path) -> None:
+        self.folder = environment_folder
         self.wheel = self._build_wheel()
-        venv.create(folder / "env", with_pip=True)
-        self._constraints = folder / "constraints.txt"
+        venv.create(environment_folder / "env", with_pip=True)
+        self._constraints = environment_folder / "constraints.txt"
         pins = re.findall(
             r"^[a-z0-9][^\n]*==[^\n\\]*",
             (REPOSITORY / "requirements-dev.lock").read_text(),
@@ -62,20 +62,22 @@ class WheelEnvironment:
         (wheel,) = dist.glob("*.whl")
         return wheel
 
-    def run(self, *words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
+    def run(self, *program_arguments: str, exit_code: int = 0) -> subprocess.CompletedProcess[str]:
         """Run a program of the environment and check its exit code."""
         variables = {
             name: value for name, value in os.environ.items() if not name.startswith("PYTHON")
         }
-        program = str(self.folder / "env" / "bin" / words[0])
-        command: Sequence[str] = (program, *words[1:])
+        program = str(self.folder / "env" / "bin" / program_arguments[0])
+        command: Sequence[str] = (program, *program_arguments[1:])
         ran = subprocess.run(
             command, cwd=self.folder, env=variables, capture_output=True, text=True, check=False
         )
-        assert ran.returncode == code, f"{words}: {ran.returncode}\n{ran.stdout}\n{ran.stderr}"
+        assert ran.returncode == exit_code, (
+            f"{program_arguments}: {ran.returncode}\n{ran.stdout}\n{ran.stderr}"
+        )
         return ran
 
-    def install(self, extras: str = "") -> None:
+    def install(self, extra_names: str = "") -> None:
         """Install the wheel with extras, in the versions of the lock file."""
         self.run(
             "python",
@@ -85,7 +87,7 @@ class WheelEnvironment:
             "--quiet",
             "-c",
             str(self._constraints),
-            f"{self.wheel}{extras}",
+            f"{self.wheel}{extra_names}",
         )
 
     def installed_megabytes(self) -> float:
@@ -128,7 +130,7 @@ def test_a_controller_needs_no_extra(controller_environment: WheelEnvironment) -
     assert "0 differ" in controller_environment.run("handctl", "replay", "execute", str(log)).stdout
     controller_environment.run("handctl", "report", str(log), "--output", "report.html")
     controller_environment.run("handctl", "config", "check", "--hand", "jamia")
-    wanted = controller_environment.run("handctl", "demo", "--lockstep", code=2).stderr
+    wanted = controller_environment.run("handctl", "demo", "--lockstep", exit_code=2).stderr
     assert wanted == "handctl: demo needs mujoco: pip install 'handctl[sim]'\n"
     assert controller_environment.installed_megabytes() <= CONTROLLER_SIZE_MB
 

@@ -82,22 +82,22 @@ class ToyHand:
         self._advance_tendons()
         return [answer._replace(t_ns=t_ns + 100_000 + i) for i, answer in enumerate(answers)]
 
-    def tear_tendon(self, i: int) -> None:
+    def tear_tendon(self, tendon_index: int) -> None:
         """Tear tendon i.
 
         From then on the tension of this tendon is zero, at any speed of its spool.
         """
-        self.tendon_stiffness[i] = self.tendon_damping[i] = 0.0
+        self.tendon_stiffness[tendon_index] = self.tendon_damping[tendon_index] = 0.0
 
     def close(self) -> None:
         """Do nothing, because the scripted hand has no file or connection to close."""
 
-    def _feedback_codes(self, i: int) -> tuple[int, int, int]:
+    def _feedback_codes(self, tendon_index: int) -> tuple[int, int, int]:
         angle, speed = (
-            self.spool_travel[i] / self.spool_radius[i],
-            self.spool_speed[i] / self.spool_radius[i],
+            self.spool_travel[tendon_index] / self.spool_radius[tendon_index],
+            self.spool_speed[tendon_index] / self.spool_radius[tendon_index],
         )
-        torque = self.motor_force[i] * self.spool_radius[i]
+        torque = self.motor_force[tendon_index] * self.spool_radius[tendon_index]
         scaled = ((angle / 12.5, 65535), (speed / 50.0, 4095), (torque / 0.8, 4095))
         position, velocity, effort = (
             round((min(max(v, -1.0), 1.0) + 1) / 2 * top) for v, top in scaled
@@ -142,28 +142,36 @@ class ToyHand:
         ]
 
 
-def _pack_channels(base: int, counter: int, values: list[int]) -> list[Frame]:
+def _pack_channels(
+    first_can_id: int, sync_counter: int, channel_readings: list[int]
+) -> list[Frame]:
     """Pack load-cell channels into frames.
 
     Each frame contains a counter of 4 bits and up to five channels of 12 bits, beginning with the
     lowest bit.
     """
     frames = []
-    for group, start in enumerate(range(0, len(values), 5)):
-        part = values[start : start + 5]
-        bits = counter | sum(value << (4 + 12 * i) for i, value in enumerate(part))
-        frames.append(Frame(base + group, bits.to_bytes((4 + 12 * len(part) + 7) // 8, "little")))
+    for group, start in enumerate(range(0, len(channel_readings), 5)):
+        part = channel_readings[start : start + 5]
+        bits = sync_counter | sum(value << (4 + 12 * i) for i, value in enumerate(part))
+        frames.append(
+            Frame(first_can_id + group, bits.to_bytes((4 + 12 * len(part) + 7) // 8, "little"))
+        )
     return frames
 
 
-def uncommissioned_controller(model: HandModel, program: Program, arm: bool = True) -> Controller:
+def uncommissioned_controller(
+    model: HandModel, program: Program, arm_at_start: bool = True
+) -> Controller:
     """Return a controller for all tendons of a hand that has not been commissioned."""
     hand, n = model.hand, model.tendon_count
     buses = hand.bus_names
     motors = [hand.motor_of(name) for name in hand.tendon_names]
     drives = tuple(MitDrive.from_motor(motor, buses.index(motor.bus)) for motor in motors)
     sensors = SensorNode.from_description(hand.sensor_node, 0, hand.tendon_names, hand.joints)
-    return Controller(model, drives, sensors, program, np.zeros(n), np.zeros(n), arm_at_once=arm)
+    return Controller(
+        model, drives, sensors, program, np.zeros(n), np.zeros(n), arm_at_once=arm_at_start
+    )
 
 
 @dataclass
@@ -172,17 +180,17 @@ class ControllerBench:
 
     Attributes:
         controller: the controller under test.
-        peer: the simple hand, which replies to the controller.
-        to_host, to_nodes: functions that change the frames of a tick on their way to the host and
+        toy_hand: the simple hand, which replies to the controller.
+        change_host_frames, change_node_frames: functions that change the frames of a tick on their way to the host and
             to the nodes.
         tick_history: for every tick so far, its input, its output, and the state of the controller
             before the tick.
     """
 
     controller: Controller
-    peer: ToyHand
-    to_host: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
-    to_nodes: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
+    toy_hand: ToyHand
+    change_host_frames: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
+    change_node_frames: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
     tick_history: list[tuple[ControllerState, TickIn, TickOut]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -193,33 +201,33 @@ class ControllerBench:
         self,
         *requests: str,
         io_events: tuple[IoEvent, ...] = (),
-        late_ns: int = 0,
+        lateness_ns: int = 0,
         missed_ticks: int = 0,
         extra_frames: tuple[Frame, ...] = (),
     ) -> TickOut:
         """Run one tick of the controller, after the controller has missed ``missed_ticks`` ticks."""
         for _ in range(missed_ticks):
-            self.frames_on_bus += self.peer.step(self.k * self.period_ns, [])
+            self.frames_on_bus += self.toy_hand.step(self.k * self.period_ns, [])
             self.k += 1
         t_ns = self.k * self.period_ns
         entry = TickIn(
             self.k,
             t_ns,
-            late_ns,
-            (*self.to_host(self.frames_on_bus), *extra_frames),
+            lateness_ns,
+            (*self.change_host_frames(self.frames_on_bus), *extra_frames),
             io_events,
             requests,
         )
         before = self.state
         self.state, out = self.controller.tick(before, entry)
         self.tick_history.append((before, entry, out))
-        self.frames_on_bus = self.peer.step(t_ns, self.to_nodes(list(out.frames)))
+        self.frames_on_bus = self.toy_hand.step(t_ns, self.change_node_frames(list(out.frames)))
         self.k += 1
         return out
 
-    def run_until_mode(self, mode: HandMode, timeout: float = 12.0) -> TickOut:
+    def run_until_mode(self, mode: HandMode, timeout_s: float = 12.0) -> TickOut:
         """Run ticks until the controller enters a mode."""
-        for _ in range(round(timeout / self.controller.model.period)):
+        for _ in range(round(timeout_s / self.controller.model.period)):
             out = self.tick()
             if out.mode == mode:
                 return out
@@ -227,9 +235,9 @@ class ControllerBench:
             f"{mode.name} is not reached: {self.state.mode.name}, {self.events[-3:]}"
         )
 
-    def run(self, seconds: float) -> TickOut:
+    def run(self, duration_s: float) -> TickOut:
         """Run ticks for a given duration."""
-        for _ in range(round(seconds / self.controller.model.period)):
+        for _ in range(round(duration_s / self.controller.model.period)):
             out = self.tick()
         return out
 
@@ -248,9 +256,11 @@ class ControllerBench:
         return [event for _, _, out in self.tick_history for event in out.events]
 
 
-def make_controller_bench(model: HandModel, program: Program, arm: bool = True) -> ControllerBench:
+def make_controller_bench(
+    model: HandModel, program: Program, arm_at_start: bool = True
+) -> ControllerBench:
     """Return a bench that connects a controller with a simple hand ``ToyHand`` without faults."""
     return ControllerBench(
-        uncommissioned_controller(model, program, arm),
+        uncommissioned_controller(model, program, arm_at_start),
         ToyHand(model.hand, round(model.period * 1e9)),
     )

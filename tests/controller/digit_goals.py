@@ -11,35 +11,37 @@ from handctl.core.hand_model import HandModel
 
 def moving_goals(
     model: HandModel,
-    start: float,
-    end: float,
-    duration: float | tuple[float, ...],
-    since: float = 0.0,
+    start_angle: float,
+    end_angle: float,
+    duration_s: float | tuple[float, ...],
+    start_time: float = 0.0,
 ) -> tuple[DigitGoal, ...]:
-    """Return goals that move every digit from ``start`` to ``end`` [rad].
+    """Return goals that move every digit from ``start_angle`` to ``end_angle`` [rad].
 
-    ``duration`` [s] is one number for all digits, or a tuple that has one number for each digit.
+    ``duration_s`` [s] is one number for all digits, or a tuple that has one number for each digit.
     """
-    durations = duration if isinstance(duration, tuple) else (duration,) * len(model.digits)
+    durations = duration_s if isinstance(duration_s, tuple) else (duration_s,) * len(model.digits)
     sizes = [digit.coupling.shape[1] for digit in model.digits]
     return tuple(
         DigitGoal(
-            GoalKind.MOTION, MinimumJerk(np.full(n, start), np.full(n, end), own), since=since
+            GoalKind.MOTION,
+            MinimumJerk(np.full(n, start_angle), np.full(n, end_angle), own),
+            since=start_time,
         )
         for n, own in zip(sizes, durations, strict=True)
     )
 
 
 def holding_goals(
-    model: HandModel, tension: float, rate: float = 200.0, limit: float = math.inf
+    model: HandModel, tension: float, tension_rate: float = 200.0, tension_limit: float = math.inf
 ) -> tuple[DigitGoal, ...]:
     """Return goals that hold the same tension ``tension`` [N] in the tendons of all digits."""
     return tuple(
         DigitGoal(
             GoalKind.TENSION,
             tension=np.full(s.stop - s.start, tension),
-            rate=rate,
-            force_limit=limit,
+            rate=tension_rate,
+            force_limit=tension_limit,
         )
         for s in model.digit_tendons
     )

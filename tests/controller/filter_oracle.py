@@ -23,17 +23,24 @@ In these units, the values of all states are of the order of one.
 
 
 def rates_of_change(
-    model: HandModel, i: int, regime: TendonRegime, state: np.ndarray, force: float, rate: float
+    model: HandModel,
+    tendon_index: int,
+    regime: TendonRegime,
+    tendon_state: np.ndarray,
+    motor_force: float,
+    planned_rate: float,
 ) -> np.ndarray:
     """Return the time derivatives of the seven filter states of tendon i."""
     space, gains = model.space, model.gains.filter
-    x, v, s, w, d, e, o = state
+    x, v, s, w, d, e, o = tendon_state
     f = 0.0
     if regime != TendonRegime.SLACK:
-        f = space.stiffness[i] * (x - s - o) + space.damping[i] * (v - w)
-    dv = (force + d - f - space.motor_damping[i] * v) / space.motor_mass[i]
+        f = space.stiffness[tendon_index] * (x - s - o) + space.damping[tendon_index] * (v - w)
+    dv = (motor_force + d - f - space.motor_damping[tendon_index] * v) / space.motor_mass[
+        tendon_index
+    ]
     if regime == TendonRegime.FREE:
-        ds, dw = w - rate / space.stiffness[i], dv - (w - v) / gains.free_time_s
+        ds, dw = w - planned_rate / space.stiffness[tendon_index], dv - (w - v) / gains.free_time_s
     else:
         ds, dw = w - s / 1e4, -w / gains.held_time_s
     return np.array([v, dv, ds, dw, -d / unknown_motor_force(model, regime)[1], -e / 1e4, -o / 1e4])
@@ -47,19 +54,19 @@ def unknown_motor_force(model: HandModel, regime: TendonRegime) -> tuple[float, 
 
 
 def differential_equation_matrices(
-    model: HandModel, i: int, regime: TendonRegime
+    model: HandModel, tendon_index: int, regime: TendonRegime
 ) -> tuple[np.ndarray, np.ndarray]:
     """Determine the matrices A and B of the linear differential equations of a tendon, column by column."""
     zero = np.zeros(STATE_COUNT)
     A = np.column_stack(
-        [rates_of_change(model, i, regime, one, 0.0, 0.0) for one in np.eye(STATE_COUNT)]
+        [rates_of_change(model, tendon_index, regime, one, 0.0, 0.0) for one in np.eye(STATE_COUNT)]
     )
     return A, np.column_stack(
-        [rates_of_change(model, i, regime, zero, *u) for u in ((1.0, 0.0), (0.0, 1.0))]
+        [rates_of_change(model, tendon_index, regime, zero, *u) for u in ((1.0, 0.0), (0.0, 1.0))]
     )
 
 
-def process_noise_density(model: HandModel, i: int, regime: TendonRegime) -> np.ndarray:
+def process_noise_density(model: HandModel, tendon_index: int, regime: TendonRegime) -> np.ndarray:
     """Return the spectral density of the process noise (STATES, STATES).
 
     The density of a Gauss-Markov state with standard deviation sigma and time constant tau is 2
@@ -69,11 +76,13 @@ def process_noise_density(model: HandModel, i: int, regime: TendonRegime) -> np.
     space, gains = model.space, model.gains.filter
     disturbance, lasts, shaking = unknown_motor_force(model, regime)
     spool = np.zeros(STATE_COUNT)
-    spool[V] = shaking / space.motor_mass[i]
+    spool[V] = shaking / space.motor_mass[tendon_index]
     digit = np.zeros(STATE_COUNT)
     if regime == TendonRegime.FREE:
         spool[W] = spool[V]
-        digit[W] = np.sqrt(2 / gains.free_time_s) * gains.free_rate_N_per_s / space.stiffness[i]
+        digit[W] = (
+            np.sqrt(2 / gains.free_time_s) * gains.free_rate_N_per_s / space.stiffness[tendon_index]
+        )
     else:
         digit[W] = np.sqrt(2 / gains.held_time_s) * gains.held_speed_m_s
     unit = np.eye(STATE_COUNT)
@@ -88,15 +97,17 @@ def process_noise_density(model: HandModel, i: int, regime: TendonRegime) -> np.
 
 
 def integrate_one_period(
-    model: HandModel, i: int, regime: TendonRegime
+    model: HandModel, tendon_index: int, regime: TendonRegime
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return F, B and the noise covariance for one control period, in scaled units.
 
     A Runge-Kutta method integrates the differential equations over the period.
     """
-    A, B = differential_equation_matrices(model, i, regime)
+    A, B = differential_equation_matrices(model, tendon_index, regime)
     A, B = A * FILTER_STATE_UNITS / FILTER_STATE_UNITS[:, None], B / FILTER_STATE_UNITS[:, None]
-    Q = process_noise_density(model, i, regime) / np.outer(FILTER_STATE_UNITS, FILTER_STATE_UNITS)
+    Q = process_noise_density(model, tendon_index, regime) / np.outer(
+        FILTER_STATE_UNITS, FILTER_STATE_UNITS
+    )
     n, m = B.shape
 
     def derivatives_of_matrices(t: float, y: np.ndarray) -> np.ndarray:
@@ -118,10 +129,15 @@ def integrate_one_period(
     )
 
 
-def measurement_noise(model: HandModel, i: int) -> np.ndarray:
+def measurement_noise(model: HandModel, tendon_index: int) -> np.ndarray:
     """Return the standard deviations that the gain design assumes for encoder and load cell."""
     space, gains = model.space, model.gains.filter
-    return np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
+    return np.array(
+        [
+            space.encoder_step[tendon_index] * gains.encoder_noise_counts,
+            space.tension_noise[tendon_index],
+        ]
+    )
 
 
 def covariance_by_doubling(
@@ -149,17 +165,17 @@ def assumed_measurements(block: FilterBlock, regime: TendonRegime) -> np.ndarray
 
 
 def joseph_update(
-    block: FilterBlock, P: np.ndarray, missing: np.ndarray
+    block: FilterBlock, P: np.ndarray, is_missing: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the gain (7, 2), and the covariance after an update by encoder and load cell.
 
-    ``missing`` (2,) marks absent measurements.
+    ``is_missing`` (2,) marks absent measurements.
 
     Only in a slack tendon can the filter distinguish an error of the load cell from tension. In a
     taut tendon, the filter does not correct the estimate of this error, but takes the variance of
     the error into account.
     """
-    H, R = block.H[:2].copy(), np.diag(block.R * np.where(missing, 1e12, 1.0))
+    H, R = block.H[:2].copy(), np.diag(block.R * np.where(is_missing, 1e12, 1.0))
     H[1, E] = float(block.cell_error_observable)
     gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
     gain[E] *= float(block.cell_error_observable)
@@ -167,11 +183,11 @@ def joseph_update(
     return gain, rest @ P @ rest.T + gain @ R @ gain.T
 
 
-def assert_same_covariance(found: np.ndarray, expected: np.ndarray) -> None:
+def assert_same_covariance(computed: np.ndarray, expected: np.ndarray) -> None:
     """Assert that covariances (..., n, n) agree.
 
     An element may differ by 1e-9 times the product of the standard deviations of its two states.
     """
     sigma = np.sqrt(np.diagonal(expected, axis1=-2, axis2=-1))
     size = sigma[..., :, None] * sigma[..., None, :]
-    np.testing.assert_array_less(np.abs(found - expected), 1e-9 * size + 1e-300)
+    np.testing.assert_array_less(np.abs(computed - expected), 1e-9 * size + 1e-300)

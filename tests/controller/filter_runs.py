@@ -130,11 +130,11 @@ def run_filter_tick(
     model: HandModel,
     state: FilterState,
     measured: SensorReadings,
-    force: np.ndarray,
-    rate: np.ndarray,
-    contact: tuple[bool, ...],
+    motor_force: np.ndarray,
+    planned_rate: np.ndarray,
+    digit_contact: tuple[bool, ...],
     friction_state: np.ndarray | None = None,
-    missed: int = 0,
+    missed_ticks: int = 0,
 ) -> tuple[FilterState, SyntheticEstimate]:
     """Correct the filter with the measurements of one tick, and predict the present state.
 
@@ -143,25 +143,28 @@ def run_filter_tick(
     Args:
         model: the hand. state: state of the filter after the last tick. measured: readings that the
             sensors took at the last tick.
-        force: (N,) motor force on each tendon since the last tick, with motor friction already subtracted [N].
-        rate: (N,) planned rate of change of the tension of each tendon [N/s].
-        contact: for each digit, True if the digit is known to touch an object.
+        motor_force: (N,) motor force on each tendon since the last tick, with motor friction already subtracted [N].
+        planned_rate: (N,) planned rate of change of the tension of each tendon [N/s].
+        digit_contact: for each digit, True if the digit is known to touch an object.
         friction_state: (N,) friction of each tendon as a fraction of its full amount, from 1
             (winding up) to -1 (paying out). NaN if the fraction is unknown.
-        missed: number of ticks that were missed since the last tick.
+        missed_ticks: number of ticks that were missed since the last tick.
     """
     controller_state = state_of(model, state)
     write_readings(controller_state, measured)
-    controller_state.view("force")[...], controller_state.view("rate")[...] = force, rate
-    controller_state.view("planned_contact")[...] = contact
+    controller_state.view("force")[...], controller_state.view("rate")[...] = (
+        motor_force,
+        planned_rate,
+    )
+    controller_state.view("planned_contact")[...] = digit_contact
     if friction_state is not None:
         controller_state.view("friction_state")[...] = friction_state
-    controller_state.set_run_integer(s.MISSED_TICKS, missed)
+    controller_state.set_run_integer(s.MISSED_TICKS, missed_ticks)
     tick_stages.correct_estimate(
         controller_state.block, controller_state.layout.places, *stage_constants(model)
     )
     if controller_state.started:
-        predict_filter_states(model, controller_state.layout, controller_state.block, missed)
+        predict_filter_states(model, controller_state.layout, controller_state.block, missed_ticks)
     tick_stages.conclude_estimate(
         controller_state.block, controller_state.layout.places, *stage_constants(model)
     )
@@ -182,11 +185,13 @@ def run_unplanned_filter_tick(
     model: HandModel,
     state: FilterState,
     measured: SensorReadings,
-    force: np.ndarray,
-    contact: tuple[bool, ...],
+    motor_force: np.ndarray,
+    digit_contact: tuple[bool, ...],
 ) -> tuple[FilterState, SyntheticEstimate]:
     """Run one tick of the filter without a planned change of tension."""
-    return run_filter_tick(model, state, measured, force, np.zeros(model.tendon_count), contact)
+    return run_filter_tick(
+        model, state, measured, motor_force, np.zeros(model.tendon_count), digit_contact
+    )
 
 
 def noiseless_readings(
@@ -217,16 +222,16 @@ def no_contact(model: HandModel) -> tuple[bool, ...]:
 
 
 def state_after_first_readings(
-    model: HandModel, state: FilterState, travel: np.ndarray, cells: bool = True
+    model: HandModel, state: FilterState, travel: np.ndarray, with_load_cells: bool = True
 ) -> FilterState:
     """Return the filter state after the first encoder readings ``travel`` [m].
 
-    If ``cells`` is True, the load cells have also been read.
+    If ``with_load_cells`` is True, the load cells have also been read.
     """
     controller_state = state_of(model, state)
     controller_state.mode = HandMode.SILENT
     controller_state.view("position")[...] = travel / model.space.spool
-    controller_state.view("group_frames")[...] = cells
+    controller_state.view("group_frames")[...] = with_load_cells
     tick_stages.observe_tick(
         controller_state.block, controller_state.layout.places, *stage_constants(model)
     )
@@ -258,8 +263,13 @@ def state_of(model: HandModel, filtered: FilterState) -> ControllerState:
     return controller_state
 
 
-def design_arrays_by_tendon(model: HandModel, kinds: tuple[int, ...], name: str) -> np.ndarray:
+def design_arrays_by_tendon(
+    model: HandModel, regime_by_tendon: tuple[int, ...], array_name: str
+) -> np.ndarray:
     """Return one array of the filter design for each tendon (N, ...), selected by the regime of the tendon."""
     return np.array(
-        [getattr(own[kind], name) for own, kind in zip(model.filter.blocks, kinds, strict=True)]
+        [
+            getattr(own[kind], array_name)
+            for own, kind in zip(model.filter.blocks, regime_by_tendon, strict=True)
+        ]
     )

@@ -84,13 +84,13 @@ class LawCommand(NamedTuple):
     dq: np.ndarray
 
 
-def temperatures_for_limits(model: HandModel, limit: np.ndarray) -> np.ndarray:
-    """Return the drive temperatures (N,) [degC] at which the tension limits are ``limit`` [N].
+def temperatures_for_limits(model: HandModel, tension_limit: np.ndarray) -> np.ndarray:
+    """Return the drive temperatures (N,) [degC] at which the tension limits are ``tension_limit`` [N].
 
     Each limit must be between the lowest and the highest tension that the hand allows.
     """
     limits = controller_of(model).derived.limits
-    fraction = (limit - model.floor) / (model.ceiling - model.floor)
+    fraction = (tension_limit - model.floor) / (model.ceiling - model.floor)
     return limits.temperature_hard - fraction * (limits.temperature_hard - limits.temperature_soft)
 
 
@@ -164,10 +164,13 @@ def command_of(state: ControllerState) -> LawCommand:
 
 @kernel("block", "layout", "constants", "layout")
 def _tension_limits(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+    block: BlockArray,
+    state_places: TablePlaces,
+    constants: BlockArray,
+    constant_places: TablePlaces,
 ) -> np.ndarray:
     return computed_torque.present_tension_limits(
-        state_tables(block, at), constant_tables(constants, constants_at)
+        state_tables(block, state_places), constant_tables(constants, constant_places)
     )
 
 
@@ -183,12 +186,12 @@ def tension_limits_of(model: HandModel, state: ControllerState) -> np.ndarray:
 @kernel("block", "layout", "constants", "layout", "matrix")
 def _required_tensions(
     block: BlockArray,
-    at: TablePlaces,
+    state_places: TablePlaces,
     constants: BlockArray,
-    constants_at: TablePlaces,
+    constant_places: TablePlaces,
     motion: np.ndarray,
 ) -> int:
-    x, c = state_tables(block, at), constant_tables(constants, constants_at)
+    x, c = state_tables(block, state_places), constant_tables(constants, constant_places)
     digit_reference.write_required_torque(x, c, motion)
     return digit_reference.write_required_tensions(x, c)
 

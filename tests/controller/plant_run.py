@@ -19,12 +19,12 @@ OBJECT_LOST_M = 0.05
 
 
 @cache
-def model_of(hand: str) -> HandModel:
+def model_of(hand_name: str) -> HandModel:
     """Return the model of a packaged hand.
 
     The gains of each model are designed once, for all calls.
     """
-    return HandModel.from_hand(load_hand(hand), Gains(), CONTROL_RATE_HZ)
+    return HandModel.from_hand(load_hand(hand_name), Gains(), CONTROL_RATE_HZ)
 
 
 @dataclass
@@ -43,36 +43,36 @@ class PlantRun:
     true_tension: list[list[float]] = field(default_factory=list)
     events: list[tuple[float, TickEvent]] = field(default_factory=list)
 
-    def events_named(self, name: str) -> list[tuple[float, str]]:
+    def events_named(self, event_name: str) -> list[tuple[float, str]]:
         """Return the time [s] and the place (for example the digit) of each event with a given name."""
-        return [(time_s, event.where) for time_s, event in self.events if event.name == name]
+        return [(time_s, event.where) for time_s, event in self.events if event.name == event_name]
 
 
 def run_on_plant(
-    hand: str,
+    hand_name: str,
     program: Program,
     scene: str | None,
-    folder: Path,
-    seconds: float,
+    scene_folder: Path,
+    duration_s: float,
     seed: int = 0,
     **plant_factors: float,
 ) -> PlantRun:
     """Run a program on a simulated hand whose motor zeros are known.
 
     Args:
-        hand: name of a packaged hand. program: the program to run. scene: text of a scene file.
-            folder: folder in which the scene file is written.
-        seconds: simulated time [s]. The run ends earlier if the object is lost. seed: seed of the
+        hand_name: name of a packaged hand. program: the program to run. scene: text of a scene file.
+            scene_folder: folder in which the scene file is written.
+        duration_s: simulated time [s]. The run ends earlier if the object is lost. seed: seed of the
             simulator.
         plant_factors: factors that multiply parameters of the simulated hand. The controller does
             not know these factors.
     """
     result = PlantRun()
-    with SimulatorSettings(hand, scene, seed, plant_factors, homed=True).begin_run(
-        homed_controller(model_of(hand), program)
+    with SimulatorSettings(hand_name, scene, seed, plant_factors, homed=True).begin_run(
+        homed_controller(model_of(hand_name), program)
     ) as run:
         plant, run.record_ticks = run.simulated_hand.world.plant, False
-        for entry, out in run.run_ticks(seconds):
+        for entry, out in run.run_ticks(duration_s):
             t = entry.k / CONTROL_RATE_HZ
             result.time_s.append(t)
             result.object_position.append(plant.engine.object_pose()[:3])

@@ -105,12 +105,12 @@ def _active_state_template(model: HandModel) -> ControllerState:
     return state
 
 
-def uncompiled_function(function: Callable[..., Any]) -> Callable[..., Any]:
+def uncompiled_function(kernel: Callable[..., Any]) -> Callable[..., Any]:
     """Return the Python function from which a kernel was compiled.
 
     Tests call this function directly. Only other kernels can call the compiled kernel.
     """
-    return getattr(function, "py_func", function)
+    return getattr(kernel, "py_func", kernel)
 
 
 def active_state(model: HandModel) -> ControllerState:
@@ -159,22 +159,27 @@ class LoadStatics(NamedTuple):
 
     Attributes:
         resistance: tension that balances springs and gravity.
-        eager: tension minus friction, if the direction of friction always follows from the tendon
+        driving_force: tension minus friction, if the direction of friction always follows from the tendon
             speed at the spool.
-        pull: tension minus friction. The friction follows from ``friction_state`` where this is
+        joint_pull: tension minus friction. The friction follows from ``friction_state`` where this is
             known, and from the tendon speed at the spool otherwise.
     """
 
     resistance: np.ndarray
-    eager: np.ndarray
-    pull: np.ndarray
+    driving_force: np.ndarray
+    joint_pull: np.ndarray
 
 
 @kernel("block", "layout", "constants", "layout")
-def _load_forces(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+def _tendon_load_forces(
+    block: BlockArray,
+    state_places: TablePlaces,
+    constants: BlockArray,
+    constant_places: TablePlaces,
 ) -> np.ndarray:
-    return kalman._load_forces(state_tables(block, at), constant_tables(constants, constants_at))
+    return kalman._load_forces(
+        state_tables(block, state_places), constant_tables(constants, constant_places)
+    )
 
 
 def load_statics(
@@ -195,16 +200,18 @@ def load_statics(
     )
     if friction_state is not None:
         state.view("friction_state")[...] = friction_state
-    return LoadStatics(*_load_forces(state.block, state.layout.places, *stage_constants(model)))
+    return LoadStatics(
+        *_tendon_load_forces(state.block, state.layout.places, *stage_constants(model))
+    )
 
 
 @kernel("constants", "layout", "vector", "count")
 def _winding_efficiency(
-    constants: BlockArray, constants_at: TablePlaces, q: np.ndarray, tendons: int
+    constants: BlockArray, constant_places: TablePlaces, q: np.ndarray, tendon_count: int
 ) -> np.ndarray:
-    result = np.empty(tendons)
-    for n in range(tendons):
-        result[n] = winding_efficiency(constant_tables(constants, constants_at), n, q)
+    result = np.empty(tendon_count)
+    for n in range(tendon_count):
+        result[n] = winding_efficiency(constant_tables(constants, constant_places), n, q)
     return result
 
 

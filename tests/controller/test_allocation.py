@@ -31,19 +31,19 @@ than joints.
 """
 
 
-def arms_of(case: str) -> np.ndarray:
-    if case == "N + 1":
+def moment_arms_of_case(digit_case: str) -> np.ndarray:
+    if digit_case == "N + 1":
         return EXTENSOR_MOMENT_ARMS
-    hand, digit = DIGIT_BY_CASE[case]
+    hand, digit = DIGIT_BY_CASE[digit_case]
     return DigitModel.from_hand(hand, digit).reduced_moment_arms
 
 
 DIGIT_CASES = [*DIGIT_BY_CASE, "N + 1"]
 
 
-@pytest.mark.parametrize("case", DIGIT_CASES)
-def test_feasible_torques_are_made_exactly(case: str) -> None:
-    arms, rng = arms_of(case), np.random.default_rng(1)
+@pytest.mark.parametrize("digit_case", DIGIT_CASES)
+def test_feasible_torques_are_made_exactly(digit_case: str) -> None:
+    arms, rng = moment_arms_of_case(digit_case), np.random.default_rng(1)
     floor, ceiling = np.full(len(arms), 3.0), np.full(len(arms), 110.0)
     for _ in range(200):
         wanted = rng.uniform(3.5, 105.0, len(arms))
@@ -75,10 +75,10 @@ def allocation_cost(
     )
 
 
-@pytest.mark.parametrize("case", DIGIT_CASES)
-def test_bounded_solution_has_the_smallest_error(case: str) -> None:
+@pytest.mark.parametrize("digit_case", DIGIT_CASES)
+def test_bounded_solution_has_the_smallest_error(digit_case: str) -> None:
     """The allocated tensions have no higher cost than the solution of scipy's bounded least-squares solver."""
-    arms, rng = arms_of(case), np.random.default_rng(2)
+    arms, rng = moment_arms_of_case(digit_case), np.random.default_rng(2)
     n, r = len(arms), np.abs(arms).mean()
     outside = 0
     for _ in range(200):
@@ -103,26 +103,26 @@ def test_bounded_solution_has_the_smallest_error(case: str) -> None:
     assert outside > 20, "torques that the bounds forbid were among them"
 
 
-finite_torques = st.floats(-1e6, 1e6, allow_nan=False)
+finite_torque_values = st.floats(-1e6, 1e6, allow_nan=False)
 
 
 @given(
-    torque=st.lists(finite_torques, min_size=3, max_size=3),
-    case=st.sampled_from(["jamia11 index", "N + 1"]),
+    joint_torque=st.lists(finite_torque_values, min_size=3, max_size=3),
+    digit_case=st.sampled_from(["jamia11 index", "N + 1"]),
 )
-def test_bounds_hold_for_any_torque(torque: list[float], case: str) -> None:
-    arms = arms_of(case)
+def test_bounds_hold_for_any_torque(joint_torque: list[float], digit_case: str) -> None:
+    arms = moment_arms_of_case(digit_case)
     floor, ceiling = np.full(len(arms), 3.0), np.full(len(arms), 110.0)
-    tension, missing = tensions_for_torque(arms, np.array(torque), floor, ceiling)
+    tension, missing = tensions_for_torque(arms, np.array(joint_torque), floor, ceiling)
     assert np.isfinite(tension).all()
     assert (tension >= floor).all()
     assert (tension <= ceiling).all()
     assert np.isfinite(missing).all()
 
 
-@given(torque=finite_torques)
+@given(torque=finite_torque_values)
 def test_one_tendon_pulls_between_its_bounds(torque: float) -> None:
-    arms = arms_of("jamia index")
+    arms = moment_arms_of_case("jamia index")
     tension, missing = tensions_for_torque(
         arms, np.array([torque]), np.array([3.0]), np.array([110.0])
     )
@@ -131,9 +131,9 @@ def test_one_tendon_pulls_between_its_bounds(torque: float) -> None:
     np.testing.assert_allclose(missing, [torque - arms[0, 0] * expected], rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("case", DIGIT_CASES)
-def test_where_the_solver_starts_changes_nothing(case: str) -> None:
-    arms, rng = arms_of(case), np.random.default_rng(3)
+@pytest.mark.parametrize("digit_case", DIGIT_CASES)
+def test_where_the_solver_starts_changes_nothing(digit_case: str) -> None:
+    arms, rng = moment_arms_of_case(digit_case), np.random.default_rng(3)
     n = len(arms)
     floor, ceiling = np.full(n, 3.0), np.full(n, 110.0)
     for _ in range(100):

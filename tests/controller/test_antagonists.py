@@ -83,14 +83,14 @@ def antagonist_model() -> HandModel:
     return HandModel.from_hand(n_plus_1_hand(), Gains(), RATE_HZ)
 
 
-def task_of_moves(*angles: tuple[float, float]) -> Task:
+def task_of_moves(*digit_and_thumb_angles_deg: tuple[float, float]) -> Task:
     """Return a task with one move for each pair.
 
     A pair contains one angle for all joints [deg] and the duration of the move [s].
     """
     phases = [
         {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
-        for i, (angle, duration) in enumerate(angles)
+        for i, (angle, duration) in enumerate(digit_and_thumb_angles_deg)
     ]
     return Task.model_validate(
         {"schema": 1, "name": "moves", "description": "moves", "phase": tuple(phases)}
@@ -98,7 +98,7 @@ def task_of_moves(*angles: tuple[float, float]) -> Task:
 
 
 def begin_run(
-    peer: SimulatedHand,
+    simulated_hand: SimulatedHand,
     program: Program,
     calibration: Calibration | None,
     first_tick: int,
@@ -108,14 +108,14 @@ def begin_run(
     controller = make_controller(
         hand or n_plus_1_hand(), Gains(), RATE_HZ, program, calibration, arm_at_once=True
     )
-    run = SimulatedRun.begin(controller, peer)
+    run = SimulatedRun.begin(controller, simulated_hand)
     run.k = first_tick
     run.record_ticks = False
     run.state.set_run_integer(s.K, first_tick - 1)
     return run, (None for _ in run.run_ticks(first_tick / RATE_HZ + 120.0))
 
 
-def events_of(run: SimulatedRun) -> tuple[TickEvent, ...]:
+def logged_events_of(run: SimulatedRun) -> tuple[TickEvent, ...]:
     assert run.last_output is not None
     return run.last_output.events
 
@@ -128,21 +128,21 @@ HAND_BY_KIND = {
 
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
-@pytest.mark.parametrize("kind", HAND_BY_KIND)
+@pytest.mark.parametrize("hand_kind", HAND_BY_KIND)
 def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
-    kind: str, seed: int
+    hand_kind: str, seed: int
 ) -> None:
     """Commissioning finds the true motor zeros of the simulated hand.
 
     The joints follow their goals within one degree.
     """
-    hand = HAND_BY_KIND[kind]()
+    hand = HAND_BY_KIND[hand_kind]()
     period_ns = round(1e9 / RATE_HZ)
     with SimulatorSettings(hand, None, seed).simulated_hand(period_ns) as peer:
         plant = peer.world.plant
         run, ticks = begin_run(peer, CommissionProgram(), None, 0, hand)
         for _ in ticks:
-            assert not [event for event in events_of(run) if event.level == "error"]
+            assert not [event for event in logged_events_of(run) if event.level == "error"]
         assert not run.state.progress.failure
         calibration = calibration_of_result(
             run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00"
@@ -161,7 +161,7 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         errors = list[np.ndarray]()
         least = list[float]()
         for _ in ticks:
-            assert not [event for event in events_of(run) if event.level == "error"]
+            assert not [event for event in logged_events_of(run) if event.level == "error"]
             if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 errors.append(np.degrees(run.state.view("q_goal") - plant.engine.q))
                 least.append(min(plant.tensions()))
@@ -226,8 +226,8 @@ def test_an_antagonistic_hand_grasps_holds_and_releases(seed: int) -> None:
         height, tension = dict[str, float](), dict[str, np.ndarray]()
         touched = set[str]()
         for _ in ticks:
-            assert not [event for event in events_of(run) if event.level == "error"]
-            touched |= {event.where for event in events_of(run) if event.name == "contact"}
+            assert not [event for event in logged_events_of(run) if event.level == "error"]
+            touched |= {event.where for event in logged_events_of(run) if event.name == "contact"}
             height[run.state.progress.phase] = plant.engine.object_pose()[2]
             tension[run.state.progress.phase] = np.array(plant.tensions())
         assert touched == {"index", "middle", "thumb"}

@@ -12,16 +12,16 @@ from handctl.safety.faults.tendon import RELAXED_S
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 
-@pytest.mark.parametrize("tare", [-3.0, 0.0, 5.0])
-def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: float) -> None:
+@pytest.mark.parametrize("tare_N", [-3.0, 0.0, 5.0])
+def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare_N: float) -> None:
     """A broken wire of a load cell is detected at any tare of this load cell."""
     model, n = jamia, jamia.tendon_count
     run = make_controller_bench(model, LiveProgram())
-    run.controller = replace(run.controller, tare=np.full(n, tare))
-    run.peer.cell_bias[:] = tare
+    run.controller = replace(run.controller, tare=np.full(n, tare_N))
+    run.toy_hand.cell_bias[:] = tare_N
     run.run_until_mode(HandMode.ACTIVE)
     run.run(0.5)
-    run.peer.cell_bias[1] = -100.0
+    run.toy_hand.cell_bias[1] = -100.0
     faults = [
         event.text[:3] for _ in range(4) for event in run.tick().events if event.name == "fault"
     ]
@@ -33,10 +33,10 @@ def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
     """Return a bench whose hand has just started to relax while a load cell reads the upper end of its range."""
     run = make_controller_bench(model, LiveProgram())
     run.run_until_mode(HandMode.ACTIVE)
-    run.peer.cell_bias[:] = (
+    run.toy_hand.cell_bias[:] = (
         60.0  # all load cells continue to read a high tension, so RELAX does not end
     )
-    run.peer.cell_bias[1] = 300.0
+    run.toy_hand.cell_bias[1] = 300.0
     run.run_until_mode(HandMode.RELAX)
     return run
 
@@ -53,5 +53,5 @@ def test_a_tendon_that_relaxes_in_time_needs_no_cut(jamia: HandModel) -> None:
     run = bench_with_saturated_cell(jamia)
     for _ in range(round(0.9 * RELAXED_S / jamia.period)):
         assert run.tick().mode == HandMode.RELAX
-    run.peer.cell_bias[:] = 0.0
+    run.toy_hand.cell_bias[:] = 0.0
     run.run_until_mode(HandMode.DISARM)

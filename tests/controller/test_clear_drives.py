@@ -22,7 +22,7 @@ def hand_after_crash() -> ControllerBench:
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
     )
-    for motor in run.peer.motors:
+    for motor in run.toy_hand.motors:
         motor.state_nibble = COMMUNICATION_LOST_STATE
     return run
 
@@ -34,7 +34,7 @@ def test_without_an_order_the_hand_is_refused_and_the_line_says_what_to_do(
     assert HandMode.ARMING not in hand_after_crash.mode_history
     assert "communication lost" in hand_after_crash.state.failure
     assert "--clear" in hand_after_crash.state.failure
-    assert [motor.state_nibble for motor in hand_after_crash.peer.motors] == [
+    assert [motor.state_nibble for motor in hand_after_crash.toy_hand.motors] == [
         COMMUNICATION_LOST_STATE
     ] * 4
 
@@ -58,14 +58,14 @@ def test_clear_before_arming_does_not_clear_later_errors(hand_after_crash: Contr
     hand_after_crash.tick(CLEAR_REQUEST)
     hand_after_crash.run_until_mode(HandMode.ACTIVE)
     hand_after_crash.run(0.5)
-    hand_after_crash.peer.motors[1].state_nibble = COMMUNICATION_LOST_STATE
+    hand_after_crash.toy_hand.motors[1].state_nibble = COMMUNICATION_LOST_STATE
     hand_after_crash.run_until_mode(HandMode.DONE)
     assert "N08" in hand_after_crash.state.failure
-    assert hand_after_crash.peer.motors[1].state_nibble == COMMUNICATION_LOST_STATE
+    assert hand_after_crash.toy_hand.motors[1].state_nibble == COMMUNICATION_LOST_STATE
 
 
 def test_a_drive_that_does_not_clear_is_refused_in_time(hand_after_crash: ControllerBench) -> None:
-    hand_after_crash.peer.motors[2].ignored_commands = {0xFB}
+    hand_after_crash.toy_hand.motors[2].ignored_commands = {0xFB}
     hand_after_crash.tick(CLEAR_REQUEST)
     hand_after_crash.run_until_mode(HandMode.DONE)
     assert (

@@ -31,11 +31,13 @@ def lease_events(client: StreamClient) -> list[str]:
     ]
 
 
-def run_with_signs_of_life(client: StreamClient, seconds: float, every_s: float = 0.1) -> None:
-    """Run ticks for some seconds. The client sends a sign of life every ``every_s``."""
-    for _ in range(round(seconds / every_s)):
+def run_with_signs_of_life(
+    client: StreamClient, duration_s: float, sign_of_life_period_s: float = 0.1
+) -> None:
+    """Run ticks for some seconds. The client sends a sign of life every ``sign_of_life_period_s``."""
+    for _ in range(round(duration_s / sign_of_life_period_s)):
         client.tick(alive_request_text(client.name))
-        client.wait(every_s - client.model.period)
+        client.wait(sign_of_life_period_s - client.model.period)
 
 
 def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -> None:
@@ -91,8 +93,8 @@ def test_targets_of_a_stream_are_signs_of_life(jamia: HandModel) -> None:
         assert client.tick_outputs[-1].mode == HandMode.ACTIVE
 
 
-@pytest.mark.parametrize("after", ["no lease", "leave", "another"])
-def test_a_lease_ends(jamia: HandModel, after: str) -> None:
+@pytest.mark.parametrize("event_after_lease", ["no lease", "leave", "another"])
+def test_a_lease_ends(jamia: HandModel, event_after_lease: str) -> None:
     """A client's lease ends when this client sends a command without a lease.
 
     A lease also ends when the client gives up the right to command, or when another client takes
@@ -100,10 +102,10 @@ def test_a_lease_ends(jamia: HandModel, after: str) -> None:
     """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)
-        if after == "leave":
+        if event_after_lease == "leave":
             client.send_command("leave")
         else:
-            client.name = "two" if after == "another" else "one"
+            client.name = "two" if event_after_lease == "another" else "one"
             client.send_command("stay", take_over=True)
         client.tick(alive_request_text("one"))
         client.wait(3.0 * LEASE_S)

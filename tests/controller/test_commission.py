@@ -30,7 +30,7 @@ from tests.controller.synthetic_states import (
     estimate_under_tension,
     slack_hand_estimate,
 )
-from tests.hand.many_motors import fifteen_motors
+from tests.hand.many_motors import fifteen_motor_hand
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +162,7 @@ def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> No
 @pytest.fixture(scope="module")
 def fifteen_motor_model() -> HandModel:
     return HandModel.from_hand(
-        hand_from_content(fifteen_motors(), "a hand of 15 motors"), Gains(), 50.0
+        hand_from_content(fifteen_motor_hand(), "a hand of 15 motors"), Gains(), 50.0
     )
 
 
@@ -272,16 +272,17 @@ def commissioning_bench(fast_rate_jamia: HandModel) -> ControllerBench:
 
 
 @pytest.mark.parametrize(
-    "bias", [-2.0, *(pytest.param(bias, marks=pytest.mark.nightly) for bias in (0.0, 2.0)), 4.5]
+    "cell_bias_N",
+    [-2.0, *(pytest.param(bias, marks=pytest.mark.nightly) for bias in (0.0, 2.0)), 4.5],
 )
 def test_load_cells_that_were_never_tared_are_no_hindrance(
-    commissioning_bench: ControllerBench, bias: float
+    commissioning_bench: ControllerBench, cell_bias_N: float
 ) -> None:
     """After the tare, the tension loop uses load-cell readings minus their tares.
 
     With raw readings, the bias of a load cell would change the tension of the pull.
     """
-    commissioning_bench.peer.cell_bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
+    commissioning_bench.toy_hand.cell_bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + cell_bias_N
     commissioning_bench.run_until_mode(HandMode.DONE, 30.0)
     assert not commissioning_bench.state.failure
     model = commissioning_bench.controller.model
@@ -289,13 +290,13 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(
         model, commissioning_bench.state.progress, "2024-01-01T00:00:00+00:00"
     )
     np.testing.assert_allclose(
-        found.tare(model.hand), commissioning_bench.peer.cell_bias, atol=0.05
+        found.tare(model.hand), commissioning_bench.toy_hand.cell_bias, atol=0.05
     )
     np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, 0.3e-3, atol=1e-5)
 
 
 def test_a_load_cell_beyond_taring_is_named(commissioning_bench: ControllerBench) -> None:
-    commissioning_bench.peer.cell_bias[2] = 25.0
+    commissioning_bench.toy_hand.cell_bias[2] = 25.0
     commissioning_bench.run_until_mode(HandMode.DONE, 30.0)
     expected = (
         "ring_tendon: load cell reads 25.0 N without tension, which can be tared from -4 to 6 N"
@@ -304,27 +305,28 @@ def test_a_load_cell_beyond_taring_is_named(commissioning_bench: ControllerBench
 
 
 @pytest.mark.parametrize(
-    ("tare", "refused"), [(-4.1, True), (-3.9, False), (5.9, False), (6.1, True)]
+    ("tare_N", "is_refused"), [(-4.1, True), (-3.9, False), (5.9, False), (6.1, True)]
 )
 def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
-    model: HandModel, tare: float, refused: bool
+    model: HandModel, tare_N: float, is_refused: bool
 ) -> None:
     """The message names the load cell that is nearest to an end of its range, even if another load cell reads more."""
 
     def tension_by_pull(i: int) -> np.ndarray:
         tension = tensions_without_fault(model)(i) - CELL_BIAS_N
-        tension[0] += tare
+        tension[0] += tare_N
         tension[1] += 3.95
         return tension
 
     progress = (
         run_commissioning(model, tension_by_pull, noise=0.0)
-        if refused
+        if is_refused
         else program_after_tare(model, tension_by_pull)
     )
     assert progress.failure == (
-        f"{model.hand.tendon_names[0]}: load cell reads {tare:.1f} N without tension, which can be tared from -4 to 6 N"
-        if refused
+        f"{model.hand.tendon_names[0]}: load cell reads {tare_N:.1f} N without tension,"
+        " which can be tared from -4 to 6 N"
+        if is_refused
         else ""
     )
 
@@ -342,7 +344,7 @@ def program_after_tare(model: HandModel, tension_by_pull: TensionByPull) -> Prog
 
 
 def test_swapped_load_cells_are_found_and_both_named(commissioning_bench: ControllerBench) -> None:
-    commissioning_bench.peer.tendon_of_channel = [1, 0, 2, 3]
+    commissioning_bench.toy_hand.tendon_of_channel = [1, 0, 2, 3]
     commissioning_bench.run_until_mode(HandMode.DONE, 30.0)
     assert commissioning_bench.state.failure.startswith("index_tendon")
     assert "middle_tendon" in commissioning_bench.state.failure
@@ -359,7 +361,7 @@ def test_swapped_load_cells_are_found_and_both_named(commissioning_bench: Contro
 
 
 def test_a_motor_that_turns_the_other_way_is_found(commissioning_bench: ControllerBench) -> None:
-    real = commissioning_bench.peer.step
+    real = commissioning_bench.toy_hand.step
 
     def reversed_motor(t_ns: int, frames: list[Frame]) -> list[Frame]:
         turned = []
@@ -370,7 +372,7 @@ def test_a_motor_that_turns_the_other_way_is_found(commissioning_bench: Controll
             turned.append(frame._replace(data=word.to_bytes(len(frame.data), "big")))
         return real(t_ns, turned)
 
-    commissioning_bench.peer.step = reversed_motor  # type: ignore[method-assign]
+    commissioning_bench.toy_hand.step = reversed_motor  # type: ignore[method-assign]
     commissioning_bench.run_until_mode(HandMode.DONE, 30.0)
     assert commissioning_bench.state.failure == "fault N17 index_motor", (
         "safety is there before the rope would have to be taut"
@@ -420,10 +422,10 @@ def test_a_calibration_of_another_hand_or_with_a_tendon_missing_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("tare", "right"), [("-4.1", False), ("-4.0", True), ("6.0", True), ("6.1", False)]
+    ("tare_text", "is_accepted"), [("-4.1", False), ("-4.0", True), ("6.0", True), ("6.1", False)]
 )
 def test_a_tare_that_hides_an_end_of_the_range_is_refused(
-    jamia: HandModel, tmp_path, tare: str, right: bool
+    jamia: HandModel, tmp_path, tare_text: str, is_accepted: bool
 ) -> None:  # type: ignore[no-untyped-def]
     from handctl.session.calibration import write_calibration
 
@@ -436,11 +438,11 @@ def test_a_tare_that_hides_an_end_of_the_range_is_refused(
             "2024-01-01T00:00:00+00:00",
         ),
     )
-    path.write_text(re.sub(r"tare_N = .*", f"tare_N = {tare}", path.read_text(), count=1))
-    if right:
-        assert load_calibration(path, jamia.hand).tare(jamia.hand)[0] == float(tare)
+    path.write_text(re.sub(r"tare_N = .*", f"tare_N = {tare_text}", path.read_text(), count=1))
+    if is_accepted:
+        assert load_calibration(path, jamia.hand).tare(jamia.hand)[0] == float(tare_text)
         return
     with pytest.raises(ConfigError) as refused:
         load_calibration(path, jamia.hand)
-    said = f"tendon.index_tendon.tare_N: {tare}; expected -4 to 6 N: adjust the load cell, then commission again"
+    said = f"tendon.index_tendon.tare_N: {tare_text}; expected -4 to 6 N: adjust the load cell, then commission again"
     assert str(refused.value) == f"{path}: {said}"

@@ -33,8 +33,8 @@ from tests.controller.synthetic_states import (
 )
 
 
-@pytest.mark.parametrize("gain", [None, 0.5, 1.0, 1.7])
-def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(gain: float | None) -> None:
+@pytest.mark.parametrize("torque_gain", [None, 0.5, 1.0, 1.7])
+def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(torque_gain: float | None) -> None:
     """In the control law, the torque limit is divided by the spool radius and the gain.
 
     A later step multiplies the quotient by the spool radius and the gain.
@@ -42,7 +42,7 @@ def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(gain: float | Non
     Without a correction, rounding could make the commanded torque exceed the limit by one bit.
     """
     hand = load_hand("jamia")
-    gains = None if gain is None else np.full(len(hand.tendon), gain)
+    gains = None if torque_gain is None else np.full(len(hand.tendon), torque_gain)
     beyond = 0
     for torque in np.arange(0.3, 1.6, 0.1).round(1).tolist():
         for spool in np.arange(4.0, 9.0, 0.5).tolist():
@@ -54,7 +54,7 @@ def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(gain: float | Non
     assert beyond, "there are numbers that come out larger"
 
 
-finite_number = st.floats(-1e4, 1e4, allow_nan=False)
+finite_numbers = st.floats(-1e4, 1e4, allow_nan=False)
 
 
 @given(data=st.data())
@@ -62,7 +62,7 @@ def test_torque_is_within_its_limits_for_any_finite_input(
     data: st.DataObject, jamia: HandModel
 ) -> None:
     n = jamia.tendon_count
-    column = st.lists(finite_number, min_size=n, max_size=n).map(np.array)
+    column = st.lists(finite_numbers, min_size=n, max_size=n).map(np.array)
     names = (
         "tension", "travel", "tendon_speed", "excursion", "excursion_rate", "motor_disturbance", "external_tension",
         "stretch_offset",
@@ -83,7 +83,7 @@ def test_torque_is_within_its_limits_for_any_finite_input(
         ),
         GoalKind.TENSION: st.builds(
             lambda f, r: DigitGoal(GoalKind.TENSION, tension=np.array([f]), rate=r),
-            finite_number, st.floats(0.0, 5000.0),
+            finite_numbers, st.floats(0.0, 5000.0),
         ),
     }  # fmt: skip
     goals = tuple(data.draw(kinds[data.draw(st.sampled_from(GoalKind))]) for _ in jamia.digits)
@@ -147,7 +147,7 @@ def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: H
     )
     assert not command.torque.any()
     after, _ = run_law_tick(
-        model, law, estimate, holding_goals(model, 0.0, rate=10.0), model.period
+        model, law, estimate, holding_goals(model, 0.0, tension_rate=10.0), model.period
     )
     np.testing.assert_allclose(after.setpoint, estimate.tension - 10.0 * model.period)
 
@@ -161,7 +161,7 @@ def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
     silent = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))
     for k in range(300):
         law, command = run_law_tick(
-            model, law, silent, holding_goals(model, 50.0, limit=12.0), k * model.period
+            model, law, silent, holding_goals(model, 50.0, tension_limit=12.0), k * model.period
         )
         assert (np.abs(command.torque) <= 12.0 * model.space.spool * (1 + 1e-12)).all()
     np.testing.assert_allclose(command.torque, 12.0 * model.space.spool)
@@ -207,7 +207,11 @@ def test_tension_goals_stay_below_the_ceiling(model: HandModel) -> None:
     )
     for k in range(3000):
         law, command = run_law_tick(
-            model, law, estimate, holding_goals(model, 5000.0, rate=5000.0), k * model.period
+            model,
+            law,
+            estimate,
+            holding_goals(model, 5000.0, tension_rate=5000.0),
+            k * model.period,
         )
     np.testing.assert_array_equal(law.setpoint, model.ceiling)
     np.testing.assert_array_equal(command.tension, model.ceiling)
@@ -230,14 +234,22 @@ class ClosedLoopPlant:
     Small steps are necessary because capstan friction reverses within 1 mm/s of tendon speed.
     """
 
-    def __init__(self, model: HandModel, x: np.ndarray, held: bool) -> None:
-        self.model, self.tendon_states, self.digits_fixed = model, x.copy(), held
+    def __init__(self, model: HandModel, filter_states: np.ndarray, digits_are_fixed: bool) -> None:
+        self.model, self.tendon_states, self.digits_fixed = (
+            model,
+            filter_states.copy(),
+            digits_are_fixed,
+        )
         self.law = LawState.before_first_command(model.tendon_count)
 
-    def tick(self, goals: tuple[DigitGoal, ...], k: int) -> None:
+    def tick(self, goals: tuple[DigitGoal, ...], tick_index: int) -> None:
         model, space = self.model, self.model.space
         self.law, self.command = run_law_tick(
-            model, self.law, exact_estimate(model, self.tendon_states), goals, k * model.period
+            model,
+            self.law,
+            exact_estimate(model, self.tendon_states),
+            goals,
+            tick_index * model.period,
         )
         force, dt = self.command.torque / space.spool, model.period / self.STEPS_PER_TICK
         sliding = self.tendon_states.copy()
@@ -279,7 +291,7 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
         x[:, V] = rng.uniform(-0.01, 0.01, n)
         estimate = exact_estimate(model, x)
         goals = holding_goals(
-            model, float(estimate.tension.max()) + rng.uniform(-2.0, 2.0), rate=1e6
+            model, float(estimate.tension.max()) + rng.uniform(-2.0, 2.0), tension_rate=1e6
         )
         law, command = run_law_tick(model, LawState.before_first_command(n), estimate, goals, 0.0)
         asked, v, taken = command.torque / space.spool, x[:, V].copy(), np.zeros(n)
@@ -296,7 +308,7 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
 
 def test_with_perfect_knowledge_the_digit_follows(jamia: HandModel) -> None:
     plant, goals, worst = (
-        ClosedLoopPlant(jamia, balanced_state(jamia, 0.1), held=False),
+        ClosedLoopPlant(jamia, balanced_state(jamia, 0.1), digits_are_fixed=False),
         moving_goals(jamia, 0.1, 1.0, 0.8),
         0.0,
     )
@@ -313,11 +325,11 @@ def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
     """In this test, the digits cannot move, and the control law gets the exact tensions as its estimate."""
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, X] = 10.0 / model.space.stiffness
-    plant = ClosedLoopPlant(model, x, held=True)
+    plant = ClosedLoopPlant(model, x, digits_are_fixed=True)
     plant.law = LawState.idle_at_tensions(np.full(len(x), 10.0))
     peak = 0.0
     for k in range(round(2.0 / model.period)):
-        plant.tick(holding_goals(model, 30.0, rate=60.0), k)
+        plant.tick(holding_goals(model, 30.0, tension_rate=60.0), k)
         tension = exact_estimate(model, plant.tendon_states).tension
         peak = max(peak, float(tension.max()))
     np.testing.assert_allclose(tension, 30.0, atol=0.3)
@@ -338,17 +350,19 @@ def test_arguments_are_not_changed(model: HandModel) -> None:
     np.testing.assert_array_equal(first[1].torque, second[1].torque)
 
 
-@pytest.mark.parametrize("kind", [GoalKind.MOTION, GoalKind.TENSION])
-def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, kind: GoalKind) -> None:
+@pytest.mark.parametrize("goal_kind", [GoalKind.MOTION, GoalKind.TENSION])
+def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, goal_kind: GoalKind) -> None:
     estimate = exact_estimate(jamia, balanced_state(jamia, 0.5))
     _, command = run_law_tick(
-        jamia, LawState.before_first_command(4), estimate, (DigitGoal(kind),) * 4, 0.0
+        jamia, LawState.before_first_command(4), estimate, (DigitGoal(goal_kind),) * 4, 0.0
     )
     assert not command.torque.any()
     state = state_with_estimate(jamia, estimate)
-    run_control_law(jamia, state, holding_goals(jamia, 30.0, rate=1e6), 0.0, SafetyAction.PASS)
+    run_control_law(
+        jamia, state, holding_goals(jamia, 30.0, tension_rate=1e6), 0.0, SafetyAction.PASS
+    )
     assert (state.view("torque") > 0.0).all()
-    run_control_law(jamia, state, (DigitGoal(kind),) * 4, 0.0, SafetyAction.PASS)
+    run_control_law(jamia, state, (DigitGoal(goal_kind),) * 4, 0.0, SafetyAction.PASS)
     assert not state.view("torque").any(), "whatever was there before"
 
 

@@ -51,9 +51,9 @@ Only the last links of the fingers reach the wall.
 OPEN_ANGLES_DEG = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
 
 
-def task_program(*phases: dict[str, Any]) -> TaskProgram:
+def task_program(*phase_fields: dict[str, Any]) -> TaskProgram:
     return TaskProgram(
-        Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": phases}))
+        Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": phase_fields}))
     )
 
 
@@ -95,12 +95,14 @@ def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_pat
         assert not len(strong) or found[name] <= run.time_s[strong[0]] + 0.02 + 1e-9
 
 
-def count_contacts_in_free_motion(hand: str, seconds: float, seed: int, folder: Path) -> int:
+def count_contacts_in_free_motion(
+    hand_name: str, duration_s: float, seed: int, folder: Path
+) -> int:
     """Return the number of contacts that are reported while a hand closes freely at 20 to 100 deg/s."""
-    chance = random.Random(f"free {hand} {seed}")
+    chance = random.Random(f"free {hand_name} {seed}")
     phases: list[dict[str, Any]] = []
     planned = 1.0
-    while planned < seconds:
+    while planned < duration_s:
         speed, goal = chance.uniform(20.0, 100.0), {"index": chance.uniform(25, 50)}
         # Either the middle finger or the thumb closes in a phase, because the two would otherwise
         # touch.
@@ -112,8 +114,8 @@ def count_contacts_in_free_motion(hand: str, seconds: float, seed: int, folder: 
         phases += [{"kind": "move", "angle_deg": home, "duration_s": 0.5}]
         phases += [{"kind": "close", "angle_deg": goal, "speed_deg_s": speed}]
         planned += 0.8 + 35.0 / speed * 1.875
-    run = run_on_plant(hand, task_program(*phases), None, folder, seconds, seed)
-    assert math.isclose(run.time_s[-1], seconds, abs_tol=0.01) or run.events_named("phase")
+    run = run_on_plant(hand_name, task_program(*phases), None, folder, duration_s, seed)
+    assert math.isclose(run.time_s[-1], duration_s, abs_tol=0.01) or run.events_named("phase")
     assert np.max(run.digit_contact_force) == 0.0, "the digits met each other"
     return len(run.events_named("contact"))
 
@@ -144,11 +146,16 @@ def test_ten_minutes_of_free_motion_have_no_contact(hand: str, tmp_path: Path) -
 
 
 def closing_hand(
-    model: HandModel, force: float, ticks: int = 1, closing: int = 1, **remembered: float
+    model: HandModel,
+    tip_force_N: float,
+    tick_count: int = 1,
+    closing_digit_count: int = 1,
+    **earlier_fields: float,
 ) -> ControllerState:
-    """Return the state of a hand whose first ``closing`` digits close, with the given forces at the tips [N].
+    """Return the state of a hand whose first digits close, with the given force at each tip [N].
 
-    ``remembered`` sets other fields of the state, which earlier ticks would have written.
+    ``closing_digit_count`` digits close. ``earlier_fields`` sets other fields of the state, which
+    earlier ticks would have written.
     """
     state, unit = (
         active_state(model),
@@ -158,11 +165,11 @@ def closing_hand(
     )
     state.view("closing")[...] = 1
     detect_contacts(model, state, unit)
-    each = force / (state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_FRACTION])
-    for name, value in remembered.items():
+    each = tip_force_N / (state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_FRACTION])
+    for name, value in earlier_fields.items():
         state.view(name)[...] = value
-    state.view("closing")[closing:] = 0
-    for _ in range(ticks):
+    state.view("closing")[closing_digit_count:] = 0
+    for _ in range(tick_count):
         detect_contacts(model, state, unit._replace(external_tension=each[list(model.digit_of)]))
     return state
 

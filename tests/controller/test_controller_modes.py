@@ -51,19 +51,22 @@ def hand_bench(low_rate_jamia: HandModel) -> ControllerBench:
     return make_controller_bench(low_rate_jamia, LiveProgram())
 
 
-def duration_in_mode(run: ControllerBench, mode: HandMode) -> float:
-    return sum(out.mode == mode for _, _, out in run.tick_history) * run.controller.model.period
+def duration_in_mode(bench: ControllerBench, mode: HandMode) -> float:
+    return sum(out.mode == mode for _, _, out in bench.tick_history) * bench.controller.model.period
 
 
-def ids_sent(run: ControllerBench, data: bytes) -> list[int]:
-    """Return the identifiers of all sent frames whose payload is ``data``, in the order of sending."""
+def can_ids_with_payload(run: ControllerBench, payload: bytes) -> list[int]:
+    """Return the identifiers of all sent frames whose payload is ``payload``, in the order of sending."""
     return [
-        frame.can_id for _, _, out in run.tick_history for frame in out.frames if frame.data == data
+        frame.can_id
+        for _, _, out in run.tick_history
+        for frame in out.frames
+        if frame.data == payload
     ]
 
 
-def all_motors_disabled(run: ControllerBench) -> bool:
-    return all(motor.state_nibble != 1 for motor in run.peer.motors)
+def all_motors_disabled(bench: ControllerBench) -> bool:
+    return all(motor.state_nibble != 1 for motor in bench.toy_hand.motors)
 
 
 def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> None:
@@ -79,10 +82,10 @@ def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> No
     for _, _, out in run.tick_history:
         if out.mode == HandMode.SILENT:
             assert out.frames == (), "silent means silent"
-    assert ids_sent(run, ENABLE_PAYLOAD) == [motor.node_id for motor in run.peer.motors], (
-        "each drive is enabled once"
-    )
-    assert [motor.state_nibble for motor in run.peer.motors] == [1] * model.tendon_count
+    assert can_ids_with_payload(run, ENABLE_PAYLOAD) == [
+        motor.node_id for motor in run.toy_hand.motors
+    ], "each drive is enabled once"
+    assert [motor.state_nibble for motor in run.toy_hand.motors] == [1] * model.tendon_count
     run.run(2.0)
     assert run.state.progress.phase == "live"
     run.tick(STOP_REQUEST)
@@ -94,30 +97,30 @@ def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> No
 
 
 def test_registers_are_written_before_any_torque(hand_bench: ControllerBench) -> None:
-    for motor in hand_bench.peer.motors:
+    for motor in hand_bench.toy_hand.motors:
         motor.registers[23] = 1.0
     hand_bench.run_until_mode(HandMode.ACTIVE)
-    assert all(motor.written_registers for motor in hand_bench.peer.motors)
-    assert all(motor.registers[9] == 1000 for motor in hand_bench.peer.motors), (
+    assert all(motor.written_registers for motor in hand_bench.toy_hand.motors)
+    assert all(motor.registers[9] == 1000 for motor in hand_bench.toy_hand.motors), (
         "watchdog of 50 ms, in units of 50 us"
     )
-    assert all(motor.registers[23] == pytest.approx(0.8) for motor in hand_bench.peer.motors), (
+    assert all(motor.registers[23] == pytest.approx(0.8) for motor in hand_bench.toy_hand.motors), (
         "torque limit"
     )
 
 
 def test_hand_waits_without_an_arm_request(low_rate_jamia: HandModel) -> None:
-    run = make_controller_bench(low_rate_jamia, LiveProgram(), arm=False)
+    run = make_controller_bench(low_rate_jamia, LiveProgram(), arm_at_start=False)
     run.run_until_mode(HandMode.READY)
     run.run(2.0)
     assert run.state.mode == HandMode.READY
-    assert ids_sent(run, ENABLE_PAYLOAD) == []
+    assert can_ids_with_payload(run, ENABLE_PAYLOAD) == []
     run.tick(ARM_REQUEST)
     run.run_until_mode(HandMode.ACTIVE, 1.0)
 
 
 @pytest.mark.parametrize(
-    ("mode", "way"),
+    ("mode", "expected_modes"),
     [
         (HandMode.SILENT, [HandMode.DONE]),
         (HandMode.INVENTORY, [HandMode.DONE]),
@@ -127,16 +130,19 @@ def test_hand_waits_without_an_arm_request(low_rate_jamia: HandModel) -> None:
     ],
 )
 def test_stop_from_every_mode(
-    hand_bench: ControllerBench, mode: HandMode, way: list[HandMode]
+    hand_bench: ControllerBench, mode: HandMode, expected_modes: list[HandMode]
 ) -> None:
     hand_bench.run_until_mode(mode)
     hand_bench.tick(STOP_REQUEST)
     hand_bench.run_until_mode(HandMode.DONE)
-    assert hand_bench.mode_history == MODES_TO_ACTIVE[: MODES_TO_ACTIVE.index(mode) + 1] + way
+    assert (
+        hand_bench.mode_history
+        == MODES_TO_ACTIVE[: MODES_TO_ACTIVE.index(mode) + 1] + expected_modes
+    )
     assert all_motors_disabled(hand_bench)
     assert not hand_bench.state.failure
     if mode < HandMode.ARMING:
-        assert ids_sent(hand_bench, ENABLE_PAYLOAD) == []
+        assert can_ids_with_payload(hand_bench, ENABLE_PAYLOAD) == []
 
 
 @pytest.mark.parametrize(
@@ -165,7 +171,7 @@ def test_cut_from_every_mode(hand_bench: ControllerBench, mode: HandMode) -> Non
         assert first.mode == HandMode.DONE
         return
     assert first.mode == HandMode.CUT
-    ids = [motor.node_id for motor in hand_bench.peer.motors]
+    ids = [motor.node_id for motor in hand_bench.toy_hand.motors]
     assert [(f.can_id, f.data) for f in first.frames[: len(ids)]] == [
         (i, DISABLE_PAYLOAD) for i in ids
     ], "before all else"
@@ -192,7 +198,7 @@ def foreign_command(hand_bench: ControllerBench) -> Frame:
     The controller under test does not send this frame, so a second controller has sent it.
     """
     return Frame(
-        hand_bench.peer.motors[0].node_id, bytes(8), t_ns=hand_bench.k * hand_bench.period_ns
+        hand_bench.toy_hand.motors[0].node_id, bytes(8), t_ns=hand_bench.k * hand_bench.period_ns
     )
 
 
@@ -213,7 +219,7 @@ def test_a_second_controller_that_comes_before_arming_prevents_it(
     hand_bench.tick(extra_frames=(foreign_command(hand_bench),))
     assert hand_bench.state.mode == HandMode.DONE
     assert "another controller" in hand_bench.state.failure
-    assert ids_sent(hand_bench, ENABLE_PAYLOAD) == []
+    assert can_ids_with_payload(hand_bench, ENABLE_PAYLOAD) == []
 
 
 def test_a_second_controller_in_active_mode_causes_relax(hand_bench: ControllerBench) -> None:
@@ -243,10 +249,10 @@ def test_unknown_identifiers_are_not_signs_of_a_second_controller(
 
 
 def test_a_missing_motor_is_named(hand_bench: ControllerBench) -> None:
-    hand_bench.peer.motors[2].sends_nothing = True
+    hand_bench.toy_hand.motors[2].sends_nothing = True
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.state.failure == "no answer from ring_motor"
-    assert ids_sent(hand_bench, ENABLE_PAYLOAD) == []
+    assert can_ids_with_payload(hand_bench, ENABLE_PAYLOAD) == []
     assert duration_in_mode(hand_bench, HandMode.INVENTORY) == pytest.approx(
         INVENTORY_TIMEOUT_S, abs=0.05
     )
@@ -255,8 +261,8 @@ def test_a_missing_motor_is_named(hand_bench: ControllerBench) -> None:
 def test_two_missing_motors_and_a_missing_sensor_node_are_all_named(
     hand_bench: ControllerBench,
 ) -> None:
-    hand_bench.peer.motors[0].sends_nothing = hand_bench.peer.motors[3].sends_nothing = True
-    hand_bench.peer.silent_sensors = True
+    hand_bench.toy_hand.motors[0].sends_nothing = hand_bench.toy_hand.motors[3].sends_nothing = True
+    hand_bench.toy_hand.silent_sensors = True
     hand_bench.run_until_mode(HandMode.DONE)
     for name in ("index_motor", "thumb_motor", "sensor node"):
         assert name in hand_bench.state.failure
@@ -266,21 +272,23 @@ def test_two_missing_motors_and_a_missing_sensor_node_are_all_named(
 def test_silent_joint_encoders_are_reported_as_missing(jamia11: HandModel) -> None:
     run = make_controller_bench(jamia11, LiveProgram())
     joint_ids = {0x1B0, 0x1B1, 0x1B2}
-    run.to_host = lambda frames: [frame for frame in frames if frame.can_id not in joint_ids]
+    run.change_host_frames = lambda frames: [
+        frame for frame in frames if frame.can_id not in joint_ids
+    ]
     run.run_until_mode(HandMode.DONE)
     assert run.state.failure == "no answer from the sensor node"
 
 
 def test_a_motor_that_reports_an_error_is_named_with_it(hand_bench: ControllerBench) -> None:
-    hand_bench.peer.motors[1].state_nibble = 0xB
+    hand_bench.toy_hand.motors[1].state_nibble = 0xB
     hand_bench.run_until_mode(HandMode.DONE)
     assert "middle_motor" in hand_bench.state.failure
-    assert ids_sent(hand_bench, ENABLE_PAYLOAD) == []
+    assert can_ids_with_payload(hand_bench, ENABLE_PAYLOAD) == []
 
 
 def test_a_register_that_does_not_read_back_is_named(hand_bench: ControllerBench) -> None:
-    hand_bench.peer.motors[1].registers[23] = 1.25
-    hand_bench.peer.motors[1].fixed_registers.add(23)
+    hand_bench.toy_hand.motors[1].registers[23] = 1.25
+    hand_bench.toy_hand.motors[1].fixed_registers.add(23)
     hand_bench.run_until_mode(HandMode.DONE)
     assert "middle_motor" in hand_bench.state.failure
     assert "1.25" in hand_bench.state.failure
@@ -289,7 +297,7 @@ def test_a_register_that_does_not_read_back_is_named(hand_bench: ControllerBench
 def test_a_motor_that_does_not_enable_is_named_and_all_are_disabled_again(
     hand_bench: ControllerBench,
 ) -> None:
-    hand_bench.peer.motors[1].ignored_commands.add(0xFC)
+    hand_bench.toy_hand.motors[1].ignored_commands.add(0xFC)
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.state.failure == "not enabled: middle_motor"
     assert hand_bench.mode_history == [*MODES_TO_ACTIVE[:4], HandMode.DISARM, HandMode.DONE]
@@ -303,10 +311,10 @@ def test_a_motor_that_does_not_confirm_disabling_needs_its_power_removed(
     hand_bench: ControllerBench,
 ) -> None:
     hand_bench.run_until_mode(HandMode.ACTIVE)
-    hand_bench.peer.motors[3].ignored_commands.add(0xFD)
+    hand_bench.toy_hand.motors[3].ignored_commands.add(0xFD)
     hand_bench.tick(STOP_REQUEST)
     hand_bench.run_until_mode(HandMode.DISARM)
-    hand_bench.peer.motor_force[3] = 0.0  # the motor stays enabled, but makes no torque
+    hand_bench.toy_hand.motor_force[3] = 0.0  # the motor stays enabled, but makes no torque
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.state.unconfirmed == ("thumb_motor",)
     assert hand_bench.state.failure == "REMOVE POWER: not confirmed disabled: thumb_motor"
@@ -323,7 +331,7 @@ def test_a_motor_that_keeps_its_torque_needs_its_power_removed_at_once(
     A torque after the disable command is the fault N16 (a drive does not release).
     """
     hand_bench.run_until_mode(HandMode.ACTIVE)
-    hand_bench.peer.motors[3].ignored_commands.add(0xFD)
+    hand_bench.toy_hand.motors[3].ignored_commands.add(0xFD)
     hand_bench.tick(STOP_REQUEST)
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.state.unconfirmed == ("thumb_motor",)
@@ -344,7 +352,7 @@ def test_a_motor_that_reports_disabled_and_pulls_needs_its_power_removed(
     hand_bench.tick(STOP_REQUEST)
     hand_bench.run_until_mode(HandMode.DISARM)
     # The motor reports that it is disabled, but its tendon still has this tension.
-    hand_bench.peer.cell_bias[3] = 30.0
+    hand_bench.toy_hand.cell_bias[3] = 30.0
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.state.failure == "REMOVE POWER: still pulling after the cut: thumb_motor"
 
@@ -354,19 +362,19 @@ def test_a_silent_motor_relaxes_the_others_and_both_faults_are_reported(
 ) -> None:
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)
-    hand_bench.peer.motors[0].sends_nothing = True
+    hand_bench.toy_hand.motors[0].sends_nothing = True
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
     assert hand_bench.state.unconfirmed == ("index_motor",)
     assert "B17 index_motor" in hand_bench.state.failure
     assert "REMOVE POWER" in hand_bench.state.failure
-    assert all(motor.state_nibble != 1 for motor in hand_bench.peer.motors[1:])
+    assert all(motor.state_nibble != 1 for motor in hand_bench.toy_hand.motors[1:])
 
 
 def test_a_drive_error_in_action(hand_bench: ControllerBench) -> None:
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)
-    hand_bench.peer.motors[2].state_nibble = 0xC
+    hand_bench.toy_hand.motors[2].state_nibble = 0xC
     hand_bench.run_until_mode(HandMode.DONE)
     assert "N11 ring_motor" in hand_bench.state.failure
     assert hand_bench.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
@@ -386,7 +394,7 @@ def test_a_lost_bus_before_arming_ends_the_run(hand_bench: ControllerBench, mode
     hand_bench.run_until_mode(mode)
     assert hand_bench.tick(io_events=(IoEvent("enodev", "local:x"),)).mode == HandMode.DONE
     assert "B16" in hand_bench.state.failure
-    assert ids_sent(hand_bench, ENABLE_PAYLOAD) == []
+    assert can_ids_with_payload(hand_bench, ENABLE_PAYLOAD) == []
 
 
 def test_a_fault_while_arming_disarms(hand_bench: ControllerBench) -> None:
@@ -413,7 +421,7 @@ def test_relax_lowers_the_tension_slowly_and_ends_in_time(hand_bench: Controller
     hand_bench.run(2.0)
     hand_bench.tick('{"do": "hold", "tension_N": {"index": 60, "thumb": 50}, "rate_N_per_s": 1000}')
     hand_bench.run(1.0)
-    held = hand_bench.peer.tension.copy()
+    held = hand_bench.toy_hand.tension.copy()
     assert held[0] > 55.0
     hand_bench.tick(STOP_REQUEST)
     while hand_bench.state.mode == HandMode.RELAX:
@@ -435,7 +443,7 @@ def test_a_program_that_fails_relaxes_the_hand_and_gives_a_reason(
     low_rate_jamia: HandModel,
 ) -> None:
     run = make_controller_bench(low_rate_jamia, LiveProgram())
-    run.peer.tear_tendon(1)  # the load cell of a torn tendon reads zero
+    run.toy_hand.tear_tendon(1)  # the load cell of a torn tendon reads zero
     run.run_until_mode(HandMode.DONE, 20.0)
     assert run.state.failure == "not taut after 4 s: middle_tendon"
     assert run.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE

@@ -21,24 +21,26 @@ from handctl.safety.action import SafetyAction
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 
-def run_session(name: str) -> ControllerBench:
+def run_session(hand_name: str) -> ControllerBench:
     """Return a bench after a whole run.
 
     In this run, the hand was armed, moved, held a tension and relaxed. During the run, a frame was
     lost and a fault occurred.
     """
-    rate = {"jamia": 200.0, "jamia11": 200.0}[name]
-    run = make_controller_bench(HandModel.from_hand(load_hand(name), Gains(), rate), LiveProgram())
+    rate = {"jamia": 200.0, "jamia11": 200.0}[hand_name]
+    run = make_controller_bench(
+        HandModel.from_hand(load_hand(hand_name), Gains(), rate), LiveProgram()
+    )
     run.run_until_mode(HandMode.ACTIVE)
     run.run(1.0)
     run.tick('{"do": "move", "angle_deg": {"middle": 20}, "duration_s": 0.3}')
     run.run(0.2)
     run.tick('{"do": "hold", "tension_N": {"index": 30, "thumb": 20}}', '{"do": "dance"}')
-    run.to_host = lambda frames: frames[1:]
+    run.change_host_frames = lambda frames: frames[1:]
     run.tick()
-    run.to_host = lambda frames: frames
+    run.change_host_frames = lambda frames: frames
     run.run(0.3)
-    run.tick(io_events=(IoEvent("dropped", "local:x", 3),), late_ns=run.period_ns // 2)
+    run.tick(io_events=(IoEvent("dropped", "local:x", 3),), lateness_ns=run.period_ns // 2)
     run.tick(missed_ticks=1)
     run.tick(extra_frames=(Frame(0x001, bytes(8), t_ns=run.k * run.period_ns),))
     run.run_until_mode(HandMode.DONE)
@@ -50,10 +52,17 @@ def session_bench(request: pytest.FixtureRequest) -> ControllerBench:
     return run_session(request.param)
 
 
-def comparable_outputs(out: TickOut) -> tuple[object, ...]:
+def comparable_outputs(tick_output: TickOut) -> tuple[object, ...]:
     """Return all outputs of a tick in a form in which NaN equals NaN, so that tests can compare them."""
-    plain = (out.frames, out.mode, out.phase, out.action, out.events, out.state_hash)
-    return (*plain, out.telemetry.packed())
+    plain = (
+        tick_output.frames,
+        tick_output.mode,
+        tick_output.phase,
+        tick_output.action,
+        tick_output.events,
+        tick_output.state_hash,
+    )
+    return (*plain, tick_output.telemetry.packed())
 
 
 def test_equal_inputs_give_equal_outputs(session_bench: ControllerBench) -> None:
@@ -179,7 +188,7 @@ def test_old_values_have_no_new_time_stamp() -> None:
     )
     run.run_until_mode(HandMode.ACTIVE)
     run.run(0.5)
-    run.to_host = lambda frames: []
+    run.change_host_frames = lambda frames: []
     ages = []
     for _ in range(3):
         out = run.tick()
@@ -225,22 +234,22 @@ def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     run = make_controller_bench(
         HandModel.from_hand(hand_from_content(content, "reversed"), Gains(), 200.0), LiveProgram()
     )
-    run.peer.tendon_of_channel = list(range(11))[::-1]
-    run.peer.cell_bias[:] = np.linspace(0.0, 2.0, 11)
+    run.toy_hand.tendon_of_channel = list(range(11))[::-1]
+    run.toy_hand.cell_bias[:] = np.linspace(0.0, 2.0, 11)
     run.run_until_mode(HandMode.ACTIVE)
     np.testing.assert_allclose(
-        run.tick_history[-1][2].telemetry.tension_raw, run.peer.cell_bias, atol=0.05
+        run.tick_history[-1][2].telemetry.tension_raw, run.toy_hand.cell_bias, atol=0.05
     )
-    run.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x1A1]
+    run.change_host_frames = lambda frames: [frame for frame in frames if frame.can_id != 0x1A1]
     run.run_until_mode(HandMode.DONE)
     lost = {mark.instance for mark in run.state.latched if mark.id == "N02"}
     assert lost == set(run.controller.model.hand.tendon_names[::-1][5:10])
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_no_frame_contains_nan(active_bench: ControllerBench, bad: float) -> None:
+@pytest.mark.parametrize("non_finite_value", [np.nan, np.inf])
+def test_no_frame_contains_nan(active_bench: ControllerBench, non_finite_value: float) -> None:
     state = active_bench.state.copy()
-    state.view("travel")[0] = bad
+    state.view("travel")[0] = non_finite_value
     entry = TickIn(active_bench.k, active_bench.k * active_bench.period_ns)
     with np.errstate(invalid="ignore"), pytest.raises(ValueError, match="torque"):
         active_bench.controller.tick(state, entry)
@@ -257,16 +266,16 @@ random_frames = st.builds(
 )
 
 
-@given(burst=st.lists(st.lists(random_frames, max_size=12), min_size=1, max_size=6))
+@given(frames_by_tick=st.lists(st.lists(random_frames, max_size=12), min_size=1, max_size=6))
 def test_no_frame_can_stop_the_tick(
-    active_bench: ControllerBench, burst: list[list[Frame]]
+    active_bench: ControllerBench, frames_by_tick: list[list[Frame]]
 ) -> None:
     """No received frame makes a tick of an active hand raise an exception.
 
     All torques are finite and within their limits.
     """
     state, k = active_bench.state, active_bench.k
-    for some in burst:
+    for some in frames_by_tick:
         state, out = active_bench.controller.tick(
             state, TickIn(k, k * active_bench.period_ns, frames=tuple(some))
         )
@@ -277,23 +286,27 @@ def test_no_frame_can_stop_the_tick(
 
 
 @given(
-    texts=st.lists(
+    request_texts=st.lists(
         st.text(max_size=60) | st.sampled_from(['{"do": "clear"}', '{"do": "arm"}', "[" * 900]),
         max_size=4,
     ),
-    kinds=st.lists(
+    event_kinds=st.lists(
         st.sampled_from(["enobufs", "dropped", "recorder", "error_frame", "signal", "?"]),
         max_size=4,
     ),
-    late=st.integers(0, 10**10),
-    gap=st.integers(0, 10**6),
+    lateness_ns=st.integers(0, 10**10),
+    time_gap_ns=st.integers(0, 10**6),
 )
 def test_no_request_event_or_delay_can_stop_the_tick(
-    active_bench: ControllerBench, texts: list[str], kinds: list[str], late: int, gap: int
+    active_bench: ControllerBench,
+    request_texts: list[str],
+    event_kinds: list[str],
+    lateness_ns: int,
+    time_gap_ns: int,
 ) -> None:
-    k = active_bench.k + gap
-    events = tuple(IoEvent(kind, "x", 1) for kind in kinds)
-    entry = TickIn(k, k * active_bench.period_ns, late, (), events, tuple(texts))
+    k = active_bench.k + time_gap_ns
+    events = tuple(IoEvent(kind, "x", 1) for kind in event_kinds)
+    entry = TickIn(k, k * active_bench.period_ns, lateness_ns, (), events, tuple(request_texts))
     _, out = active_bench.controller.tick(active_bench.state, entry)
     assert all(event.text.isprintable() for event in out.events)
 
@@ -306,8 +319,8 @@ def test_a_hand_armed_under_tension_is_not_jerked() -> None:
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
     )
-    run.peer.spool_travel[:] = 0.3e-3 + 20.0 / run.peer.tendon_stiffness
-    run.peer.locked_when_disabled = True
+    run.toy_hand.spool_travel[:] = 0.3e-3 + 20.0 / run.toy_hand.tendon_stiffness
+    run.toy_hand.locked_when_disabled = True
     run.run_until_mode(HandMode.ACTIVE)
     first = run.tick_history[-1][2].telemetry
     np.testing.assert_allclose(first.tension, 20.0, atol=6.0)

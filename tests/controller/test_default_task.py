@@ -17,14 +17,14 @@ from handctl.programs.default_task import default_scene, default_task, grasp_war
 from handctl.programs.task import ClosePhase, HoldPhase, load_task
 from handctl.programs.task_checks import check_task_for_hand
 from handctl.session.tasks import load_task_for_hand
-from tests.hand.random_chains import RANDOM_CHAIN_SEEDS, random_tree
+from tests.hand.random_chains import RANDOM_CHAIN_SEEDS, random_hand_tree_of
 
 
-@pytest.mark.parametrize("name", packaged_hands())
+@pytest.mark.parametrize("hand_name", packaged_hands())
 def test_the_default_task_suits_every_hand_and_reads_back_from_text(
-    name: str, tmp_path: Path
+    hand_name: str, tmp_path: Path
 ) -> None:
-    hand = load_hand(name)
+    hand = load_hand(hand_name)
     task, text = default_task(hand)
     check_task_for_hand(task, hand, "default task")
     (tmp_path / "task.toml").write_text(text)
@@ -75,7 +75,7 @@ def test_without_a_name_a_jamia_takes_its_grasp_and_another_hand_the_default() -
 
 def test_a_digit_that_carries_others_keeps_its_angle() -> None:
     for seed in RANDOM_CHAIN_SEEDS:
-        hand = random_tree(seed)
+        hand = random_hand_tree_of(seed)
         task, _ = default_task(hand)
         _, close, hold, _, opened = task.phase
         closing = set(hand.digit_names) - hand.carrier_digits

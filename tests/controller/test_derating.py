@@ -23,34 +23,36 @@ from tests.controller.law_runs import LawState, run_law_tick, tension_limits_of
 from tests.controller.synthetic_states import active_state, estimate_under_tension
 
 
-def limit_at(model: HandModel, temperatures: tuple[float, ...]) -> np.ndarray:
+def tension_limits_at(model: HandModel, temperatures_degC: tuple[float, ...]) -> np.ndarray:
     """Return the tension limits (N,) [N] of drives that have given temperatures [degC].
 
     The limit of a drive that is not warm is infinite.
     """
     state = active_state(model)
-    state.view("temperature")[...] = temperatures
+    state.view("temperature")[...] = temperatures_degC
     return tension_limits_of(model, state)
 
 
-@pytest.mark.parametrize(("temperature", "share"), [
+@pytest.mark.parametrize(("temperature_degC", "limit_fraction"), [
     (70.1, 0.9933), (73.0, 0.8), (77.5, 0.5), (84.0, 0.0667), (85.0, 0.0), (200.0, 0.0),
 ])  # fmt: skip
 def test_the_limit_falls_linearly_from_the_soft_to_the_hard_temperature(
-    jamia: HandModel, temperature: float, share: float
+    jamia: HandModel, temperature_degC: float, limit_fraction: float
 ) -> None:
-    most = limit_at(jamia, (20.0, temperature, math.nan, 70.0))
+    most = tension_limits_at(jamia, (20.0, temperature_degC, math.nan, 70.0))
     assert most[1] == pytest.approx(
-        jamia.floor[1] + share * (jamia.ceiling[1] - jamia.floor[1]), rel=1e-3
+        jamia.floor[1] + limit_fraction * (jamia.ceiling[1] - jamia.floor[1]), rel=1e-3
     )
     assert most[[0, 2, 3]].tolist() == jamia.ceiling[[0, 2, 3]].tolist(), (
         "cool, unknown, just at the limit"
     )
 
 
-@pytest.mark.parametrize("temperatures", [(20.0, 70.0, math.nan, 0.0), (math.nan,) * 4])
-def test_a_cool_hand_is_not_restrained(jamia: HandModel, temperatures: tuple[float, ...]) -> None:
-    assert np.isinf(limit_at(jamia, temperatures)).all()
+@pytest.mark.parametrize("temperatures_degC", [(20.0, 70.0, math.nan, 0.0), (math.nan,) * 4])
+def test_a_cool_hand_is_not_restrained(
+    jamia: HandModel, temperatures_degC: tuple[float, ...]
+) -> None:
+    assert np.isinf(tension_limits_at(jamia, temperatures_degC)).all()
 
 
 def test_neither_loop_commands_more_than_the_allowed_tension(jamia: HandModel) -> None:

@@ -83,7 +83,7 @@ def test_filter_starts_when_every_encoder_was_read(model: HandModel) -> None:
     partial = travel.copy()
     partial[n - 1] = np.nan
     assert not state_after_first_readings(model, state, partial).started
-    assert not state_after_first_readings(model, state, travel, cells=False).started
+    assert not state_after_first_readings(model, state, travel, with_load_cells=False).started
     state = state_after_first_readings(model, state, travel)
     assert state.started
     state, estimate = run_unplanned_filter_tick(
@@ -93,8 +93,10 @@ def test_filter_starts_when_every_encoder_was_read(model: HandModel) -> None:
     np.testing.assert_allclose(estimate.tension, 0.0, atol=1e-9)
 
 
-def readings_of(model: HandModel, travel: np.ndarray, cell: np.ndarray) -> SensorReadings:
-    return empty_readings(model)._replace(travel=travel, tension=cell)
+def readings_of(
+    model: HandModel, spool_travel: np.ndarray, cell_tension: np.ndarray
+) -> SensorReadings:
+    return empty_readings(model)._replace(travel=spool_travel, tension=cell_tension)
 
 
 def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandModel) -> None:
@@ -119,16 +121,16 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
         assert np.abs(estimate.tension - (cell if k > SLACK_TICKS else cell / 2)).max() < 4.0, k
 
 
-def regimes_of_readings(model: HandModel, cells: list[float]) -> list[set[int]]:
+def regimes_of_readings(model: HandModel, cell_readings: list[float]) -> list[set[int]]:
     """Return the set of the regimes of all tendons, for each tick.
 
-    In each tick, all load cells read the next tension in ``cells``, while the motors are at rest.
+    In each tick, all load cells read the next tension in ``cell_readings``, while the motors are at rest.
     """
     n = model.tendon_count
     x = np.zeros((n, STATE_COUNT))
     state = all_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
     met = []
-    for cell in cells:
+    for cell in cell_readings:
         measured = noiseless_readings(model, x, np.full(n, cell))
         state, _ = run_unplanned_filter_tick(
             model,
@@ -291,15 +293,15 @@ def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) ->
     assert (ends[True] < 0.35 * ends[False]).all()
 
 
-def excursion_of(model: HandModel, joints: np.ndarray) -> np.ndarray:
+def excursion_of(model: HandModel, joint_angles: np.ndarray) -> np.ndarray:
     """Return tendon excursions (N,), computed from joint encoder readings (J,) [rad].
 
     A missing reading gives NaN.
     """
     state = active_state(model)
     state.mode = HandMode.SILENT
-    state.view("joint_fresh")[...] = ~np.isnan(joints)
-    state.view("joint_angle")[...] = joints
+    state.view("joint_fresh")[...] = ~np.isnan(joint_angles)
+    state.view("joint_angle")[...] = joint_angles
     tick_stages.observe_tick(state.block, state.layout.places, *stage_constants(model))
     return state.view("measured_excursion")
 
@@ -391,7 +393,7 @@ def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> No
         touching, other = run_filter_tick(*args, (True,) * len(model.digits), friction_state=known)
         assert set(touching.regimes) == {TendonRegime.HELD}
         np.testing.assert_allclose(other.external_tension, estimate.external_tension, atol=0.02)
-        pull = load_statics(model, x, force, known).pull
+        pull = load_statics(model, x, force, known).joint_pull
         resistance = load_statics(model, x, force, known).resistance
         np.testing.assert_allclose(estimate.external_tension, pull - resistance, atol=0.02)
         found.append(estimate.external_tension)

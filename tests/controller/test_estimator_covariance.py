@@ -51,9 +51,9 @@ from tests.controller.synthetic_states import (
 )
 
 
-def frictionless_model_of(name: str, rate_hz: float) -> HandModel:
+def frictionless_model_of(hand_name: str, rate_hz: float) -> HandModel:
     """Return a hand without friction and weight, for which the filter's model is exact."""
-    content = hand_content(name)
+    content = hand_content(hand_name)
     content["mount"]["gravity_m_s2"] = [0.0, 0.0, 0.0]
     for tendon in content["tendon"]:
         tendon["friction_coefficient"] = 0.0
@@ -85,8 +85,8 @@ class FilterRun(NamedTuple):
     Each array has the shape (ticks, N).
     """
 
-    error: np.ndarray
-    sigma: np.ndarray
+    estimate_error: np.ndarray
+    estimate_sigma: np.ndarray
     innovation: np.ndarray
     nis: np.ndarray
     regimes: set[tuple[int, ...]]
@@ -95,13 +95,13 @@ class FilterRun(NamedTuple):
 def run_monte_carlo(
     model: HandModel,
     regime: TendonRegime,
-    ticks: int,
+    tick_count: int,
     seed: int,
-    missing: MissingMeasurements | None = None,
+    missing_measurements: MissingMeasurements | None = None,
 ) -> FilterRun:
     """Draw a random true trajectory from the filter's model in one tendon regime, and run the filter on it.
 
-    ``missing`` is a function that returns a mask (2, N) for each tick. The first row marks missing
+    ``missing_measurements`` is a function that returns a mask (2, N) for each tick. The first row marks missing
     encoder readings, and the second row marks missing load-cell readings.
     """
     rng, n = np.random.default_rng(seed), model.tendon_count
@@ -125,7 +125,7 @@ def run_monte_carlo(
     rows: list[tuple[np.ndarray, ...]] = []
     regimes = set()
     tension_rows = np.array([blocks[regime].tension_row for blocks in model.filter.blocks])
-    for k in range(ticks):
+    for k in range(tick_count):
         # The motor of this test holds the tendon as a controller would. The planned rate of change
         # keeps the tension from drifting.
         tension = (tension_rows * truth).sum(axis=1)
@@ -139,8 +139,8 @@ def run_monte_carlo(
         z = truth @ model.filter.blocks[0][regime].H.T
         z[:, 1] = tension
         z += sigma * rng.normal(size=(n, MEASUREMENT_COUNT))
-        if missing is not None:
-            z[:, :2][missing(k, rng).T] = np.nan
+        if missing_measurements is not None:
+            z[:, :2][missing_measurements(k, rng).T] = np.nan
         measured = empty_readings(model)._replace(travel=z[:, 0], tension=z[:, 1])
         state, estimate = run_filter_tick(model, state, measured, force, rate, contact)
         noise = (root @ rng.normal(size=(n, STATE_COUNT, 1)))[..., 0] * FILTER_STATE_UNITS
@@ -149,7 +149,7 @@ def run_monte_carlo(
         error = estimate.tension - (tension_rows * truth).sum(axis=1)
         rows.append((error, estimate.tension_sigma, estimate.innovation, estimate.nis))
         regimes.add(state.regimes)
-    kept = rows[ticks // 10 :]
+    kept = rows[tick_count // 10 :]
     return FilterRun(*(np.array([row[i] for row in kept]) for i in range(4)), regimes=regimes)
 
 
@@ -163,12 +163,12 @@ def test_estimator_is_consistent_with_its_own_model(
     )
     gains = frictionless_model.gains.filter
     drift = gains.cell_drift_N**2 * gains.cell_tared_s / gains.cell_drift_time_s
-    ratio = np.sqrt((course.error**2).mean() / (course.sigma**2 - drift).mean())
+    ratio = np.sqrt((course.estimate_error**2).mean() / (course.estimate_sigma**2 - drift).mean())
     assert 0.9 < ratio < 1.1
     assert abs(course.nis.mean() - 2.0) < 0.1, "encoder and load cell: two degrees of freedom"
     scaled = course.innovation / course.innovation.std(axis=0)
     assert abs((scaled[1:] * scaled[:-1]).mean()) < 0.1, "innovations are white"
-    assert (course.sigma**2 - drift).mean() < 0.5**2, "better than the load cell alone"
+    assert (course.estimate_sigma**2 - drift).mean() < 0.5**2, "better than the load cell alone"
 
 
 SPARSE_MEASUREMENTS: dict[str, MissingMeasurements] = {
@@ -198,7 +198,7 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
     )
     gains = frictionless_model.gains.filter
     drift = gains.cell_drift_N**2 * gains.cell_tared_s / gains.cell_drift_time_s
-    ratio = np.sqrt((course.error**2).mean() / (course.sigma**2 - drift).mean())
+    ratio = np.sqrt((course.estimate_error**2).mean() / (course.estimate_sigma**2 - drift).mean())
     assert 0.85 < ratio < 1.15
     assert abs(np.nanmean(course.nis) - 2.0) < 0.15
 
@@ -226,18 +226,18 @@ def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> 
     np.testing.assert_allclose(sigma[-1], steady, rtol=0.02)
 
 
-@pytest.mark.parametrize(("column", "regime", "counts"), [
+@pytest.mark.parametrize(("missing_column", "regime", "is_detected"), [
     (None, TendonRegime.FREE, False), (0, TendonRegime.FREE, True), (1, TendonRegime.FREE, True),
     (2, TendonRegime.FREE, False),
     (0, TendonRegime.SLACK, True), (1, TendonRegime.SLACK, False), (1, TendonRegime.HELD, True),
 ])  # fmt: skip
 def test_missing_measurement_is_detected_in_each_regime(
-    model: HandModel, column: int | None, regime: TendonRegime, counts: bool
+    model: HandModel, missing_column: int | None, regime: TendonRegime, is_detected: bool
 ) -> None:
     """The filter ignores missing readings of joint encoders, and missing load-cell readings of slack tendons."""
     z = np.arange(3.0 * model.tendon_count).reshape(-1, 3)
-    if column is not None:
-        z[-1, column] = np.nan
+    if missing_column is not None:
+        z[-1, missing_column] = np.nan
     state = active_state(model)
     state.view("regime")[-1] = regime
     x = uncompiled_function(state_tables)(state.block, state.layout.places)
@@ -245,7 +245,7 @@ def test_missing_measurement_is_detected_in_each_regime(
         uncompiled_function(_is_measurement_missing)(
             x, uncompiled_function(constant_tables)(*stage_constants(model)), z
         )
-        is counts
+        is is_detected
     )
 
 
@@ -257,7 +257,7 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     x, force = state_at_rest(model, 25.0, 0.6)
     state, touched = all_in_regime(model, TendonRegime.FREE, x), (True, *no_contact(model)[1:])
     unread, none = empty_readings(model)._replace(tension=force), np.zeros(model.tendon_count)
-    after, _ = run_filter_tick(model, state, unread, force, none, touched, missed=4)
+    after, _ = run_filter_tick(model, state, unread, force, none, touched, missed_ticks=4)
     first, last = 0, model.tendon_count - 1
     assert (after.regimes[first], after.regimes[last]) == (
         int(TendonRegime.HELD),
@@ -331,16 +331,16 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
     assert compared == 0 if slack and missing_pattern == "a load cell" else compared >= 3
 
 
-@pytest.mark.parametrize(("missed", "predicted_s"), [(1, None), (4, None), (10_000, 0.05)])
+@pytest.mark.parametrize(("missed_ticks", "predicted_s"), [(1, None), (4, None), (10_000, 0.05)])
 def test_covariance_grows_over_skipped_ticks(
-    model: HandModel, missed: int, predicted_s: float | None
+    model: HandModel, missed_ticks: int, predicted_s: float | None
 ) -> None:
     """In missed ticks, the covariance grows, but at most for the time for which motors hold the last command."""
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, none = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
     state = all_in_regime(model, TendonRegime.FREE, x)
     after, _ = run_filter_tick(
-        model, state, measured, force, none, no_contact(model), missed=missed
+        model, state, measured, force, none, no_contact(model), missed_ticks=missed_ticks
     )
     assert set(after.regimes) == {TendonRegime.FREE}
     F, Q = (design_arrays_by_tendon(model, after.regimes, name) for name in "FQ")
@@ -351,7 +351,9 @@ def test_covariance_grows_over_skipped_ticks(
             for own in model.filter.blocks
         ]
     )
-    for _ in range(1 + (missed if predicted_s is None else round(predicted_s / model.period))):
+    for _ in range(
+        1 + (missed_ticks if predicted_s is None else round(predicted_s / model.period))
+    ):
         P = F @ P @ F.transpose(0, 2, 1) + Q
     assert after.covariance is not None
     assert_same_covariance(after.covariance, P)

@@ -34,15 +34,19 @@ class HeldHand:
         self.state = FilterState.in_regime(x.ravel(), regime, stopped=False)
 
     def run_sample(
-        self, cell: float, *, saturated: tuple[int, ...] = (), travel: float = 0.0
+        self,
+        cell_tension: float,
+        *,
+        saturated_tendons: tuple[int, ...] = (),
+        extra_travel: float = 0.0,
     ) -> SyntheticEstimate:
-        """Run one tick in which the load cell of tendon 0 reads ``cell`` [N]."""
+        """Run one tick in which the load cell of tendon 0 reads ``cell_tension`` [N]."""
         model, n = self.model, self.model.tendon_count
         read = empty_readings(model)._replace(
-            travel=self.travel + travel, tension=np.full(n, HELD_TENSION_N)
+            travel=self.travel + extra_travel, tension=np.full(n, HELD_TENSION_N)
         )
-        read = read._replace(saturated=saturated)
-        read.tension[0] = cell
+        read = read._replace(saturated=saturated_tendons)
+        read.tension[0] = cell_tension
         push, still, contact = np.full(n, HELD_TENSION_N), np.zeros(n), (True,) * len(model.digits)
         self.state, estimate = run_filter_tick(model, self.state, read, push, still, contact)
         return estimate
@@ -65,16 +69,16 @@ def test_single_outlier_is_rejected(model: HandModel) -> None:
     )
 
 
-@pytest.mark.parametrize("jump", [-8.0, 6.0, 30.0])
-def test_two_outliers_in_a_row_are_accepted(model: HandModel, jump: float) -> None:
+@pytest.mark.parametrize("tension_jump_N", [-8.0, 6.0, 30.0])
+def test_two_outliers_in_a_row_are_accepted(model: HandModel, tension_jump_N: float) -> None:
     """Two equal outliers in a row show a real impact instead of a sensor error.
 
     The filter therefore follows the second outlier at once.
     """
     hand = HeldHand(model).settle()
-    hand.run_sample(HELD_TENSION_N + jump)
-    estimate = hand.run_sample(HELD_TENSION_N + jump)
-    assert abs(estimate.tension[0] - (HELD_TENSION_N + jump)) < 0.35 * abs(jump)
+    hand.run_sample(HELD_TENSION_N + tension_jump_N)
+    estimate = hand.run_sample(HELD_TENSION_N + tension_jump_N)
+    assert abs(estimate.tension[0] - (HELD_TENSION_N + tension_jump_N)) < 0.35 * abs(tension_jump_N)
     assert abs(estimate.tension[1] - HELD_TENSION_N) < 0.1, "the others are left alone"
 
 
@@ -88,34 +92,34 @@ def test_two_outliers_on_opposite_sides_are_rejected(model: HandModel) -> None:
 def test_a_saturated_cell_is_no_measurement(model: HandModel) -> None:
     hand = HeldHand(model).settle()
     for _ in range(20):
-        estimate = hand.run_sample(243.9, saturated=(0,))
+        estimate = hand.run_sample(243.9, saturated_tendons=(0,))
         assert np.isnan(estimate.innovation[0])
         assert abs(estimate.tension[0] - HELD_TENSION_N) < 0.5
     assert not np.isnan(estimate.innovation[1:]).any()
 
 
 def slack_state(
-    hand: HeldHand, error: float, slack_length_m: float, seconds: float
+    held_hand: HeldHand, cell_error_N: float, slack_length_m: float, duration_s: float
 ) -> SyntheticEstimate:
     """Return the estimate of slack tendons.
 
-    The load cell of tendon 0 reads ``error`` [N] although the tendon has no tension.
+    The load cell of tendon 0 reads ``cell_error_N`` [N] although the tendon has no tension.
     """
-    model = hand.model
+    model = held_hand.model
     x = np.zeros((model.tendon_count, STATE_COUNT))
-    hand.travel = np.full(model.tendon_count, -slack_length_m)
-    x[:, X] = hand.travel
+    held_hand.travel = np.full(model.tendon_count, -slack_length_m)
+    x[:, X] = held_hand.travel
     known = (True,) * model.tendon_count
-    hand.state = FilterState.in_regime(x.ravel(), TendonRegime.SLACK, stopped=True)._replace(
+    held_hand.state = FilterState.in_regime(x.ravel(), TendonRegime.SLACK, stopped=True)._replace(
         length_known=known
     )
-    for _ in range(round(seconds / model.period)):
+    for _ in range(round(duration_s / model.period)):
         n = model.tendon_count
-        read = empty_readings(model)._replace(travel=hand.travel, tension=np.zeros(n))
-        read.tension[0] = error
+        read = empty_readings(model)._replace(travel=held_hand.travel, tension=np.zeros(n))
+        read.tension[0] = cell_error_N
         untouched = (False,) * len(model.digits)
-        hand.state, estimate = run_filter_tick(
-            model, hand.state, read, np.zeros(n), np.zeros(n), untouched
+        held_hand.state, estimate = run_filter_tick(
+            model, held_hand.state, read, np.zeros(n), np.zeros(n), untouched
         )
     return estimate
 
@@ -150,7 +154,7 @@ def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
     names, events = model.hand.tendon_names, list[TickEvent]()
     for k in range(round(3 * NIS_AVERAGING_TIME_S / model.period)):
         before = hand.state
-        hand.run_sample(HELD_TENSION_N, travel=4e-5 * (-1) ** k)
+        hand.run_sample(HELD_TENSION_N, extra_travel=4e-5 * (-1) ** k)
         events += consistency_events(model, state_of(model, before), state_of(model, hand.state))
     assert sorted(event.where for event in events) == sorted(names), "every tendon, each once"
     assert {event.level for event in events} == {"warn"}
@@ -163,10 +167,10 @@ def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
 
 
 @pytest.mark.parametrize(
-    ("missed", "predicted_s"), [(0, 0.0), (1, None), (4, None), (10_000, 0.05)]
+    ("missed_ticks", "expected_prediction_s"), [(0, 0.0), (1, None), (4, None), (10_000, 0.05)]
 )
 def test_the_filter_predicts_every_tick_that_was_skipped(
-    model, missed: int, predicted_s: float | None
+    model, missed_ticks: int, expected_prediction_s: float | None
 ) -> None:
     """Over skipped ticks, the filter predicts with a constant motor force for up to 50 ms.
 
@@ -175,7 +179,7 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
     state, force = winding_state(model)
     rate, nowhere = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)
     after, estimate = run_filter_tick(
-        model, state, empty_readings(model), force, rate, nowhere, missed=missed
+        model, state, empty_readings(model), force, rate, nowhere, missed_ticks=missed_ticks
     )
     once, _ = run_filter_tick(model, state, empty_readings(model), force, rate, nowhere)
     F, B = (design_arrays_by_tendon(model, once.regimes, name) for name in "FB")
@@ -183,7 +187,11 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
         once.filter_states.reshape(-1, STATE_COUNT, 1),
         np.column_stack((force, np.zeros(model.tendon_count)))[..., None],
     )
-    for _ in range(missed if predicted_s is None else round(predicted_s / model.period)):
+    for _ in range(
+        missed_ticks
+        if expected_prediction_s is None
+        else round(expected_prediction_s / model.period)
+    ):
         x = F @ x + B @ inputs
     np.testing.assert_allclose(after.filter_states, x.ravel(), rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(estimate.travel, after.filter_states[X::STATE_COUNT])
@@ -203,9 +211,9 @@ def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
     )
 
 
-@pytest.mark.parametrize("every", [5, 11, 30])
+@pytest.mark.parametrize("ticks_per_position", [5, 11, 30])
 def test_occasional_positions_do_not_make_the_filter_oscillate(
-    jamia: HandModel, every: int
+    jamia: HandModel, ticks_per_position: int
 ) -> None:
     """The gains of the filter assume a measured position in every tick.
 
@@ -213,9 +221,9 @@ def test_occasional_positions_do_not_make_the_filter_oscillate(
     """
     held = HeldHand(jamia).settle()
     chance = np.random.default_rng(7)
-    for k in range(100 * every):
-        travel = 2e-5 * chance.standard_normal() if k % every == 0 else np.nan
-        estimate = held.run_sample(HELD_TENSION_N, travel=travel)
+    for k in range(100 * ticks_per_position):
+        travel = 2e-5 * chance.standard_normal() if k % ticks_per_position == 0 else np.nan
+        estimate = held.run_sample(HELD_TENSION_N, extra_travel=travel)
         assert np.abs(estimate.travel - held.travel).max() < 0.05, k
     for _ in range(200):
         estimate = held.run_sample(HELD_TENSION_N)

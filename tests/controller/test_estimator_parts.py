@@ -48,37 +48,37 @@ SLACK_EVIDENCE_POINTS = (
 )
 
 
-@pytest.mark.parametrize("was", [False, True])
-def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was: bool) -> None:
+@pytest.mark.parametrize("was_at_stop", [False, True])
+def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was_at_stop: bool) -> None:
     band, most = (
         (STOP_BAND_STAY_M, 10.0 * STOP_PULL_STAY)
-        if was
+        if was_at_stop
         else (STOP_BAND_REST_M, 10.0 * STOP_PULL_REST)
     )
     at_stop = uncompiled_function(_is_at_stop)
-    assert at_stop(was, np.nextafter(band, 0.0), np.nextafter(most, 0.0), 10.0)
-    assert not at_stop(was, band, 0.0, 10.0)
-    assert not at_stop(was, 0.0, most, 10.0)
+    assert at_stop(was_at_stop, np.nextafter(band, 0.0), np.nextafter(most, 0.0), 10.0)
+    assert not at_stop(was_at_stop, band, 0.0, 10.0)
+    assert not at_stop(was_at_stop, 0.0, most, 10.0)
 
 
-def filter_state(model: HandModel, regime: TendonRegime, **columns: float) -> FilterState:
+def filter_state(model: HandModel, regime: TendonRegime, **state_values: float) -> FilterState:
     """Return a filter state in which every tendon has the same regime and no digit is at its stop.
 
     Keyword arguments set columns of the tendon states by name.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
-    for name, value in columns.items():
+    for name, value in state_values.items():
         x[:, {"X": X, "S": S, "W": W, "O": O}[name]] = value
     return FilterState.in_regime(x.ravel(), regime, stopped=False)
 
 
-def explained_by_contact(model: HandModel, regime: TendonRegime, rate: float) -> np.ndarray:
+def explained_by_contact(model: HandModel, regime: TendonRegime, tendon_speed: float) -> np.ndarray:
     """Return the tensions that a contact explains if all tendons have 20 N and move with a given speed [m/s].
 
     In this test, the filter gets no readings.
     """
-    stretch = (20.0 + model.space.damping * rate) / model.space.stiffness
-    state = filter_state(model, regime, S=2e-3, W=rate)
+    stretch = (20.0 + model.space.damping * tendon_speed) / model.space.stiffness
+    state = filter_state(model, regime, S=2e-3, W=tendon_speed)
     x = state.filter_states.reshape(-1, STATE_COUNT).copy()
     x[:, X] = x[:, S] + stretch
     return corrected_state(
@@ -109,10 +109,11 @@ def used_measurements(model: HandModel, state: FilterState, measured: SensorRead
 
 
 @pytest.mark.parametrize(
-    ("x", "s", "o"), [(-3e-4, 0.0, 0.0), (-1e-4, 3e-4, 0.0), (-1e-4, 0.0, 3e-4)]
+    ("digit_excursion_m", "spool_travel_m", "stretch_offset_m"),
+    [(-3e-4, 0.0, 0.0), (-1e-4, 3e-4, 0.0), (-1e-4, 0.0, 3e-4)],
 )
 def test_slack_length_is_digit_excursion_minus_spool_travel(
-    model: HandModel, x: float, s: float, o: float
+    model: HandModel, digit_excursion_m: float, spool_travel_m: float, stretch_offset_m: float
 ) -> None:
     """The slack length is the excursion of the digit minus the travel of the spool.
 
@@ -121,34 +122,42 @@ def test_slack_length_is_digit_excursion_minus_spool_travel(
     n = model.tendon_count
     measured = empty_readings(model)._replace(travel=np.zeros(n), tension=np.full(n, 0.3))
     for more, usable in ((0.0, True), (SLACK_LENGTH_M + 1e-5, False)):
-        state = filter_state(model, TendonRegime.SLACK, X=x + more, S=s, O=o)._replace(
-            length_known=(True,) * n
-        )
+        state = filter_state(
+            model,
+            TendonRegime.SLACK,
+            X=digit_excursion_m + more,
+            S=spool_travel_m,
+            O=stretch_offset_m,
+        )._replace(length_known=(True,) * n)
         assert np.isfinite(used_measurements(model, state, measured)[:, 1]).all() == usable
-    state = filter_state(model, TendonRegime.SLACK, X=x, S=s, O=o)
+    state = filter_state(
+        model, TendonRegime.SLACK, X=digit_excursion_m, S=spool_travel_m, O=stretch_offset_m
+    )
     assert np.isnan(used_measurements(model, state, measured)[:, 1]).all(), (
         "its length is not known"
     )
 
 
-def regimes_after_sample(model: HandModel, state: FilterState, cell: float) -> FilterState:
-    """Return the filter state after all load cells have read ``cell`` [N].
+def regimes_after_sample(model: HandModel, state: FilterState, cell_tension: float) -> FilterState:
+    """Return the filter state after all load cells have read ``cell_tension`` [N].
 
     No digit touches an object.
     """
     return filter_state_of(
         corrected_state(
-            model, state, empty_readings(model)._replace(tension=np.full(model.tendon_count, cell))
+            model,
+            state,
+            empty_readings(model)._replace(tension=np.full(model.tendon_count, cell_tension)),
         )
     )
 
 
 @pytest.mark.parametrize(
-    ("hangs_m", "known", "turns"),
+    ("slack_length_m", "length_is_known", "becomes_taut"),
     [(0.0, True, True), (2 * NEARLY_TAUT_M, True, False), (0.0, False, False)],
 )
 def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
-    model: HandModel, hangs_m: float, known: bool, turns: bool
+    model: HandModel, slack_length_m: float, length_is_known: bool, becomes_taut: bool
 ) -> None:
     """The motor encoder alone shows a coming taut state only if the length of the tendon is known.
 
@@ -162,13 +171,13 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
         for above, worth in SLACK_EVIDENCE_POINTS
         if worth * NEARLY_TAUT_FACTOR >= POINTS_OF_TAUT > worth
     )
-    state = filter_state(model, TendonRegime.SLACK, X=2e-3 - hangs_m, S=2e-3)._replace(
-        length_known=(known,) * n
+    state = filter_state(model, TendonRegime.SLACK, X=2e-3 - slack_length_m, S=2e-3)._replace(
+        length_known=(length_is_known,) * n
     )
     after = regimes_after_sample(model, state, above + 1e-6)
-    assert after.regimes == ((TendonRegime.FREE if turns else TendonRegime.SLACK),) * n
-    assert (after.turning_evidence == (0,) * n) == turns
-    assert after.length_known == (known,) * n
+    assert after.regimes == ((TendonRegime.FREE if becomes_taut else TendonRegime.SLACK),) * n
+    assert (after.turning_evidence == (0,) * n) == becomes_taut
+    assert after.length_known == (length_is_known,) * n
 
 
 def test_a_tendon_that_became_taut_has_a_known_length(model: HandModel) -> None:

@@ -54,13 +54,15 @@ with_each_seed = pytest.mark.parametrize(
 )
 
 
-def run_with_friction(hand: str, friction: float, seed: int, folder: Path) -> PlantRun:
+def run_with_friction(
+    hand_name: str, friction_factor: float, seed: int, scene_folder: Path
+) -> PlantRun:
     """Run a simulated hand that closes and opens.
 
-    The friction of the simulated hand is ``friction`` times the friction in the hand file.
+    The friction of the simulated hand is ``friction_factor`` times the friction in the hand file.
     """
     program = TaskProgram(validate_content(BACK_AND_FORTH_TASK, Task, "moves"))
-    return run_on_plant(hand, program, None, folder, 3.0, seed, friction=friction)
+    return run_on_plant(hand_name, program, None, scene_folder, 3.0, seed, friction=friction_factor)
 
 
 def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
@@ -80,16 +82,18 @@ def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
 
 
 @with_each_seed
-@pytest.mark.parametrize("friction", FRICTION_FACTORS)
-@pytest.mark.parametrize("hand", TESTED_HANDS)
+@pytest.mark.parametrize("friction_factor", FRICTION_FACTORS)
+@pytest.mark.parametrize("hand_name", TESTED_HANDS)
 def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
-    hand: str, friction: float, seed: int, tmp_path: Path
+    hand_name: str, friction_factor: float, seed: int, tmp_path: Path
 ) -> None:
     """In this test, the hand moves freely to and fro.
 
     The simulated friction is the friction of the hand file times a factor.
     """
-    estimate, cell = estimate_and_raw_rmse(run_with_friction(hand, friction, seed, tmp_path))
+    estimate, cell = estimate_and_raw_rmse(
+        run_with_friction(hand_name, friction_factor, seed, tmp_path)
+    )
     assert estimate < cell, f"{estimate:.3f} N, the cell {cell:.3f} N"
 
 
@@ -118,15 +122,15 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
 @kernel("block", "layout", "constants", "layout", "matrix", "matrix")
 def _judge_innovations(
     block: BlockArray,
-    at: TablePlaces,
+    state_places: TablePlaces,
     constants: BlockArray,
-    constants_at: TablePlaces,
+    constant_places: TablePlaces,
     innovation: np.ndarray,
     information: np.ndarray,
 ) -> None:
     kalman._judge_consistency(
-        state_tables(block, at),
-        constant_tables(constants, constants_at),
+        state_tables(block, state_places),
+        constant_tables(constants, constant_places),
         innovation,
         information,
         True,
@@ -134,7 +138,7 @@ def _judge_innovations(
 
 
 def averages_and_doubts(
-    model: HandModel, lately: np.ndarray, wary: np.ndarray, nis: np.ndarray
+    model: HandModel, recent_nis: np.ndarray, doubt_time_s: np.ndarray, nis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return two results of one tick (N,).
 
@@ -142,7 +146,7 @@ def averages_and_doubts(
     other result is the time for which the filter still assumes additional noise [s].
     """
     state, n = active_state(model), model.tendon_count
-    state.view("nis_lately")[...], state.view("wary")[...] = lately, wary
+    state.view("nis_lately")[...], state.view("wary")[...] = recent_nis, doubt_time_s
     innovation = np.column_stack((np.zeros(n), np.sqrt(nis), np.full(n, np.nan)))
     _judge_innovations(
         state.block, state.layout.places, *stage_constants(model), innovation, np.ones((n, 3))

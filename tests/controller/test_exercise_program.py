@@ -29,15 +29,15 @@ def stages_of_exercise(model: HandModel) -> list[StageRecord]:
     return records
 
 
-@pytest.mark.parametrize("name", ["jamia", "jamia11", "orca_like"])
-def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(name: str) -> None:
+@pytest.mark.parametrize("hand_name", ["jamia", "jamia11", "orca_like"])
+def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(hand_name: str) -> None:
     """Reproduce a defect: in the exercise, a wrist made the fast moves, and then closed with a constant tension.
 
     The heavy wrist moved by 9 deg in 0.1 s. This motion ended the step test of `tune design` with
     fault T01 (a tendon snapped).
     """
-    hand = load_hand(name) if name == "orca_like" else mount_on_wrist(name)
-    model = HandModel.from_hand(hand, packaged_gains(name), 400.0)
+    hand = load_hand(hand_name) if hand_name == "orca_like" else mount_on_wrist(hand_name)
+    model = HandModel.from_hand(hand, packaged_gains(hand_name), 400.0)
     records = stages_of_exercise(model)
     wrist = model.hand.digit_names.index("wrist")
     assert {"settle", "move", "close", "hold"} == {stage for stage, _, _ in records}
@@ -54,14 +54,14 @@ def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(name: str) -> N
                 assert contact[d] == (stage == "hold"), stage
 
 
-@pytest.mark.parametrize("name", ["orca_like", "n_plus_1", "jamia"])
-def test_only_digits_without_springs_close_with_a_slow_rise(name: str) -> None:
+@pytest.mark.parametrize("hand_name", ["orca_like", "n_plus_1", "jamia"])
+def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> None:
     """Reproduce a defect: the tension of closed digits without springs rose with 200 N/s to 30 N.
 
     A digit that friction had stopped early then closed so fast that fault T01 (a tendon snapped)
     ended the run. The step of a hold is as fast as before.
     """
-    model = HandModel.from_hand(load_hand(name), packaged_gains(name), 400.0)
+    model = HandModel.from_hand(load_hand(hand_name), packaged_gains(hand_name), 400.0)
     usual = model.gains.tension.rate_N_per_s
     moving = [d for d, digit in enumerate(model.hand.digit_names) if digit != "wrist"]
     rates = [
@@ -70,5 +70,5 @@ def test_only_digits_without_springs_close_with_a_slow_rise(name: str) -> None:
         if stage in ("close", "hold")
     ]
     before_hold = rates[[stage for stage, _ in rates].index("hold") - 1]
-    assert before_hold == ("close", {usual if name == "jamia" else GENTLE_RISE_N_PER_S})
+    assert before_hold == ("close", {usual if hand_name == "jamia" else GENTLE_RISE_N_PER_S})
     assert all(found == {usual} for stage, found in rates if stage == "hold")

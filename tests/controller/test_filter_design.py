@@ -38,11 +38,11 @@ from tests.controller.synthetic_states import constant_tables_of
 class FilterDesigns:
     """Filter designs of the packaged hands at any control rate."""
 
-    def __init__(self, models: dict[str, HandModel]) -> None:
-        self.models = models
+    def __init__(self, model_by_hand: dict[str, HandModel]) -> None:
+        self.models = model_by_hand
 
-    def design_of(self, name: str, rate_hz: float) -> FilterDesign:
-        model = self.models[name]
+    def design_of(self, hand_name: str, rate_hz: float) -> FilterDesign:
+        model = self.models[hand_name]
         return design_filter(
             model.space, FilterGains(), 1.0 / rate_hz, _joint_period(model.hand, 1.0 / rate_hz)
         )
@@ -109,11 +109,11 @@ def test_measurement_rows_predict_the_measurements(model: HandModel, regime: Ten
 
 
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0, 250.0, 400.0, 500.0, 1000.0])
-@pytest.mark.parametrize("name", ["jamia", "jamia11"])
+@pytest.mark.parametrize("hand_name", ["jamia", "jamia11"])
 def test_every_regime_is_stable_at_every_rate(
-    name: str, rate_hz: float, filter_designs: FilterDesigns
+    hand_name: str, rate_hz: float, filter_designs: FilterDesigns
 ) -> None:
-    design = filter_designs.design_of(name, rate_hz)
+    design = filter_designs.design_of(hand_name, rate_hz)
     for blocks in design.blocks:
         for block in blocks:
             error = block.F @ (np.eye(STATE_COUNT) - block.K @ block.H)

@@ -23,14 +23,16 @@ MOVE_DURATION_S = 0.3
 TIME_AROUND_REVERSAL_S = 0.05
 
 
-def tensions_at_speeds(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
+def tensions_at_speeds(
+    model: HandModel, winding_speeds: list[float], initial_tension: float
+) -> np.ndarray:
     """Return the expected tensions (ticks, N) at given winding speeds.
 
     In this test, the command is 12 N, and friction takes 20 % of the tension.
     """
     n = model.tendon_count
-    now, found, crept = [begin] * n, [], MIN_SLIDING_SPEED_M_S * model.period
-    for speed in speeds:
+    now, found, crept = [initial_tension] * n, [], MIN_SLIDING_SPEED_M_S * model.period
+    for speed in winding_speeds:
         wound = speed * model.period
         now = [
             uncompiled_function(tension_after_period)(tension, 12.0, 0.8, wound, stiffness, crept)

@@ -43,8 +43,8 @@ HOLD_REQUEST = '{"do": "hold", "tension_N": {"index": 14, "middle": 14, "ring": 
 MOVE_REQUEST = '{"do": "move", "angle_deg": {"index": 45, "middle": 45, "ring": 45, "thumb": 20}, "duration_s": 0.2}'
 
 
-def gain_request(values: Mapping[str, float]) -> str:
-    return json.dumps({"do": "gains", "set": values})
+def gain_request(gain_by_key: Mapping[str, float]) -> str:
+    return json.dumps({"do": "gains", "set": gain_by_key})
 
 
 def noiseless_hand(model: HandModel) -> ControllerBench:
@@ -87,12 +87,14 @@ def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandM
     assert set(designs.controllers) <= set(designs.designed_pieces)
 
 
-@pytest.mark.parametrize("odd", [("motion.force_N", 1e-9), ("tension.tension_error_N", 1e-150)])
+@pytest.mark.parametrize(
+    "unsolvable_gain", [("motion.force_N", 1e-9), ("tension.tension_error_N", 1e-150)]
+)
 def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
-    holding_bench: ControllerBench, odd: tuple[str, float]
+    holding_bench: ControllerBench, unsolvable_gain: tuple[str, float]
 ) -> None:
     before = holding_bench.state.decisions.gains
-    outs = [holding_bench.tick(gain_request(dict([odd])))]
+    outs = [holding_bench.tick(gain_request(dict([unsolvable_gain])))]
     outs += [holding_bench.tick() for _ in range(10)]
     (said,) = [event for out in outs for event in out.events if event.name == "gains"]
     assert said.text.startswith("refused: gains: ")
@@ -161,7 +163,7 @@ def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[LawCall]:
 
 
 @pytest.mark.parametrize(
-    ("request_", "values"),
+    ("request_text", "gain_by_key"),
     [
         (HOLD_REQUEST, {"tension.force_N": 45.0}),
         (HOLD_REQUEST, {"tension.force_N": 1.5}),
@@ -171,14 +173,19 @@ def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[LawCall]:
     ],
 )
 def test_a_change_makes_no_step_in_torque(
-    jamia: HandModel, monkeypatch: pytest.MonkeyPatch, request_: str, values: dict[str, float]
+    jamia: HandModel,
+    monkeypatch: pytest.MonkeyPatch,
+    request_text: str,
+    gain_by_key: dict[str, float],
 ) -> None:
     """In the tick in which the gains change, a trim force keeps the commanded torque the same."""
     desk = noiseless_hand(jamia)
-    desk.tick(request_)
+    desk.tick(request_text)
     desk.run(0.1)
     for _ in range(design_piece_count(jamia.space) - 1):
-        desk.tick(gain_request(values)) if desk.state.decisions.pending is None else desk.tick()
+        desk.tick(
+            gain_request(gain_by_key)
+        ) if desk.state.decisions.pending is None else desk.tick()
     calls = record_law_calls(monkeypatch)
     out = desk.tick()
     assert any(event.name == "gain" for event in out.events)
@@ -256,7 +263,7 @@ def test_two_changes_of_gains_add_up_and_can_be_undone(
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("gain_by_key", "expected_message"),
     [
         ({"tension.farce_N": 1.0}, "tension.force_N?"),
         ({"tension.force_N": 501.0}, "at most 500"),
@@ -267,19 +274,19 @@ def test_two_changes_of_gains_add_up_and_can_be_undone(
     ],
 )
 def test_impossible_gains_are_refused_in_one_line_without_effect(
-    holding_bench: ControllerBench, values: dict[str, float], said: str
+    holding_bench: ControllerBench, gain_by_key: dict[str, float], expected_message: str
 ) -> None:
-    out = holding_bench.tick(gain_request(values))
+    out = holding_bench.tick(gain_request(gain_by_key))
     lines = [event for event in out.events if event.name == "request" and event.level == "warn"]
     assert len(lines) == 1
-    assert said in lines[0].text
+    assert expected_message in lines[0].text
     assert "\n" not in lines[0].text
     holding_bench.run(0.1)
     assert holding_bench.state.decisions.gains is None
 
 
 def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -> None:
-    desk = make_controller_bench(jamia, LiveProgram(), arm=False)
+    desk = make_controller_bench(jamia, LiveProgram(), arm_at_start=False)
     desk.run_until_mode(HandMode.READY)
     desk.tick(gain_request({"motion.force_N": 40.0}))
     desk.run(0.1)
@@ -299,8 +306,10 @@ def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> Non
             bounds_after_check(key, bound.high * 1.01, "test")
 
 
-@pytest.mark.parametrize("high", [False, True])
-def test_every_corner_of_the_live_bounds_can_be_designed(jamia: HandModel, high: bool) -> None:
+@pytest.mark.parametrize("at_upper_bound", [False, True])
+def test_every_corner_of_the_live_bounds_can_be_designed(
+    jamia: HandModel, at_upper_bound: bool
+) -> None:
     """The test sets one gain at a time to its bound. The other gains keep their defaults.
 
     The value of some gains must be greater than their lower bound. For these gains, the test uses
@@ -310,7 +319,7 @@ def test_every_corner_of_the_live_bounds_can_be_designed(jamia: HandModel, high:
         if bound.live:
             value = (
                 bound.high
-                if high
+                if at_upper_bound
                 else bound.low + (0.01 * bound.default if bound.open_low else 0.0)
             )
             gains = with_values(

@@ -28,19 +28,23 @@ WEIGHT_KEYS = [
 ]
 
 
-@pytest.mark.parametrize("key", EXTREME_GAINS)
-def test_solver_failure_is_one_line(key: str) -> None:
-    gains = with_values(Gains(), {key: EXTREME_GAINS[key]}, "test")
-    with pytest.raises(ConfigError, match=f"gains: {key.partition('.')[0]}: no controller follows"):
+@pytest.mark.parametrize("gain_key", EXTREME_GAINS)
+def test_solver_failure_is_one_line(gain_key: str) -> None:
+    gains = with_values(Gains(), {gain_key: EXTREME_GAINS[gain_key]}, "test")
+    with pytest.raises(
+        ConfigError, match=f"gains: {gain_key.partition('.')[0]}: no controller follows"
+    ):
         HandModel.from_hand(load_hand("jamia"), gains, 500.0)
 
 
 @settings(max_examples=12)
 @given(st.dictionaries(st.sampled_from(WEIGHT_KEYS), st.floats(-30.0, 0.0), min_size=1))
-def test_gains_within_bounds_are_designed_or_refused(powers: dict[str, float]) -> None:
+def test_gains_within_bounds_are_designed_or_refused(exponent_by_gain: dict[str, float]) -> None:
     known = gain_bounds()
     gains = with_values(
-        Gains(), {key: known[key].high * math.exp(power) for key, power in powers.items()}, "test"
+        Gains(),
+        {key: known[key].high * math.exp(power) for key, power in exponent_by_gain.items()},
+        "test",
     )
     with suppress(ConfigError):
         model = HandModel.from_hand(load_hand("jamia_bench"), gains, 500.0)

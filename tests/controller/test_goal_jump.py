@@ -10,31 +10,36 @@ from handctl.core.tick_types import Vector
 from tests.controller.synthetic_states import active_state, stage_constants
 
 
-def arms_of(model: HandModel) -> np.ndarray:
+def moment_arms_of(model: HandModel) -> np.ndarray:
     return np.asarray(model.hand.moment_arms.sum(axis=1))
 
 
-def hand_with_equal_readings(model: HandModel, goal: float | Vector, ticks: int) -> ControllerState:
-    """Return the state of a hand whose tendons have the targets ``goal`` [m].
+def hand_with_equal_readings(
+    model: HandModel, target_travel: float | Vector, tick_count: int
+) -> ControllerState:
+    """Return the state of a hand whose tendons have the targets ``target_travel`` [m].
 
     In this state, the readings of the motors have not changed for some ticks.
     """
     state = active_state(model)
-    state.view("followed")[...] = goal
-    state.view("motor_stuck")[...] = ticks
+    state.view("followed")[...] = target_travel
+    state.view("motor_stuck")[...] = tick_count
     return state
 
 
 def targets_after_command(
-    model: HandModel, before: ControllerState, angle: float, at_goal: float | Vector = np.nan
+    model: HandModel,
+    previous_state: ControllerState,
+    joint_angle: float,
+    goal_tolerance: float | Vector = np.nan,
 ) -> ControllerState:
     """Return the state after a command of one angle for all joints [rad].
 
-    In this state, the tendons are at the excursions ``at_goal`` [m].
+    In this state, the tendons are at the excursions ``goal_tolerance`` [m].
     """
-    state = before.copy()
-    state.view("q_goal")[...] = angle
-    state.view("excursion")[...] = at_goal
+    state = previous_state.copy()
+    state.view("q_goal")[...] = joint_angle
+    state.view("excursion")[...] = goal_tolerance
     tick_stages.store_commands(state.block, state.layout.places, *stage_constants(model))
     return state
 
@@ -49,7 +54,7 @@ def target_motion_of(state: ControllerState) -> np.ndarray:
 
 
 def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
-    arms, armed = arms_of(jamia), hand_with_equal_readings(jamia, np.nan, 1)
+    arms, armed = moment_arms_of(jamia), hand_with_equal_readings(jamia, np.nan, 1)
 
     def state_after_goals(
         angle: float, ticks: int, state: ControllerState = armed
@@ -84,7 +89,7 @@ def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(
 
     The motor counts as stuck only if the target has moved since the motor stopped.
     """
-    arms = arms_of(jamia)
+    arms = moment_arms_of(jamia)
     then = targets_after_command(
         jamia, hand_with_equal_readings(jamia, arms * 0.1, 0), 0.4, arms * 0.3
     )
@@ -100,7 +105,7 @@ def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:
 
     The filtered target must not continue to move after the motor has come to rest at its goal.
     """
-    arms = arms_of(jamia)
+    arms = moment_arms_of(jamia)
     at_goal, lagging = arms * 0.4, hand_with_equal_readings(jamia, arms * 0.2, 0)
     lagging.view("motor_anchor")[...] = 1e-3
     resting = targets_after_command(jamia, lagging, 0.4, at_goal)

@@ -100,12 +100,12 @@ class ProgramRun:
             self.tick(estimate)
 
     def run_until_phase(
-        self, phase: str, estimate: SyntheticEstimate, timeout: float = 20.0
+        self, phase_name: str, estimate: SyntheticEstimate, timeout_s: float = 20.0
     ) -> float:
         """Run ticks until a phase begins, and return the time that passed [s]."""
         began = self.t
-        while self.progress.phase != phase:
-            assert self.t - began < timeout, f"{phase} does not begin: {self.progress}"
+        while self.progress.phase != phase_name:
+            assert self.t - began < timeout_s, f"{phase_name} does not begin: {self.progress}"
             self.tick(estimate)
         return self.t - began
 
@@ -122,15 +122,15 @@ def taut_estimate(model: HandModel) -> SyntheticEstimate:
 
 
 def hand_in_contact(
-    model: HandModel, external: dict[str, float], tension: float = 15.0
+    model: HandModel, external_tension_by_digit: dict[str, float], tension: float = 15.0
 ) -> SyntheticEstimate:
     """Return the estimate of a hand with taut tendons.
 
-    ``external`` is the tension [N] that an object causes, for each digit that touches it.
+    ``external_tension_by_digit`` is the tension [N] that an object causes, for each digit that touches it.
     """
     estimate = estimate_under_tension(model, tension, 0.5)
     force = np.zeros(model.tendon_count)
-    for name, value in external.items():
+    for name, value in external_tension_by_digit.items():
         force[model.digit_tendons[model.hand.digit_names.index(name)]] = value
     return estimate._replace(external_tension=force)
 
@@ -258,7 +258,7 @@ def tip_forces_while_closing(model: HandModel, estimate: SyntheticEstimate) -> n
     return state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_FRACTION]
 
 
-def tension_for_tip_force(model: HandModel, newtons: float) -> float:
+def tension_for_tip_force(model: HandModel, tip_force_N: float) -> float:
     """Return the tension [N] that a given force [N] at the index fingertip causes in each index tendon."""
     found = tip_forces_while_closing(
         model,
@@ -266,7 +266,7 @@ def tension_for_tip_force(model: HandModel, newtons: float) -> float:
             external_tension=np.ones(model.tendon_count)
         ),
     )
-    return newtons / float(found[model.hand.digit_names.index("index")])
+    return tip_force_N / float(found[model.hand.digit_names.index("index")])
 
 
 def test_contact_is_a_force_at_the_tip_that_lasts(
@@ -343,15 +343,15 @@ def test_a_digit_that_touches_later_joins_the_grasp(
 
 
 @pytest.mark.parametrize(
-    ("name", "wrist_force"), [("jamia", -40.0), ("jamia11", -40.0), ("orca_like", 40.0)]
+    ("hand_name", "wrist_force"), [("jamia", -40.0), ("jamia11", -40.0), ("orca_like", 40.0)]
 )
-def test_a_wrist_never_touches_and_keeps_its_motion(name: str, wrist_force: float) -> None:
+def test_a_wrist_never_touches_and_keeps_its_motion(hand_name: str, wrist_force: float) -> None:
     """Reproduce a defect: a heavy wrist counted as a digit in contact.
 
     The wrist then got a constant tension instead of its motion, and left its angle. In this test,
     the force along the wrist tendon has the same sign as the moment arm of this tendon.
     """
-    hand = load_hand(name) if name == "orca_like" else mount_on_wrist(name)
+    hand = load_hand(hand_name) if hand_name == "orca_like" else mount_on_wrist(hand_name)
     model = HandModel.from_hand(hand, Gains(), 500.0)
     run = begin_closing(model, estimate_under_tension(model, 5.0))
     run.run_until_contact(hand_in_contact(model, {"wrist": wrist_force, "index": 12.0}))
@@ -406,7 +406,7 @@ def test_release_waits_for_the_tension_to_fall(
 
 
 def run_release(
-    model: HandModel, taut_estimate: SyntheticEstimate, tension: float, **release: float
+    model: HandModel, taut_estimate: SyntheticEstimate, tension: float, **release_fields: float
 ) -> tuple[ProgramRun, float]:
     """Return a run after its release phase, and the duration of this phase [s].
 
@@ -414,7 +414,9 @@ def run_release(
     """
     task = {
         **GRASP_TASK,
-        "phase": [{**p, **release} if p["kind"] == "release" else p for p in GRASP_TASK["phase"]],
+        "phase": [
+            {**p, **release_fields} if p["kind"] == "release" else p for p in GRASP_TASK["phase"]
+        ],
     }
     run, touch = ProgramRun(model, task), hand_in_contact(model, {"index": 12.0})
     run.run_until_phase("close", taut_estimate)
@@ -423,7 +425,7 @@ def run_release(
     return run, run.run_until_phase("open", estimate_under_tension(model, tension))
 
 
-@pytest.mark.parametrize(("tension", "settle", "took", "is_reported"), [
+@pytest.mark.parametrize(("tension", "settle_time_s", "expected_duration_s", "is_reported"), [
     (50.0, 0.1, RELEASE_TIMEOUT_S, True),      # the release phase ends at its timeout
     (8.0 + RELEASED_WITHIN_N, 0.1, RELEASE_TIMEOUT_S, True),
     (7.9 + RELEASED_WITHIN_N, 0.1, 0.1, False),
@@ -431,13 +433,15 @@ def run_release(
     (50.0, 12.0, 12.0, True),
 ])  # fmt: skip
 def test_a_release_that_does_not_let_go_is_reported(
-    model, taut_estimate, tension, settle, took, is_reported
+    model, taut_estimate, tension, settle_time_s, expected_duration_s, is_reported
 ) -> None:
-    run, lasted = run_release(model, taut_estimate, tension, settle_s=settle)
-    assert lasted == pytest.approx(took, abs=0.1)
+    run, lasted = run_release(model, taut_estimate, tension, settle_s=settle_time_s)
+    assert lasted == pytest.approx(expected_duration_s, abs=0.1)
     warnings = [(event.where, event.text) for event in run.events if event.level == "warn"]
     assert warnings == (
-        [("index", f"release: above 8 N after {took:g} s, and going on")] if is_reported else []
+        [("index", f"release: above 8 N after {expected_duration_s:g} s, and going on")]
+        if is_reported
+        else []
     )
 
 

@@ -41,10 +41,12 @@ def test_motors_that_reply_in_alternate_ticks_are_armed(hand_bench: ControllerBe
             or frame.data[2] in (READ_REGISTER, WRITE_REGISTER)
         )
 
-    hand_bench.to_host = lambda frames: [frame for frame in frames if replies_in_this_tick(frame)]
+    hand_bench.change_host_frames = lambda frames: [
+        frame for frame in frames if replies_in_this_tick(frame)
+    ]
     hand_bench.run_until_mode(HandMode.READY)
     assert hand_bench.state.failure == ""
-    hand_bench.to_host = lambda frames: frames
+    hand_bench.change_host_frames = lambda frames: frames
     hand_bench.run_until_mode(HandMode.ACTIVE)
 
 
@@ -53,24 +55,26 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
 ) -> None:
     run = make_controller_bench(jamia11, LiveProgram())
     first, *others = run.controller.sensors.ids[: run.controller.sensors.tension_frames]
-    run.to_host = lambda frames: [frame for frame in frames if frame.can_id not in others]
+    run.change_host_frames = lambda frames: [
+        frame for frame in frames if frame.can_id not in others
+    ]
     run.run_until_mode(HandMode.INVENTORY)
     run.run(0.5)
     assert not run.state.started
-    run.to_host = lambda frames: [frame for frame in frames if frame.can_id != first]
+    run.change_host_frames = lambda frames: [frame for frame in frames if frame.can_id != first]
     run.tick()
     run.tick()
     assert run.state.started
 
 
-def hand_in_inventory(hand_bench: ControllerBench, seconds: float) -> ControllerState:
+def hand_in_inventory(hand_bench: ControllerBench, duration_s: float) -> ControllerState:
     """Return the state of a hand that waits for the first reading of every node.
 
     The state contains readings of all nodes, and tests may remove some of these readings.
     """
     hand_bench.run_until_mode(HandMode.READY)
     state = hand_bench.state.copy()
-    state.mode, state.mode_since = HandMode.INVENTORY, -seconds
+    state.mode, state.mode_since = HandMode.INVENTORY, -duration_s
     return state
 
 

@@ -16,13 +16,13 @@ from handctl.programs.task_checks import check_joint_range, check_tip_force
 JAMIA, JAMIA11 = load_hand("jamia"), load_hand("jamia11")
 
 
-def task_with_phase(kind: str, angle: object, **more: object) -> Task:
-    phase = {"kind": kind, "angle_deg": angle, **more}
+def task_with_phase(phase_kind: str, angle_deg: object, **other_fields: object) -> Task:
+    phase = {"kind": phase_kind, "angle_deg": angle_deg, **other_fields}
     return Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": [phase]}))
 
 
 @pytest.mark.parametrize(
-    ("hand", "kind", "angle", "said"),
+    ("hand", "phase_kind", "angle_deg", "expected_message"),
     [
         (JAMIA, "move", 100.5, "100.5 deg for index; expected 0 to 100 deg"),
         (JAMIA, "move", {"thumb": -1.0}, "-1 deg for thumb; expected 0 to 100 deg"),
@@ -30,12 +30,12 @@ def task_with_phase(kind: str, angle: object, **more: object) -> Task:
         (JAMIA11, "move", {"ring": (10.0, 20.0, 120.0)}, "120 deg for ring; expected 0 to 100 deg"),
     ],
 )
-def test_angle_beyond_the_joint_range_is_refused(hand, kind, angle, said):
+def test_angle_beyond_the_joint_range_is_refused(hand, phase_kind, angle_deg, expected_message):
     with pytest.raises(ConfigError) as refused:
         check_joint_range(
-            task_with_phase(kind, angle), hand, "t.toml", DigitModel.all_from_hand(hand)
+            task_with_phase(phase_kind, angle_deg), hand, "t.toml", DigitModel.all_from_hand(hand)
         )
-    assert str(refused.value) == f"t.toml: phase[0].angle_deg: {said}"
+    assert str(refused.value) == f"t.toml: phase[0].angle_deg: {expected_message}"
 
 
 def test_curve_point_beyond_the_joint_range_is_refused():
@@ -49,13 +49,13 @@ def test_curve_point_beyond_the_joint_range_is_refused():
         )
 
 
-@pytest.mark.parametrize("angle", [0.0, 100.0, {"index": 50.0}, {"thumb": 100.0}])
-def test_the_ends_of_the_range_are_within_it(angle):
+@pytest.mark.parametrize("angle_deg", [0.0, 100.0, {"index": 50.0}, {"thumb": 100.0}])
+def test_the_ends_of_the_range_are_within_it(angle_deg):
     check_joint_range(
-        task_with_phase("move", angle), JAMIA, "t.toml", DigitModel.all_from_hand(JAMIA)
+        task_with_phase("move", angle_deg), JAMIA, "t.toml", DigitModel.all_from_hand(JAMIA)
     )
     check_joint_range(
-        task_with_phase("close", angle), JAMIA11, "t.toml", DigitModel.all_from_hand(JAMIA11)
+        task_with_phase("close", angle_deg), JAMIA11, "t.toml", DigitModel.all_from_hand(JAMIA11)
     )
 
 
@@ -77,14 +77,14 @@ def test_a_run_is_refused_before_its_bus_is_opened(
     )
 
 
-def hold_task(force: object) -> Task:
-    phase = {"kind": "hold", "tip_force_N": force}
+def hold_task(force_N: object) -> Task:
+    phase = {"kind": "hold", "tip_force_N": force_N}
     return Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": [phase]}))
 
 
-@pytest.mark.parametrize("name", packaged_hands())
-def test_only_a_digit_with_a_tendon_for_each_joint_takes_a_tip_force(name):
-    hand = load_hand(name)
+@pytest.mark.parametrize("hand_name", packaged_hands())
+def test_only_a_digit_with_a_tendon_for_each_joint_takes_a_tip_force(hand_name):
+    hand = load_hand(hand_name)
     for digit in hand.digit_names:
         tendons, joints = hand.digit_tendons[digit], hand.digit_joints[digit]
         if tendons.stop - tendons.start < joints.stop - joints.start:

@@ -22,28 +22,28 @@ from tests.controller.plant_run import model_of
 SETTLED_ERROR_DEG = 2.0
 
 
-def task_of_phases(*phases: dict[str, Any]) -> Task:
-    return validate_content({"schema": 1, "name": "t", "phase": list(phases)}, Task, "t")
+def task_of_phases(*phase_fields: dict[str, Any]) -> Task:
+    return validate_content({"schema": 1, "name": "t", "phase": list(phase_fields)}, Task, "t")
 
 
-def move_phase(angles: dict[str, Any], seconds: float = 0.4) -> dict[str, Any]:
-    return {"kind": "move", "angle_deg": angles, "duration_s": seconds}
+def move_phase(angle_by_joint_deg: dict[str, Any], duration_s: float = 0.4) -> dict[str, Any]:
+    return {"kind": "move", "angle_deg": angle_by_joint_deg, "duration_s": duration_s}
 
 
-def final_joint_angles(hand: str, program: Task, seconds: float) -> dict[str, float]:
+def final_joint_angles(hand_name: str, program: Task, duration_s: float) -> dict[str, float]:
     """Return the true joint angles [deg] of a simulated hand after a task."""
-    check_task_for_hand(program, load_hand(hand), "t")
-    with SimulatorSettings(hand, None, 0, homed=True).begin_run(
-        homed_controller(model_of(hand), TaskProgram(program))
+    check_task_for_hand(program, load_hand(hand_name), "t")
+    with SimulatorSettings(hand_name, None, 0, homed=True).begin_run(
+        homed_controller(model_of(hand_name), TaskProgram(program))
     ) as run:
         run.record_ticks = False
-        for _entry, out in run.run_ticks(seconds):
+        for _entry, out in run.run_ticks(duration_s):
             angles = np.degrees(run.simulated_hand.world.plant.engine.q)
             if out.events and any(event.text == "task complete" for event in out.events):
                 break
         assert not run.state.failure
         assert run.state.progress.finished
-        return dict(zip(load_hand(hand).joints, angles.tolist(), strict=True))
+        return dict(zip(load_hand(hand_name).joints, angles.tolist(), strict=True))
 
 
 def test_a_move_of_one_joint_leaves_the_others() -> None:
@@ -118,7 +118,7 @@ def test_a_curve_for_each_coordinate_is_that_of_each() -> None:
 
 
 @pytest.mark.parametrize(
-    ("hand", "angles", "line"),
+    ("hand_name", "angle_by_joint_deg", "expected_message"),
     [
         (
             "jamia11",
@@ -141,9 +141,13 @@ def test_a_curve_for_each_coordinate_is_that_of_each() -> None:
         ),
     ],
 )
-def test_joint_angles_that_a_hand_cannot_have(hand: str, angles: dict[str, Any], line: str) -> None:
-    with pytest.raises(ConfigError, match=rf"t: phase\[0\]\.angle_deg: .*{line}"):
-        check_task_for_hand(task_of_phases(move_phase(angles)), load_hand(hand), "t")
+def test_joint_angles_that_a_hand_cannot_have(
+    hand_name: str, angle_by_joint_deg: dict[str, Any], expected_message: str
+) -> None:
+    with pytest.raises(ConfigError, match=rf"t: phase\[0\]\.angle_deg: .*{expected_message}"):
+        check_task_for_hand(
+            task_of_phases(move_phase(angle_by_joint_deg)), load_hand(hand_name), "t"
+        )
 
 
 def test_a_curve_of_a_joint_is_checked_at_every_time() -> None:

@@ -33,7 +33,11 @@ def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
         return [frame._replace(t_ns=frame.t_ns + int(1.85 * run.period_ns)) for frame in held[0]]
 
     fault_texts = []
-    for run.to_host in (drop_all, frames_sent_before, lambda frames: [*held[1], *frames]):
+    for run.change_host_frames in (
+        drop_all,
+        frames_sent_before,
+        lambda frames: [*held[1], *frames],
+    ):
         out = run.tick()
         fault_texts += [event.text for event in out.events if event.name == "fault"]
     assert any("B01" in text for text in fault_texts)
@@ -56,11 +60,11 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
         now_ns = run.k * run.period_ns + 30_000
         return [frame._replace(t_ns=now_ns) for frame in frames]
 
-    run.to_host = remove_stamps
+    run.change_host_frames = remove_stamps
     run.run(0.5)
-    run.to_host = lambda frames: waiting.extend(frames) or []
+    run.change_host_frames = lambda frames: waiting.extend(frames) or []
     run.tick()
-    run.to_host = lambda frames: remove_stamps([*waiting, *frames])
+    run.change_host_frames = lambda frames: remove_stamps([*waiting, *frames])
     out = run.tick()
     assert not [
         event.text
@@ -68,24 +72,28 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
         if event.name == "fault" and ("B05" in event.text or "B06" in event.text)
     ]
     assert out.mode == HandMode.ACTIVE
-    run.to_host = lambda frames: remove_stamps([*frames, *[f for f in frames if f.can_id == 0x11]])
+    run.change_host_frames = lambda frames: remove_stamps(
+        [*frames, *[f for f in frames if f.can_id == 0x11]]
+    )
     out = run.tick()
     assert any("B05" in event.text for event in out.events), "positive control: one answer too many"
 
 
-@pytest.mark.parametrize("before", range(4))
-def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(before: int) -> None:
+@pytest.mark.parametrize("paused_ticks", range(4))
+def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(
+    paused_ticks: int,
+) -> None:
     """The replies to three ticks arrive in one tick.
 
     In about this tick, the controller forgets the requests of the earlier ticks.
     """
     run = active_on_a_bus_without_stamps()
     waiting: list[Frame] = []
-    while (run.k + before) % LOSS_WINDOW_TICKS:
+    while (run.k + paused_ticks) % LOSS_WINDOW_TICKS:
         run.tick()
-    run.to_host = lambda frames: waiting.extend(frames) or []
+    run.change_host_frames = lambda frames: waiting.extend(frames) or []
     run.run(2 * run.period_ns * 1e-9)
-    run.to_host = lambda frames: with_time_stamps(run, [*waiting, *frames])
+    run.change_host_frames = lambda frames: with_time_stamps(run, [*waiting, *frames])
     assert not second_node_reports(run.tick())
     assert run.state.mode == HandMode.ACTIVE
 
@@ -100,19 +108,19 @@ def active_on_a_bus_without_stamps() -> ControllerBench:
         HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram()
     )
     run.run_until_mode(HandMode.ACTIVE)
-    run.to_host = lambda frames: with_time_stamps(run, frames)
+    run.change_host_frames = lambda frames: with_time_stamps(run, frames)
     run.run(0.5)
     return run
 
 
-def with_time_stamps(run: ControllerBench, frames: list[Frame]) -> list[Frame]:
-    return [frame._replace(t_ns=run.k * run.period_ns + 30_000) for frame in frames]
+def with_time_stamps(bench: ControllerBench, frames: list[Frame]) -> list[Frame]:
+    return [frame._replace(t_ns=bench.k * bench.period_ns + 30_000) for frame in frames]
 
 
-def second_node_reports(out: TickOut) -> list[str]:
+def second_node_reports(tick_output: TickOut) -> list[str]:
     return [
         event.text
-        for event in out.events
+        for event in tick_output.events
         if event.name == "fault" and event.text[:3] in ("B05", "B06", "N13")
     ]
 
@@ -132,22 +140,22 @@ def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
             run, [*held[-2], *[frame for frame in frames if frame not in motors]]
         )
 
-    run.to_host = a_tick_late
+    run.change_host_frames = a_tick_late
     reported = [text for _ in range(50) for text in second_node_reports(run.tick())]
-    run.to_host = lambda frames: with_time_stamps(run, [*held[-1], *frames])
+    run.change_host_frames = lambda frames: with_time_stamps(run, [*held[-1], *frames])
     reported += second_node_reports(run.tick())
     assert not reported
-    run.to_host = lambda frames: with_time_stamps(run, [*frames, *frames])
+    run.change_host_frames = lambda frames: with_time_stamps(run, [*frames, *frames])
     assert second_node_reports(run.tick()), "positive control"
 
 
 def test_a_lost_answer_excuses_one_duplicate_and_no_second_node() -> None:
     run = active_on_a_bus_without_stamps()
-    run.to_host = lambda frames: with_time_stamps(
+    run.change_host_frames = lambda frames: with_time_stamps(
         run, [frame for frame in frames if frame.can_id != 0x11]
     )
     run.tick()
-    run.to_host = lambda frames: with_time_stamps(
+    run.change_host_frames = lambda frames: with_time_stamps(
         run, [*frames, *[frame for frame in frames if frame.can_id == 0x11]]
     )
     assert not second_node_reports(run.tick())
@@ -158,13 +166,13 @@ def test_a_lost_answer_excuses_one_duplicate_and_no_second_node() -> None:
 
 def test_missing_replies_excuse_one_duplicate_over_a_long_time() -> None:
     run = active_on_a_bus_without_stamps()
-    run.to_host = lambda frames: with_time_stamps(
+    run.change_host_frames = lambda frames: with_time_stamps(
         run, [frame for frame in frames if frame.can_id != 0x11]
     )
     run.run(3 * run.period_ns * 1e-9)
-    run.to_host = lambda frames: with_time_stamps(run, frames)
+    run.change_host_frames = lambda frames: with_time_stamps(run, frames)
     run.run(2 * LOSS_WINDOW_TICKS * run.period_ns * 1e-9)
-    run.to_host = lambda frames: with_time_stamps(
+    run.change_host_frames = lambda frames: with_time_stamps(
         run, [*frames, *[frame for frame in frames if frame.can_id == 0x11]]
     )
     assert not second_node_reports(run.tick())

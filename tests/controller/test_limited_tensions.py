@@ -26,13 +26,20 @@ def idle_law_state(model: HandModel) -> LawState:
     return LawState.idle_at_tensions(np.full(model.tendon_count, 20.0))
 
 
-@pytest.mark.parametrize(("warm", "held", "limit"), [(15.0, None, 15.0), (None, 12.0, 12.0), (15.0, 12.0, 12.0),
-                                                     (9.0, 12.0, 9.0)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("temperature_limit", "held_limit", "expected_limit"),
+    [(15.0, None, 15.0), (None, 12.0, 12.0), (15.0, 12.0, 12.0), (9.0, 12.0, 9.0)],
+)
 def test_the_lower_limit_counts_for_tension_and_for_torque(
-    jamia: HandModel, warm: float | None, held: float | None, limit: float
+    jamia: HandModel,
+    temperature_limit: float | None,
+    held_limit: float | None,
+    expected_limit: float,
 ) -> None:
     n = jamia.tendon_count
-    most, kept = (None if value is None else np.full(n, value) for value in (warm, held))
+    most, kept = (
+        None if value is None else np.full(n, value) for value in (temperature_limit, held_limit)
+    )
     law, command = run_law_tick(
         jamia,
         idle_law_state(jamia),
@@ -42,10 +49,10 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
         most,
         kept,
     )
-    np.testing.assert_allclose(command.tension, limit)
+    np.testing.assert_allclose(command.tension, expected_limit)
     asked = command.torque / jamia.space.spool
-    np.testing.assert_allclose(asked, limit + jamia.space.coulomb)
-    np.testing.assert_allclose(law.setpoint, limit)
+    np.testing.assert_allclose(asked, expected_limit + jamia.space.coulomb)
+    np.testing.assert_allclose(law.setpoint, expected_limit)
     np.testing.assert_array_equal(law.held, kept)
 
 
@@ -89,11 +96,11 @@ def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety
     assert not kept.dq.any(), "the place on the way is the goal then, its speed is not"
 
 
-@pytest.mark.parametrize("held", [True, False])
-def test_a_trim_is_added_and_fades(jamia: HandModel, held: bool) -> None:
+@pytest.mark.parametrize("held_limit", [True, False])
+def test_a_trim_is_added_and_fades(jamia: HandModel, held_limit: bool) -> None:
     asked = (
         holding_goals(jamia, 20.0, IMMEDIATE_RATE_N_PER_S)
-        if held
+        if held_limit
         else moving_goals(jamia, 0.0, 1.2, 0.2)
     )
     plain = run_law_tick(

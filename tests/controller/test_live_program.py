@@ -19,8 +19,8 @@ from tests.controller.synthetic_states import (
 )
 
 
-def goal_of_request(text: str) -> MoveDigits | HoldTension:
-    request = parse_request(text)
+def goal_of_request(request_text: str) -> MoveDigits | HoldTension:
+    request = parse_request(request_text)
     assert isinstance(request, MoveDigits | HoldTension)
     return request
 
@@ -81,7 +81,7 @@ def test_a_move_frees_a_digit_that_was_in_contact(model: HandModel) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("request_text", "expected_message"),
     [
         ('{"do": "move", "angle_deg": {"index": 10, "pinky": 10}}', "pinky"),
         ('{"do": "hold", "tension_N": {"pinky": 10}}', "pinky"),
@@ -91,13 +91,15 @@ def test_a_move_frees_a_digit_that_was_in_contact(model: HandModel) -> None:
         ('{"do": "hold", "tension_N": {"index": 10, "thumb": 110.1}}', "110"),
     ],
 )
-def test_a_request_with_one_mistake_changes_nothing(model: HandModel, text: str, said: str) -> None:
+def test_a_request_with_one_mistake_changes_nothing(
+    model: HandModel, request_text: str, expected_message: str
+) -> None:
     estimate = estimate_under_tension(model, 5.0)
     _, progress = begin_live_program(model, estimate)
-    after, events = apply_goal(model, progress, goal_of_request(text), estimate, 1.0)
+    after, events = apply_goal(model, progress, goal_of_request(request_text), estimate, 1.0)
     assert after is progress
     assert [event.level for event in events] == ["warn"]
-    assert said in events[0].text
+    assert expected_message in events[0].text
 
 
 def test_nothing_is_accepted_before_the_tendons_are_taut(model: HandModel) -> None:

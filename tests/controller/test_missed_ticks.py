@@ -22,17 +22,21 @@ def test_a_fast_rotor_does_not_jump_because_ticks_were_skipped(
     run = make_controller_bench(jamia, LiveProgram())
     run.run_until_mode(HandMode.ACTIVE)
     run.run(0.2)
-    advance_tendons = run.peer._advance_tendons
+    advance_tendons = run.toy_hand._advance_tendons
 
     def pay_out_and_advance() -> None:
         advance_tendons()
-        run.peer.spool_travel[0] -= FAST_RAD_S * run.peer.spool_radius[0] * run.peer.period_s
+        run.toy_hand.spool_travel[0] -= (
+            FAST_RAD_S * run.toy_hand.spool_radius[0] * run.toy_hand.period_s
+        )
 
-    run.peer._advance_tendons = pay_out_and_advance  # type: ignore[method-assign]
+    run.toy_hand._advance_tendons = pay_out_and_advance  # type: ignore[method-assign]
     for before in (0, 0, missed_ticks, 0, 0):
         run.tick(missed_ticks=before)
     assert not [event.text for event in run.events if event.text[:3] == "N05"]
-    run.peer.spool_travel[0] -= 3.0 * FAST_RAD_S * run.peer.spool_radius[0] * run.peer.period_s
+    run.toy_hand.spool_travel[0] -= (
+        3.0 * FAST_RAD_S * run.toy_hand.spool_radius[0] * run.toy_hand.period_s
+    )
     run.tick()
     run.tick()
     assert [event for event in run.events if event.text[:4] == "N05a"], (

@@ -14,48 +14,54 @@ from handctl.core.hand_model import HandModel
 CONTROL_RATES_HZ = [200.0, 500.0, 1000.0]
 
 
-def motion_plant(mass: float, period: float) -> tuple[np.ndarray, np.ndarray]:
+def motion_plant(mass_kg: float, period_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the discrete model of a mass on which a force acts.
 
     The states of the model are the excursion [m] and its rate [m/s].
     """
-    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0 / mass]])
-    F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), period)
+    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0 / mass_kg]])
+    F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), period_s)
     return F, G
 
 
-def tension_plant(model: HandModel, i: int, period: float) -> tuple[np.ndarray, np.ndarray]:
+def tension_plant(
+    model: HandModel, tendon_index: int, period_s: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the discrete model of a rotor on a tendon whose end is fixed.
 
     The states of the model are tension [N] and speed [m/s].
     """
     space = model.space
-    m, k, c = space.motor_mass[i], space.stiffness[i], space.damping[i] + space.motor_damping[i]
+    m, k, c = (
+        space.motor_mass[tendon_index],
+        space.stiffness[tendon_index],
+        space.damping[tendon_index] + space.motor_damping[tendon_index],
+    )
     A, B = np.array([[0.0, k], [-1.0 / m, -c / m]]), np.array([[0.0], [1.0 / m]])
-    F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), period)
+    F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), period_s)
     return F, G
 
 
 def control_loops(
-    model: HandModel, gains: Gains, period: float
+    model: HandModel, gains: Gains, period_s: float
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return (F, G, K) of both control loops of the first and the last tendon, where the force is -K state."""
-    design, found = design_motion(model.space, gains, period), []
+    design, found = design_motion(model.space, gains, period_s), []
     for i in (0, model.tendon_count - 1):
         mass = model.space.motor_mass[i] + model.space.load_mass[i]
         K = np.array([[design.stiffness[i] * mass, design.damping[i] * mass]])
-        found.append((*motion_plant(mass, period), K))
+        found.append((*motion_plant(mass, period_s), K))
         found.append(
             (
-                *tension_plant(model, i, period),
+                *tension_plant(model, i, period_s),
                 np.array([[design.tension[i], design.tension_speed[i]]]),
             )
         )
     return found
 
 
-def spectral_radius(matrix: np.ndarray) -> float:
-    return float(np.abs(np.linalg.eigvals(matrix)).max())
+def spectral_radius(transition: np.ndarray) -> float:
+    return float(np.abs(np.linalg.eigvals(transition)).max())
 
 
 @pytest.mark.parametrize("rate_hz", CONTROL_RATES_HZ)

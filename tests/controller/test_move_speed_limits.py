@@ -16,12 +16,12 @@ from handctl.programs.task_checks import check_speed
 JAMIA11 = load_hand("jamia11")
 
 
-def move_phase(angle: object, seconds: float) -> dict[str, Any]:
-    return {"kind": "move", "angle_deg": angle, "duration_s": seconds}
+def move_phase(angle_deg: object, duration_s: float) -> dict[str, Any]:
+    return {"kind": "move", "angle_deg": angle_deg, "duration_s": duration_s}
 
 
-def task_of_phases(*phases: dict[str, Any]) -> Task:
-    return Task.model_validate({"schema": 1, "name": "t", "phase": phases})
+def task_of_phases(*phase_fields: dict[str, Any]) -> Task:
+    return Task.model_validate({"schema": 1, "name": "t", "phase": phase_fields})
 
 
 CLOSE_PHASE = {"kind": "close", "angle_deg": 80.0}
@@ -29,7 +29,7 @@ FOLLOW_PHASE = {"kind": "follow", "time_s": (0.0, 1.0), "angle_deg": {"index": (
 
 
 @pytest.mark.parametrize(
-    ("phases", "line"),
+    ("phase_list", "expected_message"),
     [
         ((move_phase(70.0, 0.1),),
          r"t: phase\[0\]\.duration_s: 0\.1; expected at least 0\.19 s: index may have 70 deg"),
@@ -45,9 +45,11 @@ FOLLOW_PHASE = {"kind": "follow", "time_s": (0.0, 1.0), "angle_deg": {"index": (
     ids=["from rest", "backwards", "by joint", "from somewhere in a close", "after a curve",
          "of one joint", "of a joint that stayed"],
 )  # fmt: skip
-def test_a_move_without_time_is_refused(phases: tuple[dict[str, Any], ...], line: str) -> None:
-    with pytest.raises(ConfigError, match=line):
-        check_speed(task_of_phases(*phases), DigitModel.all_from_hand(JAMIA11), "t")
+def test_a_move_without_time_is_refused(
+    phase_list: tuple[dict[str, Any], ...], expected_message: str
+) -> None:
+    with pytest.raises(ConfigError, match=expected_message):
+        check_speed(task_of_phases(*phase_list), DigitModel.all_from_hand(JAMIA11), "t")
 
 
 def test_the_time_that_is_named_is_enough() -> None:

@@ -35,21 +35,21 @@ TO_AND_FRO_TASK = {
 
 
 @cache
-def controller_at(hand: str, rate_hz: float) -> Controller:
+def controller_at(hand_name: str, rate_hz: float) -> Controller:
     """Return a controller at ``rate_hz`` that moves every digit of a hand to and fro."""
     program = TaskProgram(validate_content(TO_AND_FRO_TASK, Task, "test"))
-    return make_controller(load_hand(hand), Gains(), rate_hz, program, None, arm_at_once=True)
+    return make_controller(load_hand(hand_name), Gains(), rate_hz, program, None, arm_at_once=True)
 
 
-def mean_nis_and_events(hand: str, rate_hz: float, seed: int) -> tuple[float, list[TickEvent]]:
+def mean_nis_and_events(hand_name: str, rate_hz: float, seed: int) -> tuple[float, list[TickEvent]]:
     """Return the mean NIS of all tendons and ticks in a free motion, and the events about estimates and faults.
 
     NIS is the normalised innovation squared per degree of freedom.
     """
     nis: list[np.ndarray] = []
     events: list[TickEvent] = []
-    with SimulatorSettings(hand, seed=seed, homed=True).begin_run(
-        controller_at(hand, rate_hz)
+    with SimulatorSettings(hand_name, seed=seed, homed=True).begin_run(
+        controller_at(hand_name, rate_hz)
     ) as run:
         for _, out in run.run_ticks(3.0):
             events += [event for event in out.events if event.name in ("estimate", "fault")]
@@ -60,15 +60,17 @@ def mean_nis_and_events(hand: str, rate_hz: float, seed: int) -> tuple[float, li
 
 
 @pytest.mark.parametrize(
-    ("hand", "rate_hz"), HANDS_AND_RATES if NIGHTLY else SAMPLED_HANDS_AND_RATES
+    ("hand_name", "rate_hz"), HANDS_AND_RATES if NIGHTLY else SAMPLED_HANDS_AND_RATES
 )
-def test_innovations_have_their_predicted_variance_at_any_rate(hand: str, rate_hz: float) -> None:
+def test_innovations_have_their_predicted_variance_at_any_rate(
+    hand_name: str, rate_hz: float
+) -> None:
     """Reproduce a defect: the simulator sampled its sensors up to 0.5 ms early.
 
     At 300, 450 and 640 Hz, the mean normalised innovation squared was therefore 3 to 5 instead of
     1.
     """
     for seed in SIMULATOR_SEEDS:
-        nis, events = mean_nis_and_events(hand, rate_hz, seed)
+        nis, events = mean_nis_and_events(hand_name, rate_hz, seed)
         assert 0.7 < nis < 1.3, (seed, nis)
         assert not events, (seed, events)

@@ -57,18 +57,20 @@ def waving_task(hand: Hand) -> Task:
     )
 
 
-def simulate_control_errors(known: Hand, hand: Hand, seed: int) -> ControlErrors | None:
-    """Simulate the hand ``hand`` with a controller that was built for the hand ``known``.
+def simulate_control_errors(
+    assumed_hand: Hand, simulated_hand: Hand, seed: int
+) -> ControlErrors | None:
+    """Simulate the hand ``simulated_hand`` with a controller that was built for the hand ``assumed_hand``.
 
     Return the control errors, or None if a fault ended the run.
     """
-    model = HandModel.from_hand(known, Gains(), RATE_HZ)
+    model = HandModel.from_hand(assumed_hand, Gains(), RATE_HZ)
     # In a digit with one tendon, only the mean angle of the joints is controlled.
-    along = hand.own_arms / np.abs(hand.own_arms).sum(axis=1, keepdims=True)
+    along = simulated_hand.own_arms / np.abs(simulated_hand.own_arms).sum(axis=1, keepdims=True)
     apart = list[np.ndarray]()
     external = list[float]()
-    controller = homed_controller(model, TaskProgram(waving_task(known)), hand)
-    with SimulatorSettings(hand, None, seed, homed=True).begin_run(controller) as run:
+    controller = homed_controller(model, TaskProgram(waving_task(assumed_hand)), simulated_hand)
+    with SimulatorSettings(simulated_hand, None, seed, homed=True).begin_run(controller) as run:
         run.record_ticks = False
         for _, out in run.run_ticks(10.0):
             if [event for event in out.events if event.level == "error"]:
@@ -90,19 +92,19 @@ def simulate_control_errors(known: Hand, hand: Hand, seed: int) -> ControlErrors
 
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
-@pytest.mark.parametrize("name", TESTED_HANDS)
-def test_a_digit_follows_while_the_wrist_turns(name: str, seed: int) -> None:
+@pytest.mark.parametrize("hand_name", TESTED_HANDS)
+def test_a_digit_follows_while_the_wrist_turns(hand_name: str, seed: int) -> None:
     """A digit follows its goal even while the wrist turns.
 
     The tracking error is more than four times as large if the controller assumes that tendons pass
     through the axis of the wrist.
     """
-    hand = mount_on_wrist(name)
+    hand = mount_on_wrist(hand_name)
     aware = simulate_control_errors(hand, hand, seed)
     assert aware is not None
-    assert aware.tracking_error_deg < TRACKING_LIMITS_DEG[name]
+    assert aware.tracking_error_deg < TRACKING_LIMITS_DEG[hand_name]
     assert aware.wrist_error_deg < 1.0
-    blind = simulate_control_errors(mount_on_wrist(name, 0.0), hand, seed)
+    blind = simulate_control_errors(mount_on_wrist(hand_name, 0.0), hand, seed)
     assert blind is None or blind.tracking_error_deg > 4.0 * aware.tracking_error_deg
 
 

@@ -56,26 +56,26 @@ This stiffness is the largest position gain that the hand file may have.
 TENSION_TRIP_N = 140.0
 
 
-def with_position_loop(hand: Hand, **changes: Any) -> Hand:
+def with_position_loop(hand: Hand, **drive_options: Any) -> Hand:
     """Return the hand with drives that close the position loops."""
     motors = tuple(
-        motor.model_copy(update={"control": "position", **changes}) for motor in hand.motor
+        motor.model_copy(update={"control": "position", **drive_options}) for motor in hand.motor
     )
     return hand.model_copy(update={"motor": motors})
 
 
 def hand_with_position_loop(
-    name: str = "jamia", protocol: str = "mit", kp: float | None = STIFF_KP
+    hand_name: str = "jamia", protocol: str = "mit", kp: float | None = STIFF_KP
 ) -> Hand:
     """Return a packaged hand whose drives close the position loop.
 
     For moteus drives, the hand file contains both gains, kp and kd.
     """
-    hand = with_position_loop(hand_with_protocol(name, protocol), kp_N_m_per_rad=kp)
+    hand = with_position_loop(hand_with_protocol(hand_name, protocol), kp_N_m_per_rad=kp)
     if protocol != "moteus":
         return hand
-    other = hand_with_position_loop(name, "mit", kp)
-    gains = servo_constants(HandModel.from_hand(other, packaged_gains(name), RATE_HZ))
+    other = hand_with_position_loop(hand_name, "mit", kp)
+    gains = servo_constants(HandModel.from_hand(other, packaged_gains(hand_name), RATE_HZ))
     stiffness, damping = (
         [float(gains[key][0])] * len(hand.motor) for key in ("servo_stiffness", "servo_damping")
     )
@@ -86,12 +86,12 @@ def hand_with_position_loop(
     return hand.model_copy(update={"motor": motors})
 
 
-def to_and_fro_program(hand: Hand, moves: int, duration_s: float) -> TaskProgram:
+def to_and_fro_program(hand: Hand, move_count: int, duration_s: float) -> TaskProgram:
     """Return a program that closes and opens all digits of a hand in turn."""
     ends = [dict.fromkeys(hand.digit_names, angle) for angle in (45.0, 15.0)]
     phases = [{"kind": "move", "name": "ready", "angle_deg": ends[1], "duration_s": 0.6}] + [
         {"kind": "move", "name": f"move {i}", "angle_deg": ends[i % 2], "duration_s": duration_s}
-        for i in range(moves)
+        for i in range(move_count)
     ]
     return TaskProgram(
         Task.model_validate_json(json.dumps({"schema": 1, "name": "to and fro", "phase": phases}))
@@ -100,7 +100,7 @@ def to_and_fro_program(hand: Hand, moves: int, duration_s: float) -> TaskProgram
 
 @contextmanager
 def begin_to_and_fro(
-    hand: Hand, seed: int = 0, rate_hz: float = RATE_HZ, moves: int = 6
+    hand: Hand, seed: int = 0, rate_hz: float = RATE_HZ, move_count: int = 6
 ) -> Iterator[SimulatedRun]:
     """Yield the run of a simulated hand that moves to and fro.
 
@@ -110,7 +110,7 @@ def begin_to_and_fro(
         hand,
         packaged_gains(hand.name),
         rate_hz,
-        to_and_fro_program(hand, moves, 0.6),
+        to_and_fro_program(hand, move_count, 0.6),
         None,
         arm_at_once=True,
     )
@@ -130,7 +130,7 @@ def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
     ``jamia``, the springs determine how the single joints share this error.
     """
     errors, peak = list[np.ndarray](), 0.0
-    with begin_to_and_fro(hand, seed, moves=2) as run:
+    with begin_to_and_fro(hand, seed, move_count=2) as run:
         arms = run.controller.model.hand.own_arms
         plant: Any = run.simulated_hand.world.plant  # type: ignore[attr-defined]
         for _, out in run.run_ticks(8.0):
@@ -143,24 +143,29 @@ def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
     return np.sqrt((np.array(errors) ** 2).mean(axis=0)), peak
 
 
-def moteus_command(data: bytes) -> tuple[float, ...]:
+def moteus_command(payload: bytes) -> tuple[float, ...]:
     """Return the values in the payload of a moteus command.
 
     The values are position [rad], velocity [rad/s], torque [N m], the fractions of kp and kd, and
     the torque limit [N m].
     """
-    assert len(data) == 48
-    assert (data[:5], data[17:19], data[31:36]) == (
+    assert len(payload) == 48
+    assert (payload[:5], payload[17:19], payload[31:36]) == (
         b"\1\0\x0a\x0f\x20",
         b"\x0f\x23",
         b"\1\x2b\0\x0d\x27",
     )
-    position, velocity, torque = struct.unpack_from("<fff", data, 5)
-    return (math.tau * position, math.tau * velocity, torque, *struct.unpack_from("<fff", data, 19))
+    position, velocity, torque = struct.unpack_from("<fff", payload, 5)
+    return (
+        math.tau * position,
+        math.tau * velocity,
+        torque,
+        *struct.unpack_from("<fff", payload, 19),
+    )
 
 
-@pytest.mark.parametrize("direction", [1, -1])
-def test_a_moteus_command_makes_the_predicted_torque(direction: int) -> None:
+@pytest.mark.parametrize("motor_direction", [1, -1])
+def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> None:
     """A moteus drive moves its position target with the commanded velocity.
 
     On average over a period, the target is therefore ahead of the commanded position by the motion
@@ -168,7 +173,8 @@ def test_a_moteus_command_makes_the_predicted_torque(direction: int) -> None:
     """
     hand = hand_with_position_loop(protocol="moteus")
     motors = tuple(
-        motor.model_copy(update={"direction": direction, "zero_rad": 0.7}) for motor in hand.motor
+        motor.model_copy(update={"direction": motor_direction, "zero_rad": 0.7})
+        for motor in hand.motor
     )
     hand = hand.model_copy(update={"motor": motors})
     with begin_to_and_fro(hand) as run:
@@ -188,12 +194,12 @@ def test_a_moteus_command_makes_the_predicted_torque(direction: int) -> None:
                     run.state.view(name)[n] / model.space.spool[n] for name in ("travel", "speed")
                 )
                 target = (
-                    direction * (position - motor.zero_rad)
-                    + 0.5 * model.period * direction * velocity
+                    motor_direction * (position - motor.zero_rad)
+                    + 0.5 * model.period * motor_direction * velocity
                 )
                 ahead = p + run.controller.zero[n] + 0.5 * model.period * v
-                torque = STIFF_KP * kp * (target - ahead) + direction * added
-                torque += motor.kd_N_m_s_per_rad * kd * (direction * velocity - v)
+                torque = STIFF_KP * kp * (target - ahead) + motor_direction * added
+                torque += motor.kd_N_m_s_per_rad * kd * (motor_direction * velocity - v)
                 torque_of_law = run.state.view("torque")[n]
                 # The gains are rounded to six digits, and the position is a float32.
                 assert torque == pytest.approx(torque_of_law, abs=2e-5)
@@ -252,18 +258,18 @@ The springs determine the tracking error of ``t42``.
 
 
 @pytest.mark.parametrize("seed", MOTEUS_SEEDS)
-@pytest.mark.parametrize("name", LARGEST_ERROR_RATIO)
-def test_a_stiff_moteus_follows_better(name: str, seed: int) -> None:
-    torque, _ = mean_errors(hand_with_protocol(name, "moteus"), seed)
-    position, peak = mean_errors(hand_with_position_loop(name, "moteus"), seed)
-    assert position.mean() < LARGEST_ERROR_RATIO[name] * torque.mean(), (
+@pytest.mark.parametrize("hand_name", LARGEST_ERROR_RATIO)
+def test_a_stiff_moteus_follows_better(hand_name: str, seed: int) -> None:
+    torque, _ = mean_errors(hand_with_protocol(hand_name, "moteus"), seed)
+    position, peak = mean_errors(hand_with_position_loop(hand_name, "moteus"), seed)
+    assert position.mean() < LARGEST_ERROR_RATIO[hand_name] * torque.mean(), (
         f"{position} against {torque} deg"
     )
     assert peak < 40.0
 
 
 @pytest.mark.parametrize(
-    ("name", "protocol"),
+    ("hand_name", "protocol"),
     [
         ("jamia", "mit"),
         ("jamia", "robstride"),
@@ -273,9 +279,9 @@ def test_a_stiff_moteus_follows_better(name: str, seed: int) -> None:
     ],
 )
 def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(
-    name: str, protocol: str
+    hand_name: str, protocol: str
 ) -> None:
-    hand = hand_with_position_loop(name, protocol, None)
+    hand = hand_with_position_loop(hand_name, protocol, None)
     with homed_run(hand, RATE_HZ, 0) as run:
         advance_to_stage(run, FREE_STAGE)
         assert (sent_stiffness(run) > 0.0).all()
@@ -363,23 +369,24 @@ def test_missed_ticks_are_no_fault_of_a_drive_that_moves_its_target(seed: int) -
 
 @pytest.mark.parametrize(("protocol", "seed"), PROTOCOLS_AND_SEEDS)
 @pytest.mark.parametrize(
-    "fault", ["", "swap node=index_motor with=thumb_motor", "disobey node=ring_motor size=1.6"]
+    "fault_command",
+    ["", "swap node=index_motor with=thumb_motor", "disobey node=ring_motor size=1.6"],
 )
 def test_relaxing_from_a_position_loop_raises_no_command(
-    fault: str, protocol: str, seed: int
+    fault_command: str, protocol: str, seed: int
 ) -> None:
     with begin_to_and_fro(hand_with_position_loop("jamia", protocol), seed) as run:
         for _ in range(round((0.1 + 0.03 * seed) * RATE_HZ)):
             run.run_tick()
         assert (sent_stiffness(run) > 0.0).any()
-        if fault:
-            run.simulated_hand.inject(fault)
-        check_relaxing(run, run.k + 40, round(0.06 * RATE_HZ), fault)
+        if fault_command:
+            run.simulated_hand.inject(fault_command)
+        check_relaxing(run, run.k + 40, round(0.06 * RATE_HZ), fault_command)
 
 
-def lose_gains(run: SimulatedRun, name: str) -> None:
+def lose_gains(run: SimulatedRun, motor_name: str) -> None:
     """Make a drive ignore the gains kp and kd, so that it produces only the torque in its commands."""
-    motor: Any = run.simulated_hand.world.plant.motors[name]  # type: ignore[attr-defined]
+    motor: Any = run.simulated_hand.world.plant.motors[motor_name]  # type: ignore[attr-defined]
     motor.power_stage_fault = lambda _: float(
         np.clip(motor.servo.torque, -motor.servo.limit, motor.servo.limit)
     )
@@ -398,16 +405,20 @@ EXPECTED_FAULTS = {
 
 
 @pytest.mark.parametrize(("protocol", "seed"), PROTOCOLS_AND_SEEDS)
-@pytest.mark.parametrize("fault", EXPECTED_FAULTS)
-def test_faults_are_found_with_a_position_loop(fault: str, protocol: str, seed: int) -> None:
+@pytest.mark.parametrize("fault_command", EXPECTED_FAULTS)
+def test_faults_are_found_with_a_position_loop(
+    fault_command: str, protocol: str, seed: int
+) -> None:
     with begin_to_and_fro(hand_with_position_loop("jamia", protocol), seed) as run:
         for _ in range(round((0.1 + 0.02 * seed) * RATE_HZ)):
             run.run_tick()
-        run.simulated_hand.inject(fault)
+        run.simulated_hand.inject(fault_command)
         peak = 0.0
         while run.run_tick().mode < HandMode.DISARM and run.k < 5.0 * RATE_HZ:
             peak = max(peak, *run.simulated_hand.truth()["tension"])
-        assert {mark.id for mark in run.state.latched} & EXPECTED_FAULTS[fault], run.state.latched
+        assert {mark.id for mark in run.state.latched} & EXPECTED_FAULTS[fault_command], (
+            run.state.latched
+        )
         assert peak < TENSION_TRIP_N
 
 
@@ -423,9 +434,9 @@ def test_a_drive_that_ignores_kp_is_found(protocol: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("protocol", "sigma"), [("mit", 0.3), ("robstride", 0.3), ("moteus", 0.12)]
+    ("protocol", "force_sigma_N"), [("mit", 0.3), ("robstride", 0.3), ("moteus", 0.12)]
 )
-def test_a_healthy_drive_reports_what_is_predicted(protocol: str, sigma: float) -> None:
+def test_a_healthy_drive_reports_what_is_predicted(protocol: str, force_sigma_N: float) -> None:
     """The force that a drive reports agrees with the force that the controller has predicted.
 
     Detectors compare these two forces to find drives that do not obey.
@@ -435,56 +446,60 @@ def test_a_healthy_drive_reports_what_is_predicted(protocol: str, sigma: float) 
         for _ in range(600):
             run.run_tick()
             apart.append(run.state.view("servo_report") - run.state.view("measured_force"))
-        assert np.nanstd(apart) < sigma
-        assert np.nanmax(np.abs(apart)) < 10.0 * sigma
+        assert np.nanstd(apart) < force_sigma_N
+        assert np.nanmax(np.abs(apart)) < 10.0 * force_sigma_N
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-def test_a_report_is_predicted_within_the_limit_of_its_command(sign: int) -> None:
+@pytest.mark.parametrize("force_sign", [1, -1])
+def test_a_report_is_predicted_within_the_limit_of_its_command(force_sign: int) -> None:
     with begin_to_and_fro(hand_with_position_loop(protocol="moteus")) as run:
         for _ in range(20):
             run.run_tick()
         limit = float(run.state.view("servo_limit")[1]) / run.controller.model.space.spool[1]
-        run.state.view("servo_position")[1] += 2.0 * sign
+        run.state.view("servo_position")[1] += 2.0 * force_sign
         run.run_tick()
         # The report that arrives in tick k is the reply to the command of tick k - 2.
         run.run_tick()
-        assert run.state.view("servo_report")[1] == pytest.approx(sign * limit)
+        assert run.state.view("servo_report")[1] == pytest.approx(force_sign * limit)
         assert (
             limit < 0.5 * run.controller.model.torque_limit[1] / run.controller.model.space.spool[1]
         )
 
 
 @pytest.mark.parametrize(
-    ("protocol", "reason"),
+    ("protocol", "expected_reason"),
     [("odrive", "Set_Input_Pos of an ODrive contains no gains"), ("cia402", "no gains")],
 )
-def test_a_protocol_without_position_commands_is_refused(protocol: str, reason: str) -> None:
+def test_a_protocol_without_position_commands_is_refused(
+    protocol: str, expected_reason: str
+) -> None:
     hand = with_position_loop(hand_with_protocol("jamia", protocol))
-    right = rf'motor\[index_motor\].protocol: "{protocol}"; expected mit, moteus with .*{reason}'
+    right = rf'motor\[index_motor\].protocol: "{protocol}"; expected mit, moteus with .*{expected_reason}'
     with pytest.raises(ConfigError, match=right):
         make_drives(hand)
 
 
-@pytest.mark.parametrize("key", ["kp_N_m_per_rad", "kd_N_m_s_per_rad"])
-def test_a_moteus_without_gains_is_refused(key: str) -> None:
+@pytest.mark.parametrize("gain_key", ["kp_N_m_per_rad", "kd_N_m_s_per_rad"])
+def test_a_moteus_without_gains_is_refused(gain_key: str) -> None:
     hand = hand_with_position_loop(protocol="moteus")
     with pytest.raises(
         ConfigError,
-        match=rf"motor\[index_motor\].{key}: missing; expected a number, because control",
+        match=rf"motor\[index_motor\].{gain_key}: missing; expected a number, because control",
     ):
-        make_drives(with_position_loop(hand, **{key: None}))
+        make_drives(with_position_loop(hand, **{gain_key: None}))
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 500.0])
-@pytest.mark.parametrize("gain", [0.9, 1.2])
-def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(gain: float, rate_hz: float) -> None:
+@pytest.mark.parametrize("gain_value", [0.9, 1.2])
+def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(
+    gain_value: float, rate_hz: float
+) -> None:
     """The fractions of kp and kd in a moteus command are limited to 1.
 
     A drive that makes less torque than commanded would need larger fractions.
     """
     hand = hand_with_position_loop(protocol="moteus")
-    model = HandModel.from_hand(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain))
+    model = HandModel.from_hand(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain_value))
     controller = make_controller(
         hand, packaged_gains("jamia"), rate_hz, to_and_fro_program(hand, 1, 1.0), None, True
     )
@@ -500,7 +515,7 @@ def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(gain: float, rate_hz: 
             assert 0.0 < rounded <= rows[row, 3], "the law's rounded gain can be encoded"
             assert np.float32(rounded / rows[row, 0]) <= 1.0
             assert (value < loop[f"servo_{name}"][n]) == (
-                gain < 1.0 and (name == "damping" or rate_hz > 100.0)
+                gain_value < 1.0 and (name == "damping" or rate_hz > 100.0)
             )
 
 
@@ -545,7 +560,7 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
     assert layouts[1].size - layouts[0].size == 4 * s.STATE_SCHEMA.rows("servo")
 
 
-def print_tracking(protocol: str, seeds: int) -> None:
+def print_tracking(protocol: str, seed_count: int) -> None:
     """Print the mean tracking error of each hand and mode, its range over the seeds, and the largest tension."""
     for name in LARGEST_ERROR_RATIO:
         hands = {
@@ -554,7 +569,7 @@ def print_tracking(protocol: str, seeds: int) -> None:
             f"kp = {STIFF_KP} N m/rad": hand_with_position_loop(name, protocol),
         }
         for mode, hand in hands.items():
-            runs = [mean_errors(hand, seed) for seed in range(seeds)]
+            runs = [mean_errors(hand, seed) for seed in range(seed_count)]
             errors = [error.mean() for error, _ in runs]
             mean, low, high = np.mean(errors), min(errors), max(errors)
             peak = max(peak for _, peak in runs)

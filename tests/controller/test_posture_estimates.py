@@ -62,17 +62,17 @@ class PostureTick(NamedTuple):
     force: np.ndarray
 
 
-def packaged_task(name: str) -> Path:
-    return PACKAGED_HANDS_FOLDER / f"{name}.toml"
+def packaged_task(task_name: str) -> Path:
+    return PACKAGED_HANDS_FOLDER / f"{task_name}.toml"
 
 
-def hand_file_with_encoders(folder: Path, joints: int | None = None) -> Path:
-    """Write a hand file of jamia with encoders at all or at the first ``joints`` joints.
+def hand_file_with_encoders(folder: Path, joints_with_encoders: int | None = None) -> Path:
+    """Write a hand file of jamia with encoders at all or at the first ``joints_with_encoders`` joints.
 
     Return its path.
     """
     text = packaged_task("jamia").read_text(encoding="utf-8")
-    read = load_hand("jamia").joints[:joints]
+    read = load_hand("jamia").joints[:joints_with_encoders]
     path = folder / "encoders.toml"
     path.write_text(
         text.replace("joints = []", f"joints = {list(read)}".replace("'", '"')), encoding="utf-8"
@@ -80,11 +80,11 @@ def hand_file_with_encoders(folder: Path, joints: int | None = None) -> Path:
     return path
 
 
-def run_grasp(path: Path, task: str, scene: str, seed: int) -> Iterator[PostureTick]:
+def run_grasp(hand_file: Path, task_name: str, scene_name: str, seed: int) -> Iterator[PostureTick]:
     """Yield the values of each tick of a simulated grasp."""
-    model = HandModel.from_hand(load_hand(str(path)), Gains(), RATE_HZ)
-    program = TaskProgram(load_task_for_hand(Path(task), model.hand)[0])
-    with SimulatorSettings(path, scene, seed, homed=True).begin_run(
+    model = HandModel.from_hand(load_hand(str(hand_file)), Gains(), RATE_HZ)
+    program = TaskProgram(load_task_for_hand(Path(task_name), model.hand)[0])
+    with SimulatorSettings(hand_file, scene_name, seed, homed=True).begin_run(
         homed_controller(model, program)
     ) as run:
         plant, run.record_ticks = run.simulated_hand.world.plant, False
@@ -97,15 +97,15 @@ def run_grasp(path: Path, task: str, scene: str, seed: int) -> Iterator[PostureT
                 break
 
 
-def root_mean_square(values: np.ndarray) -> float:
-    return float(np.degrees(np.sqrt(np.mean(values**2))))
+def root_mean_square(errors: np.ndarray) -> float:
+    return float(np.degrees(np.sqrt(np.mean(errors**2))))
 
 
 @pytest.mark.parametrize(
-    ("task", "scene"),
+    ("task_name", "scene_name"),
     GRASPS_AND_OBJECTS if os.environ.get("HANDCTL_NIGHTLY") else GRASPS_AND_OBJECTS[:2],
 )
-def test_the_truth_is_within_two_sigma_in_a_grasp(task: str, scene: str) -> None:
+def test_the_truth_is_within_two_sigma_in_a_grasp(task_name: str, scene_name: str) -> None:
     """For at least 95 % of the joints and ticks, the true joint angle is within two standard deviations.
 
     While an object is held, the error of a joint is nearly constant. Thus a run of the hand with
@@ -117,7 +117,7 @@ def test_the_truth_is_within_two_sigma_in_a_grasp(task: str, scene: str) -> None
     """
     within = []
     for seed in SIMULATOR_SEEDS:
-        seen = list(run_grasp(packaged_task("jamia"), task, scene, seed))
+        seen = list(run_grasp(packaged_task("jamia"), task_name, scene_name, seed))
         held = [one for one in seen if one.phase in HELD_PHASES]
         inside = np.array([np.abs(one.q - one.true_angles) <= 2.0 * one.sigma for one in held])
         within.append(inside.mean())
@@ -156,17 +156,19 @@ def angles_of_tick(
     model: HandModel,
     state: ControllerState,
     estimate: SyntheticEstimate,
-    touched: np.ndarray,
-    k: int,
+    external_tension: np.ndarray,
+    tick_index: int,
 ) -> JointAngles:
     """Return the joint angles that are estimated in tick k with external tensions (D,) [N].
 
     The function also writes this tick into the state.
     """
-    state.view("touch")[...] = touched
-    state.set_run_integer(s.K, k)
-    detect_contacts(model, state, estimate._replace(external_tension=touched[list(model.digit_of)]))
-    np.testing.assert_allclose(state.view("touch"), touched, err_msg="it lasts")
+    state.view("touch")[...] = external_tension
+    state.set_run_integer(s.K, tick_index)
+    detect_contacts(
+        model, state, estimate._replace(external_tension=external_tension[list(model.digit_of)])
+    )
+    np.testing.assert_allclose(state.view("touch"), external_tension, err_msg="it lasts")
     return JointAngles(state.view("q").copy(), state.view("q_sigma").copy())
 
 
@@ -215,32 +217,40 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
 @kernel("block", "layout", "constants", "layout", "matrix", "matrix", "count")
 def _fuse_encoders(
     block: BlockArray,
-    at: TablePlaces,
+    state_places: TablePlaces,
     constants: BlockArray,
-    constants_at: TablePlaces,
-    columns: np.ndarray,
-    spread: np.ndarray,
+    constant_places: TablePlaces,
+    encoder_angles: np.ndarray,
+    encoder_sigma: np.ndarray,
     t_ns: int,
 ) -> None:
     posture._fuse_encoders(
-        state_tables(block, at), constant_tables(constants, constants_at), columns, spread, t_ns
+        state_tables(block, state_places),
+        constant_tables(constants, constant_places),
+        encoder_angles,
+        encoder_sigma,
+        t_ns,
     )
 
 
 def state_after_fusion(
-    model: HandModel, state: ControllerState, columns: np.ndarray, spread: np.ndarray, t_ns: int
+    model: HandModel,
+    state: ControllerState,
+    encoder_angles: np.ndarray,
+    encoder_sigma: np.ndarray,
+    t_ns: int,
 ) -> ControllerState:
     """Return a state after the readings of joint encoders were fused with the estimate.
 
-    ``columns`` (C, J) and ``spread`` (J, N) determine the covariance before the fusion.
+    ``encoder_angles`` (C, J) and ``encoder_sigma`` (J, N) determine the covariance before the fusion.
     """
     after = state.copy()
     _fuse_encoders(
         after.block,
         after.layout.places,
         *controller_of(model).derived.constant_args,
-        columns,
-        spread,
+        encoder_angles,
+        encoder_sigma,
         t_ns,
     )
     return after
@@ -253,7 +263,7 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     joints are corrected through their correlation with this joint.
     """
     model = HandModel.from_hand(
-        load_hand(str(hand_file_with_encoders(tmp_path, joints=1))), Gains(), RATE_HZ
+        load_hand(str(hand_file_with_encoders(tmp_path, joints_with_encoders=1))), Gains(), RATE_HZ
     )
     joints, state = len(model.hand.joints), active_state(model)
     noise = constant_tables_of(model).joint[h.ENCODER_VARIANCE]

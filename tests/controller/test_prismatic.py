@@ -28,27 +28,27 @@ from handctl.report.summary import mean_angles
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
 from tests.controller.synthetic_states import slack_hand_estimate
 
-FOLDER = Path(__file__).parents[1] / "hand"
-HANDS = ("parallel_gripper", "mixed_gripper")
-SEEDS = range(5)
+HAND_FILE_FOLDER = Path(__file__).parents[1] / "hand"
+GRIPPER_NAMES = ("parallel_gripper", "mixed_gripper")
+SIMULATOR_SEEDS = range(5)
 RATE_HZ = 500.0
 
 
-def moves(name: str) -> Task:
+def to_and_fro_task(hand_name: str) -> Task:
     """Return a task that moves the digits of a hand to and fro, in mm and deg."""
     angles = (
         [{"left": 20.0, "right": 10.0}, {"left": 2.0, "right": 18.0}]
-        if name == "parallel_gripper"
+        if hand_name == "parallel_gripper"
         else [{"jaw": 15.0, "finger_j1": 12.0, "finger_j2": 40.0}, {"jaw": 3.0, "finger_j1": 2.0, "finger_j2": 10.0}]
     )  # fmt: skip
     phases = [{"kind": "move", "angle_deg": one, "duration_s": 0.8} for one in angles * 2]
     return validate_content({"schema": 1, "name": "moves", "phase": phases}, Task, "moves")
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("name", HANDS)
-def test_a_hand_is_commissioned_and_moves(name: str, seed: int) -> None:
-    hand = load_hand(FOLDER / f"{name}.toml")
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
+@pytest.mark.parametrize("hand_name", GRIPPER_NAMES)
+def test_a_hand_is_commissioned_and_moves(hand_name: str, seed: int) -> None:
+    hand = load_hand(HAND_FILE_FOLDER / f"{hand_name}.toml")
     settings = SimulatorSettings(hand, seed=seed)
     with settings.simulated_hand(round(1e9 / RATE_HZ)) as peer:
 
@@ -68,7 +68,7 @@ def test_a_hand_is_commissioned_and_moves(name: str, seed: int) -> None:
         )
         for row in calibration.tendon.values():
             assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=1.5)
-        run = begin(TaskProgram(moves(name)), calibration, run.k)
+        run = begin(TaskProgram(to_and_fro_task(hand_name)), calibration, run.k)
         errors = list[np.ndarray]()
         largest = np.zeros(len(hand.joints))
         for _, out in run.run_ticks(run.k / RATE_HZ + 30.0):
@@ -83,10 +83,10 @@ def test_a_hand_is_commissioned_and_moves(name: str, seed: int) -> None:
         assert largest[0] > 14.0
 
 
-@pytest.mark.parametrize("name", HANDS)
-def test_inverse_kinematics_finds_postures_of_prismatic_joints(name: str) -> None:
+@pytest.mark.parametrize("hand_name", GRIPPER_NAMES)
+def test_inverse_kinematics_finds_postures_of_prismatic_joints(hand_name: str) -> None:
     rng = np.random.default_rng(0)
-    for digit in DigitModel.all_from_hand(load_hand(FOLDER / f"{name}.toml")):
+    for digit in DigitModel.all_from_hand(load_hand(HAND_FILE_FOLDER / f"{hand_name}.toml")):
         low, high = digit.reach
         for _ in range(20):
             theta = rng.uniform(low, high)
@@ -95,19 +95,19 @@ def test_inverse_kinematics_finds_postures_of_prismatic_joints(name: str) -> Non
 
 
 def test_the_mean_of_a_sliding_digit_is_its_position() -> None:
-    gripper = load_hand(FOLDER / "parallel_gripper.toml")
+    gripper = load_hand(HAND_FILE_FOLDER / "parallel_gripper.toml")
     q = np.array([[0.01, 0.02]])
     np.testing.assert_allclose(mean_angles(gripper, q), q)
-    mixed = load_hand(FOLDER / "mixed_gripper.toml")
+    mixed = load_hand(HAND_FILE_FOLDER / "mixed_gripper.toml")
     # The test treats 10 mm of the prismatic joint like 1 rad of a revolute joint.
     mean = mean_angles(mixed, np.array([[0.005, 0.01, 1.0]]))
     np.testing.assert_allclose(mean, [[0.005, 1.0]])
     assert mixed.display_units.names == ("mm", "mm", "deg")
 
 
-def model_of(name: str) -> HandModel:
+def model_of(hand_name: str) -> HandModel:
     """Return the model of a gripper."""
-    return HandModel.from_hand(load_hand(FOLDER / f"{name}.toml"), Gains(), RATE_HZ)
+    return HandModel.from_hand(load_hand(HAND_FILE_FOLDER / f"{hand_name}.toml"), Gains(), RATE_HZ)
 
 
 def test_targets_of_a_stream_are_in_mm_and_deg() -> None:
@@ -131,16 +131,18 @@ def test_thresholds_count_10_mm_as_1_rad() -> None:
 
 
 @pytest.mark.parametrize(
-    ("angle", "duration_s", "said"),
+    ("angle_mm", "duration_s", "expected_message"),
     [
         (29.0, 1.0, "left 29 mm, expected from 0 to 28 mm"),
         (28.0, 0.2, "mm/s, expected at most 122.2 mm/s: give it more time"),
     ],
 )
-def test_a_live_move_is_refused_in_mm(angle: float, duration_s: float, said: str) -> None:
+def test_a_live_move_is_refused_in_mm(
+    angle_mm: float, duration_s: float, expected_message: str
+) -> None:
     model = model_of("parallel_gripper")
     progress = replace(LiveProgram().initial_progress(model), phase="live")
-    request = MoveDigits(do="move", angle_deg={"left": angle}, duration_s=duration_s)
+    request = MoveDigits(do="move", angle_deg={"left": angle_mm}, duration_s=duration_s)
     after, (event,) = apply_goal(model, progress, request, slack_hand_estimate(model), 0.0)
     assert after.goals == progress.goals
-    assert said in event.text
+    assert expected_message in event.text

@@ -23,7 +23,7 @@ from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.controller.test_target_streams import StreamClient
 
-Array = NDArray[np.float64]
+FloatArray = NDArray[np.float64]
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 STREAM_DURATION_S = 3.0
 STREAM_RATE_HZ = 100.0
@@ -31,53 +31,80 @@ STREAM_RATE_HZ = 100.0
 
 
 @cache
-def model_of(name: str) -> HandModel:
+def model_of(hand_name: str) -> HandModel:
     """Return the model of a packaged hand at its default rate."""
-    hand = load_hand(name)
+    hand = load_hand(hand_name)
     return HandModel.from_hand(hand, Gains(), min(default_rate(hand), 500.0))
 
 
-def white_noise_targets(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
+def white_noise_targets(
+    rng: np.random.Generator,
+    lowest_targets: FloatArray,
+    highest_targets: FloatArray,
+    times: FloatArray,
+) -> FloatArray:
     """Return targets of white noise. Some of these targets exceed the limits."""
-    beyond = 0.1 * (high - low)
-    return rng.uniform(low - beyond, high + beyond, (len(t), len(low)))
+    beyond = 0.1 * (highest_targets - lowest_targets)
+    return rng.uniform(
+        lowest_targets - beyond, highest_targets + beyond, (len(times), len(lowest_targets))
+    )
 
 
-def step_targets(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
+def step_targets(
+    rng: np.random.Generator,
+    lowest_targets: FloatArray,
+    highest_targets: FloatArray,
+    times: FloatArray,
+) -> FloatArray:
     """Return targets that step from one limit to the other."""
     hold = int(rng.integers(5, 40))
-    levels = rng.integers(0, 2, (len(t), len(low)))[np.arange(len(t)) // hold]
-    return np.where(levels, high, low)
+    levels = rng.integers(0, 2, (len(times), len(lowest_targets)))[np.arange(len(times)) // hold]
+    return np.where(levels, highest_targets, lowest_targets)
 
 
-def sine_targets(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
+def sine_targets(
+    rng: np.random.Generator,
+    lowest_targets: FloatArray,
+    highest_targets: FloatArray,
+    times: FloatArray,
+) -> FloatArray:
     """Return targets that oscillate as sines between the limits, at 0.3 to 6 Hz."""
-    angle = 2.0 * np.pi * rng.uniform(0.3, 6.0, len(low)) * t[:, None] + rng.uniform(
-        0.0, 6.28, len(low)
+    angle = 2.0 * np.pi * rng.uniform(0.3, 6.0, len(lowest_targets)) * times[:, None] + rng.uniform(
+        0.0, 6.28, len(lowest_targets)
     )
-    return (low + high) / 2 + (high - low) / 2 * np.sin(angle)
+    return (lowest_targets + highest_targets) / 2 + (highest_targets - lowest_targets) / 2 * np.sin(
+        angle
+    )
 
 
-def random_walk_targets(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
+def random_walk_targets(
+    rng: np.random.Generator,
+    lowest_targets: FloatArray,
+    highest_targets: FloatArray,
+    times: FloatArray,
+) -> FloatArray:
     """Return targets that walk at random within the limits.
 
     The random walk takes 50 steps per second.
     """
     steps_of_walk = (
-        rng.normal(0.0, 0.125, (len(t), len(low))) * (np.arange(len(t)) % 2 == 0)[:, None]
+        rng.normal(0.0, 0.125, (len(times), len(lowest_targets)))
+        * (np.arange(len(times)) % 2 == 0)[:, None]
     )
     place = np.empty_like(steps_of_walk)
-    present = np.full(len(low), 0.5)
+    present = np.full(len(lowest_targets), 0.5)
     for i, step in enumerate(steps_of_walk):
         present = np.clip(present + step, 0.0, 1.0)
-        place[i] = low + present * (high - low)
+        place[i] = lowest_targets + present * (highest_targets - lowest_targets)
     return place
 
 
-def target_limits(name: str, space: str, digit: str) -> tuple[tuple[str, ...], Array, Array]:
+def target_limits(
+    hand_name: str, target_space: str, digit: str
+) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
     """Return the names of the values of a stream, with the lowest and the highest target of each [deg or N]."""
-    hand = load_hand(name)
-    if space == "tension":
+    hand = load_hand(hand_name)
+    if target_space == "tension":
         tendons = hand.tendon[hand.digit_tendons[digit]]
         low = np.array([tendon.tension_floor_N for tendon in tendons])
         return (
@@ -85,8 +112,8 @@ def target_limits(name: str, space: str, digit: str) -> tuple[tuple[str, ...], A
             low,
             np.array([tendon.tension_max_N for tendon in tendons]),
         )
-    if space == "digit":
-        reach = [digit.reach for digit in model_of(name).digits]
+    if target_space == "digit":
+        reach = [digit.reach for digit in model_of(hand_name).digits]
         low = np.array([np.degrees(bounds[0].max()) for bounds in reach])
         return hand.digit_names, low, np.array([np.degrees(bounds[1].min()) for bounds in reach])
     joints = hand.digit_named(digit).joints
@@ -122,10 +149,11 @@ SAMPLED_CASES = [
 
 @pytest.mark.parametrize("seed", range(20 if NIGHTLY else 1))
 @pytest.mark.parametrize(
-    ("space", "hand", "kind"), SPACES_HANDS_AND_KINDS if NIGHTLY else SAMPLED_CASES
+    ("target_space", "hand_name", "target_generator"),
+    SPACES_HANDS_AND_KINDS if NIGHTLY else SAMPLED_CASES,
 )
 def test_random_targets_cause_no_fault(
-    space: str, hand: str, kind: Callable[..., Array], seed: int
+    target_space: str, hand_name: str, target_generator: Callable[..., FloatArray], seed: int
 ) -> None:
     """Reproduce a defect: random streams ended within 45 ms with the fault T01 (a tendon snapped).
 
@@ -136,20 +164,20 @@ def test_random_targets_cause_no_fault(
     or N14b. The integral of the tension error moved the free finger, and slack tendons were taken up
     too slowly.
     """
-    model = model_of(hand)
+    model = model_of(hand_name)
     digit = model.hand.digit_names[0]
-    names, low, high = target_limits(hand, space, digit)
+    names, low, high = target_limits(hand_name, target_space, digit)
     every = max(1, round(1.0 / STREAM_RATE_HZ / model.period))
     rate = 1.0 / every / model.period
     times = np.arange(round(STREAM_DURATION_S * rate)) / rate
-    targets = kind(np.random.default_rng(seed), low, high, times)
+    targets = target_generator(np.random.default_rng(seed), low, high, times)
     trip = np.array([tendon.tension_trip_N for tendon in model.hand.tendon])
-    with SimulatorSettings(hand, None, seed, homed=True).begin_run(
+    with SimulatorSettings(hand_name, None, seed, homed=True).begin_run(
         homed_controller(model, LiveProgram())
     ) as run:
         run.record_ticks = False
         client = StreamClient(run, model)
-        assert client.open_stream(space, names, rate_Hz=rate).startswith("stream")
+        assert client.open_stream(target_space, names, rate_Hz=rate).startswith("stream")
         for i in range(len(times) * every):
             client.tick(
                 *([client.target_request(*targets[i // every].tolist())] if i % every == 0 else [])

@@ -36,25 +36,26 @@ def holding_bench(model: HandModel) -> ControllerBench:
     return run
 
 
-def foreign_command(run: ControllerBench) -> Frame:
-    return Frame(run.peer.motors[0].node_id, bytes(8), t_ns=run.k * run.period_ns)
+def foreign_command(bench: ControllerBench) -> Frame:
+    return Frame(bench.toy_hand.motors[0].node_id, bytes(8), t_ns=bench.k * bench.period_ns)
 
 
-@pytest.mark.parametrize("request_", [FAST_HOLD_REQUEST, MOVE_REQUEST])
-@pytest.mark.parametrize("fault", [False, True])
+@pytest.mark.parametrize("request_text", [FAST_HOLD_REQUEST, MOVE_REQUEST])
+@pytest.mark.parametrize("with_fault", [False, True])
 def test_no_request_raises_the_tension_during_relax(
-    low_rate_jamia: HandModel, request_: str, fault: bool
+    low_rate_jamia: HandModel, request_text: str, with_fault: bool
 ) -> None:
     run = holding_bench(low_rate_jamia)
     run.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
     run.run(0.5)
     run.tick(
-        *() if fault else (STOP_REQUEST,), extra_frames=(foreign_command(run),) if fault else ()
+        *() if with_fault else (STOP_REQUEST,),
+        extra_frames=(foreign_command(run),) if with_fault else (),
     )
-    since, before = len(run.tick_history), run.peer.tension.max()
+    since, before = len(run.tick_history), run.toy_hand.tension.max()
     while run.state.mode == HandMode.RELAX:
-        run.tick(request_)
-        assert run.peer.tension.max() < before + 0.5
+        run.tick(request_text)
+        assert run.toy_hand.tension.max() < before + 0.5
     goals = np.array(
         [
             out.telemetry.tension_goal
@@ -67,7 +68,7 @@ def test_no_request_raises_the_tension_during_relax(
     texts = [event.text for event in run.events if event.text.startswith("refused")]
     assert texts == ["refused: the hand is letting go"] * len(texts)
     run.run_until_mode(HandMode.DONE)
-    assert run.state.failure == ("fault H13 0x001" if fault else ""), (
+    assert run.state.failure == ("fault H13 0x001" if with_fault else ""), (
         "a goal that comes too late is no fault"
     )
 
@@ -84,45 +85,49 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(low_rate_jamia: HandM
         assert run.state.view("setpoint").max() <= present.max()
 
 
-def fastest_setpoint_fall(run: ControllerBench, index: int = 0) -> float:
+def fastest_setpoint_fall(bench: ControllerBench, tendon_index: int = 0) -> float:
     """Return the fastest fall of the setpoint of a tendon while the hand relaxes [N/s]."""
     goals = [
-        out.telemetry.tension_goal[index]
-        for _, _, out in run.tick_history
+        out.telemetry.tension_goal[tendon_index]
+        for _, _, out in bench.tick_history
         if out.mode == HandMode.RELAX
     ]
-    return float(-np.diff(goals).min() / run.controller.model.period)
+    return float(-np.diff(goals).min() / bench.controller.model.period)
 
 
-@pytest.mark.parametrize("late", [False, True])
-def test_over_tension_is_relaxed_four_times_as_fast(low_rate_jamia: HandModel, late: bool) -> None:
+@pytest.mark.parametrize("is_relaxing_already", [False, True])
+def test_over_tension_is_relaxed_four_times_as_fast(
+    low_rate_jamia: HandModel, is_relaxing_already: bool
+) -> None:
     """The faster ramp starts in the tick in which a load cell reads too much, even if the hand is already relaxing."""
     run = holding_bench(low_rate_jamia)
     run.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
     run.run(0.5)
-    if late:
+    if is_relaxing_already:
         run.tick(STOP_REQUEST)
         run.run(0.02)
         assert fastest_setpoint_fall(run) == pytest.approx(RELAX_RATE_N_PER_S)
-    run.peer.cell_bias[0] = 150.0 - run.peer.tension[0]
+    run.toy_hand.cell_bias[0] = 150.0 - run.toy_hand.tension[0]
     run.run(2 * low_rate_jamia.period)
-    run.peer.cell_bias[0] = 0.0
+    run.toy_hand.cell_bias[0] = 0.0
     run.run_until_mode(HandMode.DISARM)
     assert next(event.text for event in run.events if event.name == "fault").startswith("T03 ")
     assert fastest_setpoint_fall(run) == pytest.approx(OVER_TENSION_RATE_N_PER_S)
 
 
-@pytest.mark.parametrize("asked", [STOP_REQUEST, CUT_REQUEST])
-def test_a_fault_during_relax_makes_the_run_fail(low_rate_jamia: HandModel, asked: str) -> None:
+@pytest.mark.parametrize("ending_request", [STOP_REQUEST, CUT_REQUEST])
+def test_a_fault_during_relax_makes_the_run_fail(
+    low_rate_jamia: HandModel, ending_request: str
+) -> None:
     run = holding_bench(low_rate_jamia)
     run.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
     run.run(0.5)
-    if asked == STOP_REQUEST:
-        run.tick(asked)
+    if ending_request == STOP_REQUEST:
+        run.tick(ending_request)
         run.tick(extra_frames=(foreign_command(run),))
         assert run.state.mode == HandMode.RELAX
     else:
-        run.tick(asked, extra_frames=(foreign_command(run),))
+        run.tick(ending_request, extra_frames=(foreign_command(run),))
     run.run_until_mode(HandMode.DONE)
     assert run.state.failure == "fault H13 0x001"
     assert any(
@@ -134,7 +139,7 @@ def test_a_fault_during_relax_makes_the_run_fail(low_rate_jamia: HandModel, aske
 
 def test_after_a_fault_during_arming_no_further_drive_is_enabled(low_rate_jamia: HandModel) -> None:
     run = make_controller_bench(low_rate_jamia, LiveProgram())
-    run.peer.motors[1].ignored_commands.add(0xFC)
+    run.toy_hand.motors[1].ignored_commands.add(0xFC)
     run.run_until_mode(HandMode.ARMING)
     run.tick(extra_frames=(foreign_command(run),))
     assert run.state.mode == HandMode.DISARM
@@ -150,9 +155,9 @@ def test_after_a_fault_during_arming_no_further_drive_is_enabled(low_rate_jamia:
     assert run.state.failure == "fault H13 0x001"
 
 
-@pytest.mark.parametrize("request_", [FAST_HOLD_REQUEST, MOVE_REQUEST])
+@pytest.mark.parametrize("request_text", [FAST_HOLD_REQUEST, MOVE_REQUEST])
 def test_a_run_with_its_own_goals_refuses_goals_of_clients(
-    low_rate_jamia: HandModel, request_: str
+    low_rate_jamia: HandModel, request_text: str
 ) -> None:
     """The goals of a client are refused while the hand is commissioned.
 
@@ -163,7 +168,7 @@ def test_a_run_with_its_own_goals_refuses_goals_of_clients(
     run.run_until_mode(HandMode.ACTIVE)
     run.run(0.05)
     goals = run.state.progress.goals
-    out = run.tick(request_)
+    out = run.tick(request_text)
     assert run.state.progress.goals is goals
     assert "refused: this run has goals of its own" in [event.text for event in out.events]
     assert not out.telemetry.motor_torque_goal.any()

@@ -32,9 +32,9 @@ VALID_REQUESTS = [
 ]
 
 
-@pytest.mark.parametrize(("text", "kind"), VALID_REQUESTS)
-def test_valid_requests_are_parsed(text: str, kind: type) -> None:
-    assert isinstance(parse_request(text), kind)
+@pytest.mark.parametrize(("request_text", "request_class"), VALID_REQUESTS)
+def test_valid_requests_are_parsed(request_text: str, request_class: type) -> None:
+    assert isinstance(parse_request(request_text), request_class)
 
 
 def test_numbers_arrive_as_they_were_sent() -> None:
@@ -84,9 +84,9 @@ INVALID_REQUESTS = [
 ]
 
 
-@pytest.mark.parametrize("text", INVALID_REQUESTS)
-def test_bad_requests_become_one_printable_line(text: str) -> None:
-    line = parse_request(text)
+@pytest.mark.parametrize("request_text", INVALID_REQUESTS)
+def test_bad_requests_become_one_printable_line(request_text: str) -> None:
+    line = parse_request(request_text)
     assert isinstance(line, str)
     assert line.startswith("request")
     assert line.isprintable(), "it goes into the log and to a terminal"
@@ -116,8 +116,8 @@ likely_requests = st.fixed_dictionaries(
     | likely_requests.map(json.dumps)
     | st.binary().map(lambda b: b.decode("utf-8", "replace"))
 )
-def test_nothing_raises_and_every_number_is_finite(text: str) -> None:
-    request = parse_request(text)
+def test_nothing_raises_and_every_number_is_finite(request_text: str) -> None:
+    request = parse_request(request_text)
     if isinstance(request, str):
         assert request.isprintable()
     elif isinstance(request, MoveDigits):
@@ -150,9 +150,9 @@ def test_events_of_a_request_end_at_the_next_request() -> None:
     assert events_for_request("b", []) is None
 
 
-@pytest.mark.parametrize("by", ["a b", "x" * 41, "\n", "é!"])
-def test_sender_name_is_one_short_word(by: str) -> None:
+@pytest.mark.parametrize("sender_name", ["a b", "x" * 41, "\n", "é!"])
+def test_sender_name_is_one_short_word(sender_name: str) -> None:
     assert parse_request(json.dumps({"do": "stop", "by": "handctl-1.2_x"})) == StopRequest(
         do="stop", by="handctl-1.2_x"
     )
-    assert isinstance(parse_request(json.dumps({"do": "stop", "by": by})), str)
+    assert isinstance(parse_request(json.dumps({"do": "stop", "by": sender_name})), str)

@@ -13,32 +13,32 @@ from tests.controller.law_runs import joint_motion_at, required_tensions_of
 
 
 def motion_goals(
-    model: HandModel, since: float, durations: tuple[float, ...]
+    model: HandModel, start_time: float, durations_s: tuple[float, ...]
 ) -> tuple[DigitGoal, ...]:
-    return moving_goals(model, 0.2, 0.9, durations, since)
+    return moving_goals(model, 0.2, 0.9, durations_s, start_time)
 
 
-@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
-@pytest.mark.parametrize("durations", [(0.5,) * 4, (0.5, 0.4, 0.5, 0.6)])
+@pytest.mark.parametrize("hand_name", ["jamia", "jamia11"])
+@pytest.mark.parametrize("durations_s", [(0.5,) * 4, (0.5, 0.4, 0.5, 0.6)])
 def test_a_motion_depends_on_the_time_since_its_start_only(
-    hand: str, durations: tuple[float, ...], request: pytest.FixtureRequest
+    hand_name: str, durations_s: tuple[float, ...], request: pytest.FixtureRequest
 ) -> None:
     """In one case, all digits move for the same duration.
 
     In another case, the durations of the digits differ.
     """
-    model: HandModel = request.getfixturevalue(hand)
-    first, later = (motion_goals(model, since, durations) for since in (0.0, 2.0))
+    model: HandModel = request.getfixturevalue(hand_name)
+    first, later = (motion_goals(model, since, durations_s) for since in (0.0, 2.0))
     motion = joint_motion_at(model, first, 0.1)
     np.testing.assert_allclose(joint_motion_at(model, later, 2.1), motion, rtol=1e-9)
-    assert (np.ptp(motion[1]) > 1e-3) == (len(set(durations)) > 1)
+    assert (np.ptp(motion[1]) > 1e-3) == (len(set(durations_s)) > 1)
     assert motion[1].min() > 0.0
 
 
-def required_tensions_by_digit(model: HandModel, motion: np.ndarray) -> np.ndarray:
+def required_tensions_by_digit(model: HandModel, joint_motion: np.ndarray) -> np.ndarray:
     """Compute the tensions (N,) [N] of a motion for each digit separately, without the shortcuts of the control law."""
     found = np.zeros(model.tendon_count)
-    q, dq, ddq = motion.tolist()
+    q, dq, ddq = joint_motion.tolist()
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
         own = digit.joints
         torque = np.array(model.inverse(digit, q[own], dq[own], ddq[own])) @ digit.coupling
@@ -47,15 +47,15 @@ def required_tensions_by_digit(model: HandModel, motion: np.ndarray) -> np.ndarr
     return found
 
 
-@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+@pytest.mark.parametrize("hand_name", ["jamia", "jamia11"])
 def test_the_load_of_each_digit_is_limited_separately(
-    hand: str, request: pytest.FixtureRequest
+    hand_name: str, request: pytest.FixtureRequest
 ) -> None:
     """In this test, some digits require a tension at its bound, and others do not.
 
     A tension at its bound in one digit does not change the tensions of other digits.
     """
-    model: HandModel = request.getfixturevalue(hand)
+    model: HandModel = request.getfixturevalue(hand_name)
     goals, rng = motion_goals(model, 0.0, (0.5, 0.4, 0.5, 0.6)), np.random.default_rng(4)
     joints = len(model.hand.joints)
     kinds = set()

@@ -15,10 +15,10 @@ from tests.drives.protocol_bench import OPTIONS_TEXT_BY_PROTOCOL, hand_file
 PERIOD_NS = 2_000_000
 
 
-@pytest.mark.parametrize("broken", [False, True])
+@pytest.mark.parametrize("with_broken_drive", [False, True])
 @pytest.mark.parametrize("protocol", sorted(OPTIONS_TEXT_BY_PROTOCOL))
 def test_shutdown_waits_until_each_motor_reports_off(
-    protocol: str, broken: bool, tmp_path: Path
+    protocol: str, with_broken_drive: bool, tmp_path: Path
 ) -> None:
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
     with homed_run(hand, 500.0, 1) as course:
@@ -28,7 +28,7 @@ def test_shutdown_waits_until_each_motor_reports_off(
             course.controller, course.state, course.k * PERIOD_NS, []
         )
         assert enabled == tuple(motor.name for motor in hand.motor), "nothing was heard yet"
-        if broken:
+        if with_broken_drive:
             course.simulated_hand.inject("off node=index_motor")
         for k in range(course.k + 1, course.k + 251):
             heard = [
@@ -39,15 +39,15 @@ def test_shutdown_waits_until_each_motor_reports_off(
             )
             if not enabled:
                 break
-        assert enabled == (("index_motor",) if broken else ())
+        assert enabled == (("index_motor",) if with_broken_drive else ())
         torques = course.simulated_hand.truth()["torque"]
         assert torques[1:] == [0.0] * 3
 
 
-@pytest.mark.parametrize("phase", [DrivePhase.SILENT, DrivePhase.CONFIGURING])
+@pytest.mark.parametrize("drive_phase", [DrivePhase.SILENT, DrivePhase.CONFIGURING])
 @pytest.mark.parametrize("protocol", ["mit", "cia402"])
 def test_shutdown_after_arming_waits_for_a_drive_that_is_being_set_up_again(
-    protocol: str, phase: DrivePhase, tmp_path: Path
+    protocol: str, drive_phase: DrivePhase, tmp_path: Path
 ) -> None:
     """The shutdown waits for a report of the drive that it is disabled, as the mode DISARM does."""
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
@@ -55,7 +55,7 @@ def test_shutdown_after_arming_waits_for_a_drive_that_is_being_set_up_again(
         assert course.run_until(lambda out: out.mode == HandMode.ARMING, 3.0), course.state.failure
         state = course.state.copy()
         drive = course.controller.drives[0]
-        restarted = drive.initial_state()._replace(phase=phase)
+        restarted = drive.initial_state()._replace(phase=drive_phase)
         course.controller.store_drive_state(state, 0, restarted)
         _, _, enabled = shutdown_step(course.controller, state, course.k * PERIOD_NS, [])
         assert drive.name in enabled

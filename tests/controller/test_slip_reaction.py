@@ -29,13 +29,15 @@ from tests.controller.synthetic_states import (
 HELD_TENSION_N = 20.0
 
 
-class GraspRun:
+class GripRun:
     """A grasp in which every digit except the last one holds the object.
 
     The grasp runs tick by tick with generated estimates.
     """
 
-    def __init__(self, model: HandModel, limit: float = np.nan, stiffness: float = 0.0) -> None:
+    def __init__(
+        self, model: HandModel, grip_limit: float = np.nan, grip_stiffness: float = 0.0
+    ) -> None:
         self.model, self.resting_estimate = (
             model,
             estimate_under_tension(model, HELD_TENSION_N, 0.5),
@@ -45,7 +47,7 @@ class GraspRun:
             DigitGoal(GoalKind.TENSION, tension=np.full(size, HELD_TENSION_N)) for size in sizes
         ]
         self.goals: tuple[DigitGoal, ...] = (*held[:-1], DigitGoal())
-        self.plan = GripPlan(stiffness, np.full(model.tendon_count, limit))
+        self.plan = GripPlan(grip_stiffness, np.full(model.tendon_count, grip_limit))
         self.t = 0.0
         self.grip = GripState.at_hold_start(model, self.goals, self.resting_estimate, self.t)
         self.state = active_state(model)
@@ -53,8 +55,8 @@ class GraspRun:
         self.state.set_run_integer(s.GRIPPING, 1)
         self.events: list[TickEvent] = []
 
-    def tick(self, estimate: SyntheticEstimate, seconds: float) -> None:
-        for _ in range(round(seconds / self.model.period)):
+    def tick(self, estimate: SyntheticEstimate, duration_s: float) -> None:
+        for _ in range(round(duration_s / self.model.period)):
             self.state.goal_time = self.t
             self.state.set_run_number(s.SLIP_JUDGED_FROM, self.grip.ready)
             felt = detect_contacts(self.model, self.state, estimate)
@@ -64,10 +66,12 @@ class GraspRun:
             )
             self.events += events
 
-    def estimate_after_winding(self, metres: float, digit: int = 0) -> SyntheticEstimate:
-        """Return the estimate after the tendons of a digit were wound up by a further ``metres``."""
+    def estimate_after_winding(
+        self, extra_travel_m: float, digit_index: int = 0
+    ) -> SyntheticEstimate:
+        """Return the estimate after the tendons of a digit were wound up by a further ``extra_travel_m``."""
         travel = self.resting_estimate.travel.copy()
-        travel[self.model.digit_tendons[digit]] += metres
+        travel[self.model.digit_tendons[digit_index]] += extra_travel_m
         return self.resting_estimate._replace(travel=travel)
 
     @property
@@ -77,7 +81,7 @@ class GraspRun:
 
 
 def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -> None:
-    held = GraspRun(model, limit=30.0)
+    held = GripRun(model, grip_limit=30.0)
     held.tick(held.resting_estimate, 1.0)
     assert not held.events
     held.tick(held.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.06)
@@ -88,7 +92,7 @@ def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -
 
 
 def test_a_slip_reaction_at_its_limit_is_reported_once(model: HandModel) -> None:
-    held = GraspRun(model, limit=26.0)
+    held = GripRun(model, grip_limit=26.0)
     held.tick(held.resting_estimate, 1.0)
     for step in range(1, 8):
         held.tick(held.estimate_after_winding(-3 * step * SLIP_EXCURSION_M), 0.5)
@@ -97,7 +101,7 @@ def test_a_slip_reaction_at_its_limit_is_reported_once(model: HandModel) -> None
 
 
 def test_without_a_limit_slip_is_reported_without_a_reaction(model: HandModel) -> None:
-    held = GraspRun(model)
+    held = GripRun(model)
     held.tick(held.resting_estimate, 1.0)
     held.tick(held.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.5)
     assert [event.level for event in held.events] == ["warn"]
@@ -105,7 +109,7 @@ def test_without_a_limit_slip_is_reported_without_a_reaction(model: HandModel) -
 
 
 def test_closing_creeping_noise_and_the_start_are_no_slip(model: HandModel) -> None:
-    held = GraspRun(model, limit=30.0)
+    held = GripRun(model, grip_limit=30.0)
     held.tick(held.estimate_after_winding(-5 * SLIP_EXCURSION_M), 0.2)
     held.tick(held.resting_estimate, 1.0)
     held.tick(held.estimate_after_winding(5 * SLIP_EXCURSION_M), 1.0)
@@ -120,7 +124,7 @@ def test_closing_creeping_noise_and_the_start_are_no_slip(model: HandModel) -> N
 
 
 def test_a_stiff_grip_pulls_back_what_is_pulled_out(model: HandModel) -> None:
-    held = GraspRun(model, limit=np.nan, stiffness=5e3)
+    held = GripRun(model, grip_limit=np.nan, grip_stiffness=5e3)
     held.tick(held.resting_estimate, 1.0)
     held.tick(held.estimate_after_winding(-0.2e-3), 0.01)
     assert held.commanded_tension == pytest.approx(HELD_TENSION_N + 1.0, abs=0.01)
@@ -147,7 +151,7 @@ rate_N_per_s = {rate}
 """
 
 
-def grasp_program(limit: str) -> TaskProgram:
+def grasp_program(limit_line: str) -> TaskProgram:
     phases = [
         {
             "kind": "move",
@@ -156,24 +160,30 @@ def grasp_program(limit: str) -> TaskProgram:
         },
         {"kind": "close", "angle_deg": 85.0, "speed_deg_s": 80.0, "contact_tension_N": 14.0},
         {"kind": "hold", "tension_N": 20.0, "duration_s": 60.0}
-        | ({"slip_limit_N": 80.0} if limit else {}),
+        | ({"slip_limit_N": 80.0} if limit_line else {}),
     ]
     return TaskProgram(
         Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": phases}))
     )
 
 
-@pytest.mark.parametrize(("hand", "friction", "rate"), [("jamia", 0.3, 5.0), ("jamia11", 0.2, 9.0)])
+@pytest.mark.parametrize(
+    ("hand_name", "object_friction", "load_rate"), [("jamia", 0.3, 5.0), ("jamia11", 0.2, 9.0)]
+)
 def test_a_growing_load_removes_the_object_only_without_slip_reaction(
-    hand: str, friction: float, rate: float, tmp_path: Path
+    hand_name: str, object_friction: float, load_rate: float, tmp_path: Path
 ) -> None:
     """Both runs have the same load, hand and seed.
 
     The two runs differ only in the key of the task that permits more force.
     """
-    scene, motion, tension = PULLED_CYLINDER_SCENE.format(friction=friction, rate=rate), {}, {}
+    scene, motion, tension = (
+        PULLED_CYLINDER_SCENE.format(friction=object_friction, rate=load_rate),
+        {},
+        {},
+    )
     for limit in ("", "limit"):
-        run = run_on_plant(hand, grasp_program(limit), scene, tmp_path, 5.6)
+        run = run_on_plant(hand_name, grasp_program(limit), scene, tmp_path, 5.6)
         begin = run.time_s.index(3.4)
         motion[limit] = 1e3 * np.linalg.norm(
             np.subtract(run.object_position[-1], run.object_position[begin])

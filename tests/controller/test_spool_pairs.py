@@ -119,7 +119,7 @@ def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm:
 
 
 def begin_run(
-    peer: SimulatedHand,
+    simulated_hand: SimulatedHand,
     hand: Hand,
     program: Program,
     calibration: Calibration | None,
@@ -127,7 +127,7 @@ def begin_run(
 ) -> SimulatedRun:
     """Begin a run of a program at tick ``first_tick``. The simulated hand may already have run."""
     controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, arm_at_once=True)
-    run = SimulatedRun.begin(controller, peer)
+    run = SimulatedRun.begin(controller, simulated_hand)
     run.k = first_tick
     run.record_ticks = False
     run.state.set_run_integer(s.K, first_tick - 1)
@@ -256,16 +256,16 @@ def test_a_tendon_that_snaps_under_load_is_found(tension: float, tendon: str) ->
 # --- hand files ---------------------------------------------------------------------------------------------------
 
 
-def content_with_tendon(**values: object) -> dict[str, object]:
+def content_with_tendon(**tendon_fields: object) -> dict[str, object]:
     """Return the content of the hand file of the finger, with other values of the first tendon."""
     content = hand_content(SPOOL_FINGER_FILE)
-    return content | {"tendon": [content["tendon"][0] | values, *content["tendon"][1:]]}
+    return content | {"tendon": [content["tendon"][0] | tendon_fields, *content["tendon"][1:]]}
 
 
-def content_with_digit(**values: object) -> dict[str, object]:
+def content_with_digit(**digit_fields: object) -> dict[str, object]:
     """Return the content of the hand file of the finger, with other values of the digit."""
     content = hand_content(SPOOL_FINGER_FILE)
-    return content | {"digit": [content["digit"][0] | values]}
+    return content | {"digit": [content["digit"][0] | digit_fields]}
 
 
 def content_without_pretension() -> dict[str, object]:
@@ -304,9 +304,9 @@ HAND_FILE_MISTAKES = {
 }
 
 
-@pytest.mark.parametrize("mistake", HAND_FILE_MISTAKES)
-def test_a_mistake_is_one_line_that_names_the_key(mistake: str) -> None:
-    content, where, right = HAND_FILE_MISTAKES[mistake]
+@pytest.mark.parametrize("mistake_name", HAND_FILE_MISTAKES)
+def test_a_mistake_is_one_line_that_names_the_key(mistake_name: str) -> None:
+    content, where, right = HAND_FILE_MISTAKES[mistake_name]
     hand, mistakes = validate_content(content)
     assert hand is None
     text = str(mistakes[0].error("x.toml"))

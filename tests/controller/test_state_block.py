@@ -50,7 +50,7 @@ from handctl.session.tasks import load_task_for_hand
 from tests.conftest import NIGHTLY
 from tests.controller.controller_bench import ControllerBench
 from tests.controller.synthetic_states import uncompiled_function
-from tests.hand.many_motors import fifteen_motors
+from tests.hand.many_motors import fifteen_motor_hand
 
 RANDOM_HAND_SEEDS = range(6)
 
@@ -141,13 +141,13 @@ def state(request: pytest.FixtureRequest) -> ControllerState:
     )
 
 
-def constants_by_field(module: Any) -> dict[str, str]:
+def constants_by_field(constant_module: Any) -> dict[str, str]:
     """Return, for each field, the name of the module constant that holds the number of its first row.
 
     The function reads the names from the source text of a module.
     """
     declared = {}
-    for node in ast.parse(inspect.getsource(module)).body:
+    for node in ast.parse(inspect.getsource(constant_module)).body:
         if (
             isinstance(node, ast.Assign)
             and isinstance(node.value, ast.Call)
@@ -161,18 +161,18 @@ def constants_by_field(module: Any) -> dict[str, str]:
 
 
 @pytest.mark.parametrize(
-    ("schema", "module"), [(STATE_SCHEMA, state_block), (CONSTANT_SCHEMA, constants)]
+    ("schema", "constant_module"), [(STATE_SCHEMA, state_block), (CONSTANT_SCHEMA, constants)]
 )
 def test_every_field_is_declared_once_and_found_by_its_name(
-    schema: BlockSchema, module: Any
+    schema: BlockSchema, constant_module: Any
 ) -> None:
     names = field_names(schema.fields)
     assert len(set(names)) == len(names) > 50
-    declared = constants_by_field(module)
+    declared = constants_by_field(constant_module)
     assert set(declared) == set(names)
     assert len(set(declared.values())) == len(names)
     for field in schema.fields:
-        assert getattr(module, declared[field.name]) == field.first, field.name
+        assert getattr(constant_module, declared[field.name]) == field.first, field.name
         assert field.meaning, field.name
 
 
@@ -238,14 +238,14 @@ def random_hand(seed: int) -> HandModel:
     and friction of these digits are varied at random.
     """
     rng = random.Random(seed)
-    raw: dict[str, Any] = fifteen_motors()
+    raw: dict[str, Any] = fifteen_motor_hand()
     if seed % 3:
         raw = hand_content(("jamia", "jamia11")[seed % 3 - 1])
     digits = [digit["name"] for digit in raw["digit"]]
     kept = sorted(rng.sample(digits, rng.randint(1, len(digits))), key=digits.index)
 
-    def is_kept_section(name: str) -> bool:
-        return any(name == digit or name.startswith(f"{digit}_") for digit in kept)
+    def is_kept_section(drive_field: str) -> bool:
+        return any(drive_field == digit or drive_field.startswith(f"{digit}_") for digit in kept)
 
     for section in ("digit", "tendon", "motor"):
         raw[section] = [
@@ -264,9 +264,9 @@ VARIED_KEYS = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_ra
           "stiffness_N_per_m", "inertia_kg_m2", "coulomb_N_m")  # fmt: skip
 
 
-def _varied_section(one: dict[str, Any], rng: random.Random) -> dict[str, Any]:
+def _varied_section(section: dict[str, Any], rng: random.Random) -> dict[str, Any]:
     """Return a section of a hand file in which numbers are varied at random."""
-    found = dict(one)
+    found = dict(section)
     for key in VARIED_KEYS:
         if key in found:
             factor = rng.uniform(0.8, 1.25)
@@ -380,19 +380,19 @@ def changed_goals() -> Iterator[tuple[str, DigitGoal]]:
     yield "limit", DigitGoal(GoalKind.TENSION, tension=tension, force_limit=12.0)
 
 
-def changed_progresses(before: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
+def changed_progresses(progress: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
     """For each part of a program's progress, yield a copy of the progress in which only this part is changed.
 
     The test changes the goals one by one.
     """
     grip = GripState(np.full(4, 20.0), np.full(4, np.nan), 1.0)
     values: dict[str, list[Any]] = {
-        "step": [before.step + 1], "since": [before.since + 1e-9], "phase": ["x"], "finished": [True],
-        "failure": ["x"], "record": [(1.0,)], "tare": [(1.0,)], "contact": [(True, *before.contact[1:])],
-        "touching": [(9, *before.touching[1:])], "closing": [(True,) * 4, (False,) * 4],
+        "step": [progress.step + 1], "since": [progress.since + 1e-9], "phase": ["x"], "finished": [True],
+        "failure": ["x"], "record": [(1.0,)], "tare": [(1.0,)], "contact": [(True, *progress.contact[1:])],
+        "touching": [(9, *progress.touching[1:])], "closing": [(True,) * 4, (False,) * 4],
         "grip": [grip, grip._replace(tension=np.full(4, 21.0)), grip._replace(anchor=np.zeros(4)),
                  grip._replace(ready=2.0), grip._replace(raised=1.2), grip._replace(limited=True)],
-        "goals": [before.goals[::-1], *((goal, *before.goals[1:]) for _, goal in changed_goals())],
+        "goals": [progress.goals[::-1], *((goal, *progress.goals[1:]) for _, goal in changed_goals())],
         "task": [load_task_for_hand(None, load_hand(name))[0] for name in ("jamia", "t42")],
     }  # fmt: skip
     assert values.keys() == {field.name for field in fields(ProgramProgress)}, (
@@ -400,7 +400,7 @@ def changed_progresses(before: ProgramProgress) -> Iterator[tuple[str, ProgramPr
     )
     for name, others in values.items():
         for value in others:
-            yield name, replace(before, **{name: value})
+            yield name, replace(progress, **{name: value})
 
 
 EXAMPLE_STREAM = StreamPlan("s", "one", "digit", ("index",), "linear", 0.01, 0.014)
@@ -410,14 +410,14 @@ OTHER_STREAM_VALUES = {
 }  # fmt: skip
 
 
-def changed_decisions(before: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
+def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
     """For each part of a controller's decisions, yield a copy of the decisions in which only this part is changed."""
     pending = PendingGains(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
-        "drives": [before.drives[::-1]],
-        "progress": [progress for _, progress in changed_progresses(before.progress)],
+        "drives": [decisions.drives[::-1]],
+        "progress": [progress for _, progress in changed_progresses(decisions.progress)],
         "latched": [
-            (*before.latched, LatchedFault("B01", "x")),
+            (*decisions.latched, LatchedFault("B01", "x")),
             (LatchedFault("B01", "y"),),
             (LatchedFault("B02", "x"),),
         ],
@@ -456,7 +456,7 @@ def changed_decisions(before: ControllerDecisions) -> Iterator[tuple[str, Contro
     assert values.keys() == set(ControllerDecisions._fields), "a new decision needs a line here"
     for name, others in values.items():
         for value in others:
-            yield name, before._replace(**{name: value})
+            yield name, decisions._replace(**{name: value})
 
 
 def test_every_decision_changes_the_digest(active_bench: ControllerBench) -> None:
@@ -469,43 +469,45 @@ def test_every_decision_changes_the_digest(active_bench: ControllerBench) -> Non
     assert state.copy().digest() == state.digest()
 
 
-def other_values(value: Any) -> list[Any]:
+def other_values(original_value: Any) -> list[Any]:
     """Return values that differ from a given value and have the same type.
 
     For a named tuple, each returned tuple differs from it in one part.
     """
-    if isinstance(value, bool):
-        return [not value]
-    if isinstance(value, DrivePhase):
-        return [phase for phase in DrivePhase if phase != value]
-    if isinstance(value, int | float):
-        return [value + 1]
-    if isinstance(value, str):
-        return [value + "x"]
-    assert hasattr(value, "_fields"), value
+    if isinstance(original_value, bool):
+        return [not original_value]
+    if isinstance(original_value, DrivePhase):
+        return [phase for phase in DrivePhase if phase != original_value]
+    if isinstance(original_value, int | float):
+        return [original_value + 1]
+    if isinstance(original_value, str):
+        return [original_value + "x"]
+    assert hasattr(original_value, "_fields"), original_value
     plain = {
-        name: getattr(value, name)
-        for name in value._fields
-        if not isinstance(getattr(value, name), tuple)
+        name: getattr(original_value, name)
+        for name in original_value._fields
+        if not isinstance(getattr(original_value, name), tuple)
     }
     return [
-        value._replace(**{name: other})
+        original_value._replace(**{name: other})
         for name, part in plain.items()
         for other in other_values(part)
     ]
 
 
-@pytest.mark.parametrize("name", DriveState._fields)
+@pytest.mark.parametrize("drive_field", DriveState._fields)
 def test_everything_that_is_known_of_a_drive_changes_the_digest(
-    active_bench: ControllerBench, name: str
+    active_bench: ControllerBench, drive_field: str
 ) -> None:
     """The digest depends on the measured values of a drive, and on the progress of its set-up."""
     state = active_bench.state
     seen = {state.digest()}
     for n, drive in enumerate(state.drives):
-        for value in other_values(getattr(drive, name)):
+        for value in other_values(getattr(drive, drive_field)):
             changed = state.copy()
-            active_bench.controller.store_drive_state(changed, n, drive._replace(**{name: value}))
+            active_bench.controller.store_drive_state(
+                changed, n, drive._replace(**{drive_field: value})
+            )
             digest = changed.digest()
             assert digest not in seen, (n, value)
             seen.add(digest)

@@ -15,8 +15,8 @@ from handctl.core.plain_values import join_field_bytes, plain_bytes
 from handctl.programs.program import ProgramProgress
 
 
-def hashed_bytes(value: object) -> bytes:
-    return repr(value).encode()
+def hashed_bytes(hashed_value: object) -> bytes:
+    return repr(hashed_value).encode()
 
 
 def test_values_of_same_objects_are_taken_over() -> None:

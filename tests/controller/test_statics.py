@@ -27,9 +27,9 @@ from tests.controller.synthetic_states import (
 
 
 @kernel("constants", "layout", "vector")
-def _static_torque(block: BlockArray, at: TablePlaces, q: np.ndarray) -> np.ndarray:
+def _static_torque(block: BlockArray, state_places: TablePlaces, q: np.ndarray) -> np.ndarray:
     torque = np.empty(len(q))
-    statics.write_static_torque(constant_tables(block, at), q, torque)
+    statics.write_static_torque(constant_tables(block, state_places), q, torque)
     return torque
 
 
@@ -38,12 +38,14 @@ def static_torque_of(model: HandModel, q: np.ndarray) -> np.ndarray:
     return _static_torque(*stage_constants(model), q)
 
 
-def filter_table_at(model: HandModel, theta: list[np.ndarray], speed: float = 0.0) -> np.ndarray:
-    """Return filter states (N, 7) of a hand whose digits have the joint angles ``theta``."""
+def filter_table_at(
+    model: HandModel, joint_angles: list[np.ndarray], tendon_speed: float = 0.0
+) -> np.ndarray:
+    """Return filter states (N, 7) of a hand whose digits have the joint angles ``joint_angles``."""
     table = np.zeros((model.tendon_count, STATE_COUNT))
-    for digit, tendons, one in zip(model.digits, model.digit_tendons, theta, strict=True):
+    for digit, tendons, one in zip(model.digits, model.digit_tendons, joint_angles, strict=True):
         table[tendons, S] = digit.reduced_moment_arms @ one
-    table[:, V] = speed
+    table[:, V] = tendon_speed
     return table
 
 
@@ -57,8 +59,8 @@ def test_resistance_is_the_slope_of_the_stored_energy(model: HandModel) -> None:
         for digit, tendons, one in zip(model.digits, model.digit_tendons, theta, strict=True):
             h = 1e-6
 
-            def energy(at: np.ndarray, digit=digit) -> float:  # type: ignore[no-untyped-def]
-                q = digit.coupling @ at
+            def energy(state_places: np.ndarray, digit=digit) -> float:  # type: ignore[no-untyped-def]
+                q = digit.coupling @ state_places
                 return potential_energy(digit, q) + spring_energy(digit, q)
 
             slope = np.array(
@@ -75,19 +77,21 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
     still, closing, opening = (
         load_statics(model, filter_table_at(model, theta, v), tension) for v in (0.0, 0.05, -0.05)
     )
-    np.testing.assert_allclose(still.pull, tension)
-    assert (closing.pull < tension).all()
-    assert (opening.pull > tension).all()
-    np.testing.assert_allclose(closing.pull * opening.pull, tension**2, rtol=0.12)
+    np.testing.assert_allclose(still.joint_pull, tension)
+    assert (closing.joint_pull < tension).all()
+    assert (opening.joint_pull > tension).all()
+    np.testing.assert_allclose(closing.joint_pull * opening.joint_pull, tension**2, rtol=0.12)
     known = load_statics(
         model, filter_table_at(model, theta, -0.05), tension, np.full(model.tendon_count, 1.0)
     )
     np.testing.assert_allclose(
-        known.pull, closing.pull, err_msg="what is known of friction goes before the speed"
+        known.joint_pull,
+        closing.joint_pull,
+        err_msg="what is known of friction goes before the speed",
     )
     np.testing.assert_allclose(
-        known.eager,
-        opening.pull,
+        known.driving_force,
+        opening.joint_pull,
         err_msg="but leaving a stop goes by the speed, or 0.5 deg are lost",
     )
     np.testing.assert_array_equal(still.resistance, closing.resistance)
@@ -117,7 +121,7 @@ def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> Non
                 arm * tension[i] * math.exp(-tendon.friction_coefficient * developed[i] * passed)
             )
     found = load_statics(model, filter_table_at(model, theta), tension, developed)
-    np.testing.assert_allclose(found.pull, model.torque_to_tension @ torque, rtol=1e-9)
+    np.testing.assert_allclose(found.joint_pull, model.torque_to_tension @ torque, rtol=1e-9)
 
 
 def test_efficiency_is_the_mean_of_the_capstan_over_the_pulleys(model: HandModel) -> None:
@@ -148,7 +152,10 @@ def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
         force = state.view("tip_force")
         for d, digit in enumerate(model.digits):
             np.testing.assert_allclose(
-                torque[digit.joints], static_torque(digit, q[digit.joints]), rtol=1e-12, atol=1e-15
+                torque[digit.joints],
+                static_torque(digit, q[digit.joints]),
+                rtol=1e-12,
+                atol=1e-15,
             )
             alone = tip_force(digit, q[digit.joints], external[digit.tendons])
             assert force[d] == pytest.approx(alone, rel=1e-10, abs=1e-12)

@@ -49,8 +49,8 @@ class StreamClient:
         tick_outputs: outputs of all ticks since the controller started to wait for requests.
     """
 
-    def __init__(self, run: SimulatedRun, model: HandModel, name: str = "one") -> None:
-        self.run, self.model, self.name, self.sent = run, model, name, 0
+    def __init__(self, run: SimulatedRun, model: HandModel, client_name: str = "one") -> None:
+        self.run, self.model, self.name, self.sent = run, model, client_name, 0
         self.tick_outputs = list[TickOut]()
         assert run.run_until(lambda out: out.phase == "live", 5.0)
 
@@ -64,38 +64,46 @@ class StreamClient:
         self.tick_outputs.append(self.run.run_tick(requests=requests))
         return self.tick_outputs[-1]
 
-    def wait(self, seconds: float) -> None:
+    def wait(self, duration_s: float) -> None:
         """Run ticks without requests for a given time."""
-        for _ in range(round(seconds / self.model.period)):
+        for _ in range(round(duration_s / self.model.period)):
             self.tick()
 
-    def send_command(self, do: str, **fields: Any) -> str:
+    def send_command(self, request_kind: str, **request_fields: Any) -> str:
         """Send a command and return the text of the last event about it."""
-        out = self.tick(json.dumps({"do": do, "client": self.name, **fields}))
+        out = self.tick(json.dumps({"do": request_kind, "client": self.name, **request_fields}))
         return [event.text for event in out.events if event.name == "request"][-1]
 
     def open_stream(
-        self, space: str = "digit", names: tuple[str, ...] = ("index",), **fields: Any
+        self,
+        target_space: str = "digit",
+        coordinate_names: tuple[str, ...] = ("index",),
+        **request_fields: Any,
     ) -> str:
         """Open a stream of targets, and return the text of the last event about the request."""
-        fields = {"interpolation": "linear", "rate_Hz": RATE_HZ} | fields
-        return self.send_command("stream", stream="s", space=space, names=names, **fields)
+        request_fields = {"interpolation": "linear", "rate_Hz": RATE_HZ} | request_fields
+        return self.send_command(
+            "stream", stream="s", space=target_space, names=coordinate_names, **request_fields
+        )
 
     def target_request(
-        self, *values: float, number: int | None = None, age_s: float = 0.0
+        self, *target_values: float, sequence_number: int | None = None, age_s: float = 0.0
     ) -> StreamTarget:
         """Return a streamed target that was sent ``age_s`` seconds ago."""
-        self.sent += number is None
+        self.sent += sequence_number is None
         return StreamTarget(
-            "s", self.sent if number is None else number, self.t_ns - round(1e9 * age_s), values
+            "s",
+            self.sent if sequence_number is None else sequence_number,
+            self.t_ns - round(1e9 * age_s),
+            target_values,
         )
 
     def stream_motion(
-        self, motion: Callable[[float], float], seconds: float, rate_Hz: float = RATE_HZ
+        self, motion: Callable[[float], float], duration_s: float, rate_Hz: float = RATE_HZ
     ) -> None:
         """Stream the values of a motion at a regular rate."""
         every = round(1.0 / rate_Hz / self.model.period)
-        for i in range(round(seconds / self.model.period)):
+        for i in range(round(duration_s / self.model.period)):
             self.tick(
                 *([self.target_request(motion(i * self.model.period))] if i % every == 0 else [])
             )
@@ -110,9 +118,9 @@ class StreamClient:
             if event.name == "fault"
         }
 
-    def goal_history(self, name: str) -> Any:
+    def goal_history(self, telemetry_field: str) -> Any:
         """Return the goals of the first joint or tendon in all ticks so far, from a telemetry field."""
-        return np.array([getattr(out.telemetry, name)[0] for out in self.tick_outputs])
+        return np.array([getattr(out.telemetry, telemetry_field)[0] for out in self.tick_outputs])
 
 
 @contextmanager
@@ -203,8 +211,8 @@ def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
     """
     with live_client(jamia) as client:
         client.open_stream(
-            space="joint",
-            names=("index_j1", "index_j2", "index_j3", "thumb_j1"),
+            target_space="joint",
+            coordinate_names=("index_j1", "index_j2", "index_j3", "thumb_j1"),
             interpolation="minimum_jerk",
         )
         for i in range(100):
@@ -215,12 +223,12 @@ def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
         check_ticks_repeat(client.run, middle, at)
 
 
-def check_ticks_repeat(run: SimulatedRun, middle: bytes, at: int) -> None:
-    """Check that the ticks repeat to the last bit, from the start and from a snapshot after ``at`` ticks."""
+def check_ticks_repeat(run: SimulatedRun, snapshot: bytes, snapshot_tick: int) -> None:
+    """Check that the ticks repeat to the last bit, from the start and from a snapshot after ``snapshot_tick`` ticks."""
     controller = run.controller
     for state, ticks in (
         (controller.initial_state(), run.recorded_ticks),
-        (restore_state(controller.derived.layout, middle), run.recorded_ticks[at:]),
+        (restore_state(controller.derived.layout, snapshot), run.recorded_ticks[snapshot_tick:]),
     ):
         for entry, out in ticks:
             state, again = controller.tick(state, entry)
@@ -228,9 +236,9 @@ def check_ticks_repeat(run: SimulatedRun, middle: bytes, at: int) -> None:
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "minimum_jerk"])
-@pytest.mark.parametrize("target", [80.0, 150.0, -40.0])
+@pytest.mark.parametrize("target_value", [80.0, 150.0, -40.0])
 def test_a_jump_is_bounded_in_speed_acceleration_and_range(
-    jamia: HandModel, interpolation: str, target: float
+    jamia: HandModel, interpolation: str, target_value: float
 ) -> None:
     limits = jamia.hand.stream
     with live_client(jamia) as client:
@@ -238,7 +246,7 @@ def test_a_jump_is_bounded_in_speed_acceleration_and_range(
         client.wait(1.2)
         client.open_stream(interpolation=interpolation)
         client.tick_outputs.clear()
-        client.stream_motion(lambda t: target, 0.8)
+        client.stream_motion(lambda t: target_value, 0.8)
         speed, angle = (
             np.degrees(client.goal_history("dq_goal")),
             np.degrees(client.goal_history("q_goal")),
@@ -250,12 +258,12 @@ def test_a_jump_is_bounded_in_speed_acceleration_and_range(
         assert np.abs(np.diff(angle)).max() <= limits.speed_deg_s * jamia.period * (1 + 1e-9)
         assert angle.min() >= -1e-9
         assert angle.max() <= 100.0 + 1e-9
-        if target == 150.0:  # the finger touches the palm before it reaches its goal
+        if target_value == 150.0:  # the finger touches the palm before it reaches its goal
             assert 7.0 < angle[-1] - true_angle(client.run) < 9.0
         else:
-            assert angle[-1] == pytest.approx(max(target, 0.0), abs=1e-6)
+            assert angle[-1] == pytest.approx(max(target_value, 0.0), abs=1e-6)
         clipped = stream_status(client.run.state).clipped
-        assert clipped == (0 if target == 80.0 else client.sent), "reported, and no fault"
+        assert clipped == (0 if target_value == 80.0 else client.sent), "reported, and no fault"
         assert client.run.last_output is not None
         assert client.run.last_output.mode == HandMode.ACTIVE
 
@@ -329,18 +337,18 @@ def test_a_late_target_waits_at_the_last_one(jamia: HandModel) -> None:
 
 
 @pytest.mark.parametrize(
-    "values",
+    "target_values",
     [(math.nan,), (math.inf,), (1e308,), (-1e308,), (721.0,), (), (1.0, 2.0)],
 )
 def test_invalid_target_is_counted_without_effect(
-    jamia: HandModel, values: tuple[float, ...]
+    jamia: HandModel, target_values: tuple[float, ...]
 ) -> None:
     with live_client(jamia) as client:
         client.open_stream()
         client.stream_motion(lambda t: 20.0, 0.3)
         before = client.goal_history("q_goal")[-1]
         for _ in range(5):
-            client.tick(client.target_request(*values))
+            client.tick(client.target_request(*target_values))
         client.wait(0.02)
         assert client.goal_history("q_goal")[-1] == pytest.approx(before, abs=1e-9)
         status = stream_status(client.run.state)
@@ -355,28 +363,28 @@ def test_invalid_target_is_counted_without_effect(
 
 
 @pytest.mark.parametrize(
-    "text",
+    "target_text",
     [
         "", "7", "[]", '"stream": "s"}', '"stream": "s", "n": 1.5, "sent_ns": 1, "values": []}',
         '"stream": "s", "n": 1, "sent_ns": 1, "values": [null]}',
         '"stream": "s", "n": 1, "sent_ns": 1, "values": "1"}', "[" * 5000,
     ],
 )  # fmt: skip
-def test_a_text_that_is_no_target_is_counted(text: str) -> None:
-    whole = '{"do": "target", ' + text
+def test_a_text_that_is_no_target_is_counted(target_text: str) -> None:
+    whole = '{"do": "target", ' + target_text
     assert is_stream_target(whole)
     target = parse_target(whole)
     assert target is None or target.values == (1.0,)
 
 
-@pytest.mark.parametrize("value", [0.1 + 0.2, 1e308, -0.0, 5e-324, math.inf, math.nan])
-def test_a_target_survives_the_log(value: float) -> None:
+@pytest.mark.parametrize("target_value", [0.1 + 0.2, 1e308, -0.0, 5e-324, math.inf, math.nan])
+def test_a_target_survives_the_log(target_value: float) -> None:
     """A run receives decoded targets.
 
     A re-execution of the run decodes the targets from the texts in the log. A target must be equal
     in both runs, to the last bit.
     """
-    target = StreamTarget("17-3", 2**62, -(2**40), (value, 1.0 / 3.0))
+    target = StreamTarget("17-3", 2**62, -(2**40), (target_value, 1.0 / 3.0))
     again = parse_target(target_request_text(target))
     assert again is not None
     assert again[:3] == target[:3]
@@ -384,10 +392,10 @@ def test_a_target_survives_the_log(value: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "sent_ns"), [(2**70, 0), (-(2**64), 0), (0, 2**63), (0, -(2**70))]
+    ("sequence_number", "sent_ns"), [(2**70, 0), (-(2**64), 0), (0, 2**63), (0, -(2**70))]
 )
 def test_integers_beyond_64_bits_do_not_end_the_run(
-    jamia: HandModel, number: int, sent_ns: int
+    jamia: HandModel, sequence_number: int, sent_ns: int
 ) -> None:
     """Reproduce a defect.
 
@@ -397,7 +405,7 @@ def test_integers_beyond_64_bits_do_not_end_the_run(
     with live_client(jamia) as client:
         client.open_stream()
         client.stream_motion(lambda t: 20.0, 0.3)
-        client.tick(target_request_text(StreamTarget("s", number, sent_ns, (80.0,))))
+        client.tick(target_request_text(StreamTarget("s", sequence_number, sent_ns, (80.0,))))
         client.wait(0.02)
         assert math.degrees(client.goal_history("q_goal")[-1]) < 21.0
         assert stream_status(client.run.state).refused == 1
@@ -410,7 +418,8 @@ def test_repeated_overtaken_and_old_targets_are_ignored(jamia: HandModel) -> Non
         client.stream_motion(lambda t: 20.0, 0.3)
         at = client.goal_history("q_goal")[-1]
         client.tick(
-            client.target_request(80.0, number=client.sent), client.target_request(80.0, number=3)
+            client.target_request(80.0, sequence_number=client.sent),
+            client.target_request(80.0, sequence_number=3),
         )
         client.tick(client.target_request(80.0, age_s=0.05), client.target_request(80.0, age_s=0.2))
         client.wait(0.02)
@@ -583,9 +592,13 @@ def test_the_end_of_a_stream_brings_the_digit_to_rest(jamia: HandModel) -> None:
 
 def test_streams_that_do_not_suit_the_hand_are_refused(jamia: HandModel) -> None:
     with live_client(jamia) as client:
-        assert "no digit 'pinky', expected some of index" in client.open_stream(names=("pinky",))
-        assert "no joint 'index', expected some of index_j1" in client.open_stream(space="joint")
-        assert "twice" in client.open_stream(names=("index", "index"))
+        assert "no digit 'pinky', expected some of index" in client.open_stream(
+            coordinate_names=("pinky",)
+        )
+        assert "no joint 'index', expected some of index_j1" in client.open_stream(
+            target_space="joint"
+        )
+        assert "twice" in client.open_stream(coordinate_names=("index", "index"))
         assert "5 Hz, expected 20 to 500 Hz" in client.open_stream(rate_Hz=5.0)
         assert "expected 20 to 500 Hz" in client.open_stream(rate_Hz=800.0)
         assert client.run.state.decisions.stream is None
@@ -698,17 +711,19 @@ def test_tip_forces_become_tensions(jamia: HandModel, jamia11: HandModel) -> Non
         assert (more <= jamia11.ceiling[:3]).all()
 
 
-@pytest.mark.parametrize("softness", [None, 0.3, 0.05])
+@pytest.mark.parametrize("spring_softness", [None, 0.3, 0.05])
 def test_a_softer_stream_is_still_followed_and_stable(
-    jamia: HandModel, softness: float | None
+    jamia: HandModel, spring_softness: float | None
 ) -> None:
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": SINE_MIDDLE_DEG})
         client.wait(1.2)
-        text = client.open_stream(interpolation="minimum_jerk", stiffness_N_m_per_rad=softness)
+        text = client.open_stream(
+            interpolation="minimum_jerk", stiffness_N_m_per_rad=spring_softness
+        )
         fraction = client.run.state.view("stiffness_fraction")[0]
-        assert ("% of the stiffness" in text) == (softness is not None)
-        assert fraction == 1.0 if softness is None else 0.05 <= fraction < 1.0
+        assert ("% of the stiffness" in text) == (spring_softness is not None)
+        assert fraction == 1.0 if spring_softness is None else 0.05 <= fraction < 1.0
         assert (client.run.state.view("stiffness_fraction")[1:] == 1.0).all(), (
             "only the streamed digits"
         )

@@ -174,8 +174,8 @@ def hand_with_an_extensor() -> Hand:
 ONE_JOINT_DIGIT = DigitShape(1, 1)
 
 
-def _write_task_file(folder: Path, text: str) -> Path:
-    (folder / "written.toml").write_text(text)
+def _write_task_file(folder: Path, task_text: str) -> Path:
+    (folder / "written.toml").write_text(task_text)
     return folder / "written.toml"
 
 
@@ -191,7 +191,7 @@ def test_phases_have_the_type_of_their_kind(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "where", "said"),
+    ("text_replacement", "key_path", "expected_message"),
     [
         (("schema = 1", "schema = 2"), "schema", "1"),
         (('kind = "move"', 'kind = "fly"'), "phase[0]", "move"),
@@ -210,11 +210,11 @@ def test_phases_have_the_type_of_their_kind(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_mistake_in_a_task_is_named(
-    refusal, change: tuple[str, str], where: str, said: str
+    refusal, text_replacement: tuple[str, str], key_path: str, expected_message: str
 ) -> None:  # type: ignore[no-untyped-def]
-    line = refusal(VALID_TASK.replace(*change))
-    assert where in line
-    assert said in line
+    line = refusal(VALID_TASK.replace(*text_replacement))
+    assert key_path in line
+    assert expected_message in line
 
 
 def test_a_task_without_phases_is_refused(refusal) -> None:  # type: ignore[no-untyped-def]
@@ -240,11 +240,11 @@ def test_an_empty_table_of_digits_is_accepted(tmp_path: Path) -> None:
     check_task(load_task(path), ("index", "thumb"), 110.0, "t")
 
 
-@pytest.mark.parametrize("name", [TARE_PHASE, "start"])
-def test_a_phase_may_not_have_a_reserved_name(refusal, name: str) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.parametrize("phase_name", [TARE_PHASE, "start"])
+def test_a_phase_may_not_have_a_reserved_name(refusal, phase_name: str) -> None:  # type: ignore[no-untyped-def]
     """No phase may have the name tare or start, because the controller uses these names itself."""
     assert "must not be named" in refusal(
-        VALID_TASK.replace('kind = "hold"', f'kind = "hold"\nname = "{name}"')
+        VALID_TASK.replace('kind = "hold"', f'kind = "hold"\nname = "{phase_name}"')
     )
 
 

@@ -20,44 +20,66 @@ angle_pairs = st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=2).map(np.arra
 move_durations = st.floats(0.01, 100.0)
 
 
-@given(start=angle_pairs, end=angle_pairs, duration=move_durations)
+@given(start_angles=angle_pairs, end_angles=angle_pairs, duration_s=move_durations)
 def test_minimum_jerk_move_rests_at_both_ends(
-    start: np.ndarray, end: np.ndarray, duration: float
+    start_angles: np.ndarray, end_angles: np.ndarray, duration_s: float
 ) -> None:
-    move = MinimumJerk(start, end, duration)
-    for t, place in ((0.0, start), (duration, end), (-1.0, start), (duration + 5.0, end)):
+    move = MinimumJerk(start_angles, end_angles, duration_s)
+    for t, place in (
+        (0.0, start_angles),
+        (duration_s, end_angles),
+        (-1.0, start_angles),
+        (duration_s + 5.0, end_angles),
+    ):
         position, velocity, acceleration = move.motion_at(t)
         np.testing.assert_allclose(position, place, atol=1e-12)
         np.testing.assert_allclose(velocity, 0.0, atol=1e-12)
         np.testing.assert_allclose(acceleration, 0.0, atol=1e-12)
 
 
-@given(start=angle_pairs, end=angle_pairs, duration=move_durations, share=st.floats(0.01, 0.99))
+@given(
+    start_angles=angle_pairs,
+    end_angles=angle_pairs,
+    duration_s=move_durations,
+    time_fraction=st.floats(0.01, 0.99),
+)
 def test_trajectory_derivatives_match_differences(
-    start: np.ndarray, end: np.ndarray, duration: float, share: float
+    start_angles: np.ndarray, end_angles: np.ndarray, duration_s: float, time_fraction: float
 ) -> None:
-    move, h, t = MinimumJerk(start, end, duration), 1e-5 * duration, share * duration
+    move, h, t = (
+        MinimumJerk(start_angles, end_angles, duration_s),
+        1e-5 * duration_s,
+        time_fraction * duration_s,
+    )
     before, now, after = move.motion_at(t - h), move.motion_at(t), move.motion_at(t + h)
-    way = np.abs(end - start).max() + 1e-9
-    np.testing.assert_allclose(now[1], (after[0] - before[0]) / (2 * h), atol=1e-6 * way / duration)
+    way = np.abs(end_angles - start_angles).max() + 1e-9
     np.testing.assert_allclose(
-        now[2], (after[1] - before[1]) / (2 * h), atol=1e-5 * way / duration**2
+        now[1], (after[0] - before[0]) / (2 * h), atol=1e-6 * way / duration_s
+    )
+    np.testing.assert_allclose(
+        now[2], (after[1] - before[1]) / (2 * h), atol=1e-5 * way / duration_s**2
     )
 
 
-@given(start=angle_pairs, end=angle_pairs, duration=move_durations)
+@given(start_angles=angle_pairs, end_angles=angle_pairs, duration_s=move_durations)
 def test_move_stays_between_its_ends_and_below_its_peak_speed(
-    start: np.ndarray, end: np.ndarray, duration: float
+    start_angles: np.ndarray, end_angles: np.ndarray, duration_s: float
 ) -> None:
-    move = MinimumJerk(start, end, duration)
-    course = [move.motion_at(t) for t in np.linspace(0.0, duration, 101)]
-    low, high = np.minimum(start, end) - 1e-12, np.maximum(start, end) + 1e-12
+    move = MinimumJerk(start_angles, end_angles, duration_s)
+    course = [move.motion_at(t) for t in np.linspace(0.0, duration_s, 101)]
+    low, high = (
+        np.minimum(start_angles, end_angles) - 1e-12,
+        np.maximum(start_angles, end_angles) + 1e-12,
+    )
     assert all(((low <= p) & (p <= high)).all() for p, _, _ in course)
-    steps = np.diff([p for p, _, _ in course], axis=0) * np.sign(end - start)
+    steps = np.diff([p for p, _, _ in course], axis=0) * np.sign(end_angles - start_angles)
     assert (steps >= -1e-12).all(), "straight there"
     speed = np.abs([v for _, v, _ in course]).max(axis=0)
     np.testing.assert_allclose(
-        speed, PEAK_SPEED_RATIO * np.abs(end - start) / duration, rtol=1e-6, atol=1e-12
+        speed,
+        PEAK_SPEED_RATIO * np.abs(end_angles - start_angles) / duration_s,
+        rtol=1e-6,
+        atol=1e-12,
     )
 
 
@@ -77,15 +99,15 @@ def test_no_admissible_bump_has_less_jerk() -> None:
         assert squared_jerk(acceleration + size * bump) > squared_jerk(acceleration)
 
 
-@pytest.mark.parametrize(("distance", "speed"), [(1.0, 2.0), (-0.5, 0.1), (0.0, 1.0)])
-def test_duration_keeps_the_peak_speed(distance: float, speed: float) -> None:
-    duration = minimum_jerk_duration(distance, speed, 0.05)
+@pytest.mark.parametrize(("distance_rad", "peak_speed"), [(1.0, 2.0), (-0.5, 0.1), (0.0, 1.0)])
+def test_duration_keeps_the_peak_speed(distance_rad: float, peak_speed: float) -> None:
+    duration = minimum_jerk_duration(distance_rad, peak_speed, 0.05)
     assert duration >= 0.05
-    move = MinimumJerk(np.array([0.0]), np.array([distance]), duration)
+    move = MinimumJerk(np.array([0.0]), np.array([distance_rad]), duration)
     fastest = max(abs(move.motion_at(t)[1][0]) for t in np.linspace(0.0, duration, 1001))
-    assert fastest <= speed * (1 + 1e-9)
-    if distance:
-        assert fastest == pytest.approx(speed, rel=1e-5)
+    assert fastest <= peak_speed * (1 + 1e-9)
+    if distance_rad:
+        assert fastest == pytest.approx(peak_speed, rel=1e-5)
 
 
 curve_times = st.lists(st.floats(0.05, 2.0), min_size=1, max_size=6).map(
@@ -115,10 +137,15 @@ def test_a_curve_goes_through_its_points_from_rest_to_rest(data: st.DataObject) 
     assert curve.peak_speed() <= max(speeds) * 1.01 + 1e-6
 
 
-@given(points=st.lists(st.floats(-0.5, 2.0), min_size=4, max_size=4), share=st.floats(0.02, 0.98))
-def test_curve_derivatives_match_differences(points: list[float], share: float) -> None:
-    curve, h = CurveTrajectory.through_points((0.0, 0.4, 1.0, 1.3), tuple(points), 1), 1e-5
-    t = share * 1.3
+@given(
+    curve_points=st.lists(st.floats(-0.5, 2.0), min_size=4, max_size=4),
+    time_fraction=st.floats(0.02, 0.98),
+)
+def test_curve_derivatives_match_differences(
+    curve_points: list[float], time_fraction: float
+) -> None:
+    curve, h = CurveTrajectory.through_points((0.0, 0.4, 1.0, 1.3), tuple(curve_points), 1), 1e-5
+    t = time_fraction * 1.3
     if min(abs(t - knot) for knot in (0.4, 1.0)) < 2 * h:
         return
     before, now, after = curve.motion_at(t - h), curve.motion_at(t), curve.motion_at(t + h)

@@ -61,7 +61,7 @@ def test_a_file_becomes_a_slow_move_and_the_curve(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
+    ("original_line", "replaced_line", "expected_message"),
     [
         ("0.0, 0.5, 1.0, 2.0]", "0.0, 0.5, 0.5, 2.0]", "rise"),
         ("0.0, 0.5, 1.0, 2.0]", "0.1, 0.5, 1.0, 2.0]", "rise"),
@@ -74,13 +74,13 @@ def test_a_file_becomes_a_slow_move_and_the_curve(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_file_is_refused_in_one_line(
-    tmp_path: Path, old: str, new: str, message: str
+    tmp_path: Path, original_line: str, replaced_line: str, expected_message: str
 ) -> None:
     path = tmp_path / "wave.toml"
-    path.write_text(VALID_TRAJECTORY.replace(old, new))
+    path.write_text(VALID_TRAJECTORY.replace(original_line, replaced_line))
     with pytest.raises(ConfigError) as refused:
         load_trajectory(path)
-    assert message in str(refused.value)
+    assert expected_message in str(refused.value)
     assert "\n" not in str(refused.value)
     assert str(path) in str(refused.value)
 
@@ -96,13 +96,13 @@ def test_radians_are_not_degrees(tmp_path: Path) -> None:
     assert curve.motion_at(0.5)[0][0] == pytest.approx(math.radians(20.0))
 
 
-@pytest.mark.parametrize("gap", [5e-324, 1e-310, 1e-160, 1e-5])
-def test_very_close_times_do_not_bypass_the_speed_limit(gap, recwarn):
+@pytest.mark.parametrize("time_gap_s", [5e-324, 1e-310, 1e-160, 1e-5])
+def test_very_close_times_do_not_bypass_the_speed_limit(time_gap_s, recwarn):
     """If two times are very close, the coefficients of the spline overflow.
 
     The computed speed is then NaN, which is refused in the same way as a speed above the limit.
     """
     angles = {"index": (0.0, 1.0, 0.0)}
     with pytest.raises(ValueError, match="at most 700 deg/s"):
-        FollowPhase(kind="follow", time_s=(0.0, gap, 1.0), angle_deg=angles)
+        FollowPhase(kind="follow", time_s=(0.0, time_gap_s, 1.0), angle_deg=angles)
     assert not recwarn.list

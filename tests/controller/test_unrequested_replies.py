@@ -32,15 +32,15 @@ def active_bench(jamia: HandModel) -> ControllerBench:
     return run
 
 
-def reported_faults(out: TickOut) -> list[str]:
-    return [event.text[:3] for event in out.events if event.name == "fault"]
+def reported_faults(tick_output: TickOut) -> list[str]:
+    return [event.text[:3] for event in tick_output.events if event.name == "fault"]
 
 
-@pytest.mark.parametrize("times", [1, 3])
+@pytest.mark.parametrize("reply_count", [1, 3])
 def test_a_motor_that_answers_before_it_was_asked_was_asked_by_another_controller(
-    silent_bench: ControllerBench, times: int
+    silent_bench: ControllerBench, reply_count: int
 ) -> None:
-    out = silent_bench.tick(extra_frames=(UNREQUESTED_REPLY,) * times)
+    out = silent_bench.tick(extra_frames=(UNREQUESTED_REPLY,) * reply_count)
     assert reported_faults(out) == ["H13"], (
         "one is enough; it is no duplicate, since nothing was asked"
     )
@@ -73,7 +73,7 @@ def test_frames_of_others_do_not_make_a_duplicate_a_second_node(
     active_bench: ControllerBench,
 ) -> None:
     """Only frames that were decoded as the feedback of a motor count as replies of this motor."""
-    active_bench.to_host = lambda frames: [
+    active_bench.change_host_frames = lambda frames: [
         *frames,
         *[f for f in frames if f.can_id == 0x11],
         Frame(0x11, bytes([0x12] * 8)),
@@ -84,11 +84,15 @@ def test_frames_of_others_do_not_make_a_duplicate_a_second_node(
 def test_two_different_replies_show_a_second_node_despite_frames_between_them(
     active_bench: ControllerBench,
 ) -> None:
-    active_bench.to_host = lambda frames: [*frames, Frame(0x11, bytes(7)), UNREQUESTED_REPLY]
+    active_bench.change_host_frames = lambda frames: [
+        *frames,
+        Frame(0x11, bytes(7)),
+        UNREQUESTED_REPLY,
+    ]
     assert "B06" in reported_faults(active_bench.tick())
 
 
-@pytest.mark.parametrize(("behind", "found"), [
+@pytest.mark.parametrize(("change_cell_reply", "expected_faults"), [
     (lambda cell: [cell, cell], ["B05"]),
     (lambda cell: [cell, cell, with_older_counter(cell)], ["B05", "B07"]),
     (lambda cell: [with_older_counter(cell), cell, cell], ["B04", "B05"]),
@@ -96,54 +100,58 @@ def test_two_different_replies_show_a_second_node_despite_frames_between_them(
     (lambda cell: [cell, with_other_tension(cell), with_older_counter(cell), with_older_counter(cell)], ["B06", "B07"]),
     (lambda cell: [cell, with_older_counter(cell)], ["B07"]),
 ])  # fmt: skip
-def test_only_load_cell_replies_of_the_present_tick_count(active_bench, behind, found) -> None:
-    active_bench.to_host = lambda frames: [
+def test_only_load_cell_replies_of_the_present_tick_count(
+    active_bench, change_cell_reply, expected_faults
+) -> None:
+    active_bench.change_host_frames = lambda frames: [
         f
         for frame in frames
-        for f in (behind(frame) if is_load_cell_frame(active_bench, frame) else [frame])
+        for f in (change_cell_reply(frame) if is_load_cell_frame(active_bench, frame) else [frame])
     ]
-    assert sorted(reported_faults(active_bench.tick())) == found
+    assert sorted(reported_faults(active_bench.tick())) == expected_faults
 
 
 def is_load_cell_frame(active_bench: ControllerBench, frame: Frame) -> bool:
     return frame.can_id == active_bench.controller.sensors.ids[0]
 
 
-def with_older_counter(cell: Frame) -> Frame:
+def with_older_counter(cell_frame: Frame) -> Frame:
     """Return a load-cell frame whose counter is that of another SYNC frame."""
-    return cell._replace(data=bytes([cell.data[0] ^ 1]) + cell.data[1:])
+    return cell_frame._replace(data=bytes([cell_frame.data[0] ^ 1]) + cell_frame.data[1:])
 
 
-def with_other_tension(cell: Frame) -> Frame:
+def with_other_tension(cell_frame: Frame) -> Frame:
     """Return a load-cell frame with the same counter, but with another tension."""
-    return cell._replace(data=bytes([cell.data[0] ^ 0x10]) + cell.data[1:])
+    return cell_frame._replace(data=bytes([cell_frame.data[0] ^ 0x10]) + cell_frame.data[1:])
 
 
-@pytest.mark.parametrize(("outstanding", "came", "found"), [
+@pytest.mark.parametrize(("open_requests", "reply_letters", "expected_faults"), [
     (1, "AA", "B05"), (1, "AB", "B06"), (1, "ABB", "B06"), (1, "AAB", "B06"), (1, "AAA", "B05"),
     (2, "ABB", "B05"), (2, "AAB", "B06"), (2, "ABA", "B06"), (2, "AB", None),
 ])  # fmt: skip
 def test_only_replies_in_excess_are_compared_with_the_expected_reply(
-    active_bench, outstanding, came, found
+    active_bench, open_requests, reply_letters, expected_faults
 ) -> None:
     """A late reply to an older request is expected, so its bytes may differ from those of the newest reply."""
-    if outstanding == 2:
-        active_bench.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x11]
+    if open_requests == 2:
+        active_bench.change_host_frames = lambda frames: [
+            frame for frame in frames if frame.can_id != 0x11
+        ]
         active_bench.tick()
-    active_bench.to_host = lambda frames: [
-        f for frame in frames for f in change_first_motor(frame, came)
+    active_bench.change_host_frames = lambda frames: [
+        f for frame in frames for f in change_first_motor(frame, reply_letters)
     ]
     reported = [id_ for id_ in reported_faults(active_bench.tick()) if id_ in ("B05", "B06")]
-    assert reported == ([found] if found else [])
+    assert reported == ([expected_faults] if expected_faults else [])
 
 
-def change_first_motor(answer: Frame, kinds: str) -> list[Frame]:
-    """Return one copy of a motor's reply for each letter of ``kinds``.
+def change_first_motor(motor_reply: Frame, reply_letters: str) -> list[Frame]:
+    """Return one copy of a motor's reply for each letter of ``reply_letters``.
 
     The copy for A is unchanged. The copy for B has another temperature. Replies of other motors
     than the first are returned once.
     """
-    if answer.can_id != 0x11:
-        return [answer]
-    other = answer._replace(data=answer.data[:7] + bytes([answer.data[7] ^ 1]))
-    return [answer if kind == "A" else other for kind in kinds]
+    if motor_reply.can_id != 0x11:
+        return [motor_reply]
+    other = motor_reply._replace(data=motor_reply.data[:7] + bytes([motor_reply.data[7] ^ 1]))
+    return [motor_reply if kind == "A" else other for kind in reply_letters]

@@ -22,7 +22,7 @@ from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.conftest import NIGHTLY
 from tests.controller.synthetic_states import active_state
-from tests.hand.varying_arms import with_varying_arms
+from tests.hand.varying_arms import hand_with_varying_arms
 
 PACKAGED_HANDS = packaged_hands()
 RATE_HZ = 400.0
@@ -31,39 +31,42 @@ SIMULATOR_SEEDS = range(20) if NIGHTLY else range(2)
 
 @kernel("block", "layout", "block", "layout")
 def _update_structure(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+    block: BlockArray,
+    state_places: TablePlaces,
+    constants: BlockArray,
+    constant_places: TablePlaces,
 ) -> None:
     varying_moment_arms.update_structure(
-        state_tables(block, at), constant_tables(constants, constants_at)
+        state_tables(block, state_places), constant_tables(constants, constant_places)
     )
 
 
 @kernel("block", "layout", "constants", "layout", "count", "count", "real")
 def _arm_and_slope(
     block: BlockArray,
-    at: TablePlaces,
+    state_places: TablePlaces,
     constants: BlockArray,
-    constants_at: TablePlaces,
-    n: int,
-    j: int,
-    q: float,
+    constant_places: TablePlaces,
+    tendon_index: int,
+    joint_index: int,
+    joint_angle: float,
 ) -> np.ndarray:
-    c = constant_tables(constants, constants_at)
+    c = constant_tables(constants, constant_places)
     return np.array([
-        varying_moment_arms.joint_excursion(c, n, j, q),
-        varying_moment_arms.moment_arm(c, n, j, q),
-        varying_moment_arms.arm_slope(c, n, j, q),
+        varying_moment_arms.joint_excursion(c, tendon_index, joint_index, joint_angle),
+        varying_moment_arms.moment_arm(c, tendon_index, joint_index, joint_angle),
+        varying_moment_arms.arm_slope(c, tendon_index, joint_index, joint_angle),
     ])  # fmt: skip
 
 
 @cache
-def model_of(name: str, fraction: float = 0.3) -> HandModel:
-    return HandModel.from_hand(with_varying_arms(name, fraction), Gains(), RATE_HZ)
+def model_of(hand_name: str, arm_variation: float = 0.3) -> HandModel:
+    return HandModel.from_hand(hand_with_varying_arms(hand_name, arm_variation), Gains(), RATE_HZ)
 
 
-@pytest.mark.parametrize("name", PACKAGED_HANDS)
-def test_the_structure_tables_are_those_at_the_present_angles(name: str) -> None:
-    model = model_of(name)
+@pytest.mark.parametrize("hand_name", PACKAGED_HANDS)
+def test_the_structure_tables_are_those_at_the_present_angles(hand_name: str) -> None:
+    model = model_of(hand_name)
     constants = HandConstants(model, {})
     for seed in SIMULATOR_SEEDS:
         chance = np.random.default_rng(seed)
@@ -130,14 +133,14 @@ def test_arm_and_slope_are_derivatives_of_the_excursion() -> None:
         np.testing.assert_allclose((after - before)[:2] / (2 * step), here[1:], atol=1e-8)
 
 
-def task_of_moves(*angles: tuple[float, float]) -> Task:
+def task_of_moves(*angles_deg: tuple[float, float]) -> Task:
     """Return a task that consists of moves.
 
     Each pair contains one angle for all joints [deg] and the duration of the move [s].
     """
     phases = [
         {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
-        for i, (angle, duration) in enumerate(angles)
+        for i, (angle, duration) in enumerate(angles_deg)
     ]
     return Task.model_validate(
         {"schema": 1, "name": "moves", "description": "moves", "phase": tuple(phases)}
@@ -165,15 +168,15 @@ def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
 
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
-@pytest.mark.parametrize("name", ["jamia11", "n_plus_1"])
-def test_arms_by_angle_track_better_than_constant_arms(name: str, seed: int) -> None:
+@pytest.mark.parametrize("hand_name", ["jamia11", "n_plus_1"])
+def test_arms_by_angle_track_better_than_constant_arms(hand_name: str, seed: int) -> None:
     """The moment arms in the simulator vary by 30 % with the joint angle.
 
     The controller for comparison uses the mean moment arms R. This controller computes the
     excursions as R q.
     """
-    hand = with_varying_arms(name, 0.3, encoders=False)
-    constant = with_varying_arms(name, 0.0, encoders=False)
+    hand = hand_with_varying_arms(hand_name, 0.3, with_joint_encoders=False)
+    constant = hand_with_varying_arms(hand_name, 0.0, with_joint_encoders=False)
     with_arms = tracking_error_deg(HandModel.from_hand(hand, Gains(), RATE_HZ), hand, seed)
     with_mean = tracking_error_deg(HandModel.from_hand(constant, Gains(), RATE_HZ), hand, seed)
     assert with_arms < 1.0

@@ -30,26 +30,26 @@ SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 
 
 @cache
-def hand_without_cells(*tendons: str) -> Hand:
+def hand_without_cells(*tendon_names: str) -> Hand:
     """Return jamia without the load cells of the named tendons.
 
     If no tendon is named, the hand has no sensor node at all.
     """
     content: dict[str, Any] = hand_content("jamia")
-    if not tendons:
+    if not tendon_names:
         del content["sensor_node"]
     else:
         node = content["sensor_node"]
         content["sensor_node"] = node | {
-            "tendons": [name for name in node["tendons"] if name not in tendons]
+            "tendons": [name for name in node["tendons"] if name not in tendon_names]
         }
     return hand_from_content(content, "without cells")
 
 
 @cache
-def model_of(*tendons: str) -> HandModel:
+def model_of(*tendon_names: str) -> HandModel:
     """Return the model of the hand that ``hand_without_cells(*tendons)`` returns."""
-    return HandModel.from_hand(hand_without_cells(*tendons), Gains(), RATE_HZ)
+    return HandModel.from_hand(hand_without_cells(*tendon_names), Gains(), RATE_HZ)
 
 
 CYLINDER_TASK = Task.model_validate(
@@ -101,20 +101,20 @@ class RunWithoutCells:
     events: list[TickEvent] = field(default_factory=list)
     object_height: float = 0.0
 
-    def normalized_errors(self, *phases: str) -> np.ndarray:
+    def normalized_errors(self, *phase_names: str) -> np.ndarray:
         """Return the errors of the tension estimate in some phases, divided by the estimated standard deviation."""
-        rows = np.isin(self.phase_name, phases)
+        rows = np.isin(self.phase_name, phase_names)
         return (np.array(self.tension)[rows] - np.array(self.true_tension)[rows]) / np.array(
             self.sigma
         )[rows]
 
 
 def run_without_sensors(
-    program: Program, scene: str | None, seed: int, *faults: str, limit_s: float = 30.0
+    program: Program, scene: str | None, seed: int, *fault_commands: str, limit_s: float = 30.0
 ) -> RunWithoutCells:
     """Run a program on a hand without load cells and encoders.
 
-    The controller knows the motor zeros. Each text in ``faults`` describes an injected fault and
+    The controller knows the motor zeros. Each text in ``fault_commands`` describes an injected fault and
     contains its time.
     """
     rows = RunWithoutCells()
@@ -122,7 +122,7 @@ def run_without_sensors(
         homed_controller(model_of(), program)
     ) as run:
         run.record_ticks = False
-        for fault in faults:
+        for fault in fault_commands:
             run.simulated_hand.inject(fault)
         for _, out in run.run_ticks(limit_s):
             rows.phase_name.append(out.phase)
@@ -152,11 +152,11 @@ def assert_no_check_of_a_missing_cell(hand: Hand, events: list[TickEvent]) -> No
 
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
-@pytest.mark.parametrize("bare", [(), ("index_tendon", "thumb_tendon")])
+@pytest.mark.parametrize("tendons_without_cells", [(), ("index_tendon", "thumb_tendon")])
 def test_hand_commissions_with_the_tares_of_its_load_cells(
-    bare: tuple[str, ...], seed: int
+    tendons_without_cells: tuple[str, ...], seed: int
 ) -> None:
-    hand = hand_without_cells(*bare)
+    hand = hand_without_cells(*tendons_without_cells)
     with SimulatorSettings(hand, None, seed).simulated_hand(round(1e9 / RATE_HZ)) as peer:
         run = SimulatedRun.begin(
             make_controller(hand, Gains(), RATE_HZ, CommissionProgram(), None, True), peer
@@ -167,11 +167,11 @@ def test_hand_commissions_with_the_tares_of_its_load_cells(
         assert not [event for event in events if event.level == "error"]
         assert_no_check_of_a_missing_cell(hand, events)
         found = calibration_of_result(
-            model_of(*bare), run.state.progress, "2026-01-01T00:00:00+00:00"
+            model_of(*tendons_without_cells), run.state.progress, "2026-01-01T00:00:00+00:00"
         )
         assert not found.tare(hand)[~hand.has_cell].any()
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
-        wrong = (found.zero(hand) - offset) * model_of(*bare).space.spool
+        wrong = (found.zero(hand) - offset) * model_of(*tendons_without_cells).space.spool
         np.testing.assert_allclose(wrong, 0.0, atol=5e-5)
 
 
@@ -230,14 +230,16 @@ def test_cia402_drives_have_their_sync_without_sensors() -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "expected"),
+    ("fault_command", "expected_faults"),
     [
         ("snap tendon=index_tendon at=2.4s", ("T01", "T02a", "T02b")),
         ("stuck encoder=middle_motor at=1.5s", ("N04",)),
         ("drop node=ring_motor at=2.4s", ("B02", "B17")),
     ],
 )
-def test_faults_that_need_no_load_cell_are_found(fault: str, expected: tuple[str, ...]) -> None:
-    rows = run_without_sensors(TaskProgram(CYLINDER_TASK), "cylinder", 0, fault)
+def test_faults_that_need_no_load_cell_are_found(
+    fault_command: str, expected_faults: tuple[str, ...]
+) -> None:
+    rows = run_without_sensors(TaskProgram(CYLINDER_TASK), "cylinder", 0, fault_command)
     found = {event.text.split()[0] for event in rows.events if event.name == "fault"}
-    assert found & set(expected), rows.events[-5:]
+    assert found & set(expected_faults), rows.events[-5:]

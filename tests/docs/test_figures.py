@@ -21,17 +21,17 @@ MAX_FIGURE_BYTES = 700_000
 """Largest size of a figure that is not animated [bytes]."""
 
 
-@pytest.mark.parametrize("name", FIGURE_FILES)
-def test_a_figure_is_of_this_version(name: str) -> None:
-    assert drawn_by(FIGURES_FOLDER / name) == CREATOR_TEXT, "run make figures"
+@pytest.mark.parametrize("figure_name", FIGURE_FILES)
+def test_a_figure_is_of_this_version(figure_name: str) -> None:
+    assert drawn_by(FIGURES_FOLDER / figure_name) == CREATOR_TEXT, "run make figures"
 
 
-@pytest.mark.parametrize("name", FIGURE_FILES)
-def test_a_figure_is_small_and_used(name: str) -> None:
-    assert (FIGURES_FOLDER / name).stat().st_size < (
-        MAX_FILE_BYTES if name.endswith(".gif") else MAX_FIGURE_BYTES
+@pytest.mark.parametrize("figure_name", FIGURE_FILES)
+def test_a_figure_is_small_and_used(figure_name: str) -> None:
+    assert (FIGURES_FOLDER / figure_name).stat().st_size < (
+        MAX_FILE_BYTES if figure_name.endswith(".gif") else MAX_FIGURE_BYTES
     )
-    stem = name.partition(".")[0]
+    stem = figure_name.partition(".")[0]
     assert any(re.search(rf"figures/{stem}\.(svg|png|gif)", text) for text in PAGE_TEXTS)
 
 

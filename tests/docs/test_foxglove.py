@@ -22,12 +22,12 @@ PANEL_KINDS = {"3D", "Plot", "RosOut", "StateTransitions"}
 """Kinds of panels, with the names that Foxglove itself writes when it exports a layout."""
 
 
-def text_leaves(node: Any) -> list[str]:
+def text_leaves(layout_node: Any) -> list[str]:
     """Return the names of all panels below a node of the layout tree."""
     return (
-        [node]
-        if isinstance(node, str)
-        else [*text_leaves(node["first"]), *text_leaves(node["second"])]
+        [layout_node]
+        if isinstance(layout_node, str)
+        else [*text_leaves(layout_node["first"]), *text_leaves(layout_node["second"])]
     )
 
 

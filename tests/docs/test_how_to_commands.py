@@ -64,16 +64,16 @@ STIFFER_GAINS = "schema = 1\n\n[motion]\nforce_N = 16.0\n\n[tension]\nintegral_p
 REALTIME_MARKS = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
 
 
-def prepare_folder(golden: str, folder: Path) -> None:
+def prepare_folder(golden_log: str, work_folder: Path) -> None:
     """Write the files that a reader of the pages would have: a log, a hand file, a task and gains."""
-    (folder / "logs").mkdir()
+    (work_folder / "logs").mkdir()
     for name in ("RUN.mcap", "run.mcap", "logs/RUN.mcap"):
-        shutil.copy(REPOSITORY_ROOT / "logs" / "golden" / f"{golden}.mcap", folder / name)
-    shutil.copy(hand_path("jamia"), folder / "mine.toml")
+        shutil.copy(REPOSITORY_ROOT / "logs" / "golden" / f"{golden_log}.mcap", work_folder / name)
+    shutil.copy(hand_path("jamia"), work_folder / "mine.toml")
     shutil.copy(
-        REPOSITORY_ROOT / "src" / "handctl" / "tasks" / "grasp.toml", folder / "mine-task.toml"
+        REPOSITORY_ROOT / "src" / "handctl" / "tasks" / "grasp.toml", work_folder / "mine-task.toml"
     )
-    (folder / "stiffer.toml").write_text(STIFFER_GAINS, encoding="utf-8")
+    (work_folder / "stiffer.toml").write_text(STIFFER_GAINS, encoding="utf-8")
 
 
 def files_for(page: str) -> Callable[[Path], None]:

@@ -18,10 +18,12 @@ CODE_PATTERN = re.compile(r"^```.*?^```$|``.*?``|`[^`\n]*`", re.MULTILINE | re.D
 LINK_PATTERN = re.compile(r"\]\(([^)\s]+)\)|src=\"([^\"]+)\"")
 
 
-def heading_anchors(path: Path) -> set[str]:
+def heading_anchors(document_path: Path) -> set[str]:
     """Return the anchors of a document's headings."""
     headings = re.findall(
-        r"^#+ (.*)$", re.sub(r"^```.*?^```$", "", path.read_text(), flags=re.M | re.S), re.MULTILINE
+        r"^#+ (.*)$",
+        re.sub(r"^```.*?^```$", "", document_path.read_text(), flags=re.M | re.S),
+        re.MULTILINE,
     )
     plain = (
         re.sub(r"[^\w\s-]", "", heading.replace("`", "")).strip().lower() for heading in headings
@@ -44,23 +46,29 @@ def test_every_link_leads_somewhere(path: Path) -> None:
     assert dead == []
 
 
-def navigation_pages(entry: Any) -> list[str]:
+def navigation_pages(navigation_entry: Any) -> list[str]:
     """Return all pages in a part of the navigation."""
-    if isinstance(entry, str):
-        return [entry]
-    values = entry.values() if isinstance(entry, dict) else entry
+    if isinstance(navigation_entry, str):
+        return [navigation_entry]
+    values = navigation_entry.values() if isinstance(navigation_entry, dict) else navigation_entry
     return [page for value in values for page in navigation_pages(value)]
 
 
-def navigation_titles(entry: Any) -> dict[str, str]:
+def navigation_titles(navigation_entry: Any) -> dict[str, str]:
     """Return the titles of the pages in a part of the navigation. Pages without a title are left out."""
-    if isinstance(entry, str):
+    if isinstance(navigation_entry, str):
         return {}
-    if isinstance(entry, list):
-        return {page: title for part in entry for page, title in navigation_titles(part).items()}
-    named = {value: key for key, value in entry.items() if isinstance(value, str)}
+    if isinstance(navigation_entry, list):
+        return {
+            page: title
+            for part in navigation_entry
+            for page, title in navigation_titles(part).items()
+        }
+    named = {value: key for key, value in navigation_entry.items() if isinstance(value, str)}
     return named | {
-        page: title for part in entry.values() for page, title in navigation_titles(part).items()
+        page: title
+        for part in navigation_entry.values()
+        for page, title in navigation_titles(part).items()
     }
 
 

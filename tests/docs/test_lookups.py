@@ -35,7 +35,7 @@ ANSWER_BY_QUESTION = {
 """For each question: the page, the anchor of a heading, and the beginning of the answer."""
 
 
-def section_lines(page: str, anchor: str) -> str:
+def section_lines(page: str, heading_anchor: str) -> str:
     """Return the text of a page that begins at a heading.
 
     If no anchor is given, return the whole page.
@@ -43,21 +43,21 @@ def section_lines(page: str, anchor: str) -> str:
     text = (DOCS_FOLDER / page).read_text(encoding="utf-8")
     for match in re.finditer(r"^#+ (.*)$", text, re.MULTILINE):
         plain = re.sub(r"[^\w\s-]", "", match[1]).strip().lower()
-        if anchor and re.sub(r"[\s-]+", "-", plain) == anchor:
+        if heading_anchor and re.sub(r"[\s-]+", "-", plain) == heading_anchor:
             return text[match.start() :]
-    assert not anchor, f"{page} has no heading {anchor}"
+    assert not heading_anchor, f"{page} has no heading {heading_anchor}"
     return text
 
 
-def words_above(page: str, anchor: str, answer: str) -> int:
+def words_above(page: str, heading_anchor: str, answer: str) -> int:
     """Return the number of words between the target of the last click and the answer."""
-    text = section_lines(page, anchor)
+    text = section_lines(page, heading_anchor)
     match = re.search(answer, text)
     assert match, f"{page}: no {answer}"
     return len(re.findall(r"[^\W_][\w.-]*", text[: match.start()]))
 
 
-def click_count(page: str, anchor: str) -> int:
+def click_count(page: str, heading_anchor: str) -> int:
     """Return the number of clicks from the front page of the site to a heading.
 
     To open a page takes one click on a link, or two clicks on a tab and an entry. To go to a
@@ -68,14 +68,14 @@ def click_count(page: str, anchor: str) -> int:
     front = (DOCS_FOLDER / "index.md").read_text(encoding="utf-8")
     nav = yaml.safe_load((REPOSITORY_ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
     assert page in navigation_pages(nav)
-    return (1 if f"({page})" in front else 2) + bool(anchor)
+    return (1 if f"({page})" in front else 2) + bool(heading_anchor)
 
 
-def navigation_pages(entry: Any) -> list[str]:
+def navigation_pages(navigation_entry: Any) -> list[str]:
     """Return all pages in a part of the navigation."""
-    if isinstance(entry, str):
-        return [entry]
-    values = entry.values() if isinstance(entry, dict) else entry
+    if isinstance(navigation_entry, str):
+        return [navigation_entry]
+    values = navigation_entry.values() if isinstance(navigation_entry, dict) else navigation_entry
     return [page for value in values for page in navigation_pages(value)]
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 REPOSITORY_ROOT = Path(__file__).parents[2]
-DOCUMENTS = [
+PROSE_DOCUMENTS = [
     REPOSITORY_ROOT / "README.md",
     REPOSITORY_ROOT / "SECURITY.md",
     REPOSITORY_ROOT / "CONTRIBUTING.md",
@@ -18,12 +18,12 @@ FENCE_PATTERN = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 NON_PROSE_PREFIXES = ("|", "#", "<!--", "    ")
 
 
-def paragraphs_of(text: str) -> list[str]:
+def paragraphs_of(document_text: str) -> list[str]:
     """Return the paragraphs of a document without code and tables.
 
     Each entry of a list counts as a paragraph.
     """
-    unquoted = re.sub(r"^> ?", "", FENCE_PATTERN.sub("", text), flags=re.MULTILINE)
+    unquoted = re.sub(r"^> ?", "", FENCE_PATTERN.sub("", document_text), flags=re.MULTILINE)
     blocks = re.split(r"\n\s*\n", unquoted)
     prose = [block for block in blocks if not block.lstrip("\n").startswith(NON_PROSE_PREFIXES)]
     return [entry for block in prose for entry in re.split(r"\n(?=\s*(?:- |\d+\. ))", block)]
@@ -39,7 +39,7 @@ def sentence_count(paragraph: str) -> int:
 
 
 @pytest.mark.parametrize(
-    "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
+    "path", PROSE_DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_no_paragraph_is_long(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
@@ -47,7 +47,7 @@ def test_no_paragraph_is_long(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
+    "path", PROSE_DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_a_second_paragraph_of_a_list_entry_is_indented_by_four(path: Path) -> None:
     # If the text of a list entry is indented by fewer than four spaces, the site ends the list. The
@@ -57,7 +57,7 @@ def test_a_second_paragraph_of_a_list_entry_is_indented_by_four(path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
+    "path", PROSE_DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_no_line_begins_with_a_number_that_ends_a_sentence(path: Path) -> None:
     # The site shows a line that begins like "126. The identifiers" as a list entry. A real list
@@ -68,7 +68,7 @@ def test_no_line_begins_with_a_number_that_ends_a_sentence(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
+    "path", PROSE_DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_no_code_has_a_bar_behind_a_backslash(path: Path) -> None:
     # In a table, the site would show the backslash of an escaped bar. The site and GitHub both show

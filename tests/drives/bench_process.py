@@ -11,14 +11,14 @@ READY_TIMEOUT_S = 60.0
 
 
 @contextmanager
-def run_simulated_drives(bus: str, *words: str) -> Iterator["subprocess.Popen[str]"]:
+def run_simulated_drives(bus_name: str, *drive_options: str) -> Iterator["subprocess.Popen[str]"]:
     """Run simulated drives on a bus until the block ends. Then check their exit code.
 
     Args:
-        bus: specification of the bus on the command line.
-        words: protocol and options of the drives on the command line.
+        bus_name: specification of the bus on the command line.
+        drive_options: protocol and options of the drives on the command line.
     """
-    command = [sys.executable, "-m", "firmware_sim", "drive", *words, "--bus", bus]
+    command = [sys.executable, "-m", "firmware_sim", "drive", *drive_options, "--bus", bus_name]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout

@@ -62,17 +62,17 @@ class MotorRig:
         return self.state
 
     def run_until_phase(
-        self, target: DriveTarget, *phases: DrivePhase, ticks: int = 300
+        self, target: DriveTarget, *phases: DrivePhase, max_ticks: int = 300
     ) -> DriveState:
         """Run ticks until the drive is in one of the given phases.
 
         If the drive does not reach any of these phases, the test fails.
         """
-        for _ in range(ticks):
+        for _ in range(max_ticks):
             if self.tick(target).phase in phases:
                 return self.state
         pytest.fail(
-            f"{self.state.phase.name} after {ticks} ticks, expected {[phase.name for phase in phases]}"
+            f"{self.state.phase.name} after {max_ticks} ticks, expected {[phase.name for phase in phases]}"
         )
 
 
@@ -82,5 +82,5 @@ def rig() -> MotorRig:
     return MotorRig(drive, ScriptedMotor(), drive.initial_state())
 
 
-def mit_drive_of(**changes: object) -> MitDrive:
-    return MitDrive.from_motor(replace(MotorSection(), **changes), 0)  # type: ignore[arg-type]
+def mit_drive_of(**section_changes: object) -> MitDrive:
+    return MitDrive.from_motor(replace(MotorSection(), **section_changes), 0)  # type: ignore[arg-type]

@@ -32,13 +32,15 @@ def wait_for(condition: Callable[[], bool], expected_event: str) -> None:
         time.sleep(0.005)
 
 
-def use_damiao_motor(interface: str, channel: str, node: int = 2) -> None:
+def use_damiao_motor(interface: str, channel: str, node_id: int = 2) -> None:
     """Use damiao-motor: read registers, enable, command a torque, hold a position, and disable."""
     controller = DaMiaoController(channel=channel, bustype=interface)
     try:
-        motor = controller.add_motor(motor_id=node, feedback_id=node + 0x10, motor_type="4310")
+        motor = controller.add_motor(
+            motor_id=node_id, feedback_id=node_id + 0x10, motor_type="4310"
+        )
         assert [motor.get_register(number) for number in (21, 22, 23)] == [12.5, 30.0, 10.0]
-        assert motor.get_register(7) == node + 0x10
+        assert motor.get_register(7) == node_id + 0x10
         motor.ensure_control_mode("MIT")
         motor.enable()
         wait_for(lambda: motor.state.get("status") == "ENABLED", "enabled")
@@ -60,11 +62,13 @@ def _motor_states(motor: object) -> dict[str, float]:
     return dict(motor.get_states())  # type: ignore[attr-defined]
 
 
-def use_damiao_modes(interface: str, channel: str, node: int = 2) -> None:
+def use_damiao_modes(interface: str, channel: str, node_id: int = 2) -> None:
     """Use damiao-motor: change an enabled motor between velocity, position-velocity and force-position mode."""
     controller = DaMiaoController(channel=channel, bustype=interface)
     try:
-        motor = controller.add_motor(motor_id=node, feedback_id=node + 0x10, motor_type="4310")
+        motor = controller.add_motor(
+            motor_id=node_id, feedback_id=node_id + 0x10, motor_type="4310"
+        )
         motor.write_register(10, 3)
         motor.write_register(4, 20.0)
         motor.write_register(5, -20.0)
@@ -92,18 +96,18 @@ def use_damiao_modes(interface: str, channel: str, node: int = 2) -> None:
         controller.shutdown()
 
 
-def use_odrive_can(bus: can.BusABC, node: int = 1) -> None:
+def use_odrive_can(bus: can.BusABC, node_id: int = 1) -> None:
     """Use odrive-can: closed loop, torque, position, emergency stop, and clearing the error of this stop."""
-    asyncio.run(_use_odrive(bus, node))
+    asyncio.run(_use_odrive(bus, node_id))
 
 
-async def _use_odrive(bus: can.BusABC, node: int) -> None:
+async def _use_odrive(bus: can.BusABC, node_id: int) -> None:
     """Use odrive-can within its event loop.
 
     The function reads positions from the cyclic message of the drive. A request with a remote frame
     could wait forever.
     """
-    drive = ODriveCAN(axis_id=node, can_bus=bus)
+    drive = ODriveCAN(axis_id=node_id, can_bus=bus)
     seen = [0.0]
     drive.feedback_callback = lambda message, _: seen.append(message.data["Pos_Estimate"])
     await asyncio.wait_for(drive.start(), WAIT_TIMEOUT_S)
@@ -126,13 +130,13 @@ async def _use_odrive(bus: can.BusABC, node: int) -> None:
     drive.stop()
 
 
-def use_odrive_can_modes(bus: can.BusABC, node: int = 1) -> None:
+def use_odrive_can_modes(bus: can.BusABC, node_id: int = 1) -> None:
     """Use odrive-can: command a velocity, and then a trapezoidal trajectory with limits that the client sends."""
-    asyncio.run(_use_odrive_modes(bus, node))
+    asyncio.run(_use_odrive_modes(bus, node_id))
 
 
-async def _use_odrive_modes(bus: can.BusABC, node: int) -> None:
-    drive = ODriveCAN(axis_id=node, can_bus=bus)
+async def _use_odrive_modes(bus: can.BusABC, node_id: int) -> None:
+    drive = ODriveCAN(axis_id=node_id, can_bus=bus)
     seen = [(0.0, 0.0)]
     drive.feedback_callback = lambda message, _: seen.append(
         (message.data["Pos_Estimate"], message.data["Vel_Estimate"])
@@ -156,7 +160,7 @@ async def _use_odrive_modes(bus: can.BusABC, node: int) -> None:
 
 
 async def _set_control_mode(
-    drive: ODriveCAN, mode: str, state: str, input_mode: str = "PASSTHROUGH"
+    drive: ODriveCAN, control_mode: str, final_state: str, input_mode: str = "PASSTHROUGH"
 ) -> None:
     """Set a drive to idle, set its control mode, and then set another state.
 
@@ -164,9 +168,9 @@ async def _set_control_mode(
     """
     drive.set_axis_state_no_wait("IDLE")
     await _wait_for_async(lambda: drive.axis_state == "IDLE", "idle")
-    drive.set_controller_mode(mode, input_mode)
-    drive.set_axis_state_no_wait(state)
-    await _wait_for_async(lambda: drive.axis_state == state, state)
+    drive.set_controller_mode(control_mode, input_mode)
+    drive.set_axis_state_no_wait(final_state)
+    await _wait_for_async(lambda: drive.axis_state == final_state, final_state)
 
 
 async def _wait_for_async(condition: Callable[[], bool], expected_event: str) -> None:
@@ -176,11 +180,11 @@ async def _wait_for_async(condition: Callable[[], bool], expected_event: str) ->
         await asyncio.sleep(0.01)
 
 
-def _reports_error(drive: ODriveCAN, word: str) -> bool:
+def _reports_error(drive: ODriveCAN, error_word: str) -> bool:
     try:
         drive.check_errors()
     except DriveError as error:
-        return word in str(error)
+        return error_word in str(error)
     return False
 
 

@@ -20,56 +20,58 @@ WAIT_TIMEOUT_S = 20.0
 
 
 def use_lerobot_robstride(
-    interface: str, channel: str, patch: pytest.MonkeyPatch, nodes: tuple[int, ...]
+    interface: str, channel: str, monkeypatch: pytest.MonkeyPatch, node_ids: tuple[int, ...]
 ) -> None:
     """Use LeRobot: connect, enable a motor, turn it by a torque, hold a position, disable it, and read all motors."""
-    patch.setattr(RobstrideMotorsBus._recv_motor_response, "__defaults__", (None, REPLY_TIMEOUT_S))
-    patch.setattr(
+    monkeypatch.setattr(
+        RobstrideMotorsBus._recv_motor_response, "__defaults__", (None, REPLY_TIMEOUT_S)
+    )
+    monkeypatch.setattr(
         RobstrideMotorsBus._recv_status_via_clear_fault, "__defaults__", (None, REPLY_TIMEOUT_S)
     )
-    motors = {f"m{node}": _lerobot_motor(node) for node in nodes}
+    motors = {f"m{node}": _lerobot_motor(node) for node in node_ids}
     bus = RobstrideMotorsBus(channel, motors, can_interface=interface, use_can_fd=False)
     bus.connect()
     try:
         bus.configure_motors()
-        _turn_by_torque(bus, f"m{nodes[0]}")
-        goal = float(bus.read("Present_Position", f"m{nodes[0]}")) - 20.0
+        _turn_by_torque(bus, f"m{node_ids[0]}")
+        goal = float(bus.read("Present_Position", f"m{node_ids[0]}")) - 20.0
         _wait_until(
-            lambda: abs(_hold_position(bus, f"m{nodes[0]}", goal) - goal) < 2.0,
+            lambda: abs(_hold_position(bus, f"m{node_ids[0]}", goal) - goal) < 2.0,
             "held at a position",
         )
         bus.disable_torque()
         assert set(bus.sync_read("Present_Position")) == set(motors)
-        assert bus.read("Temperature_MOS", f"m{nodes[-1]}") == pytest.approx(25.0, abs=5.0)
+        assert bus.read("Temperature_MOS", f"m{node_ids[-1]}") == pytest.approx(25.0, abs=5.0)
     finally:
         bus.disconnect()
 
 
-def _lerobot_motor(node: int) -> Motor:
-    motor = Motor(id=node, model="robstride", norm_mode=MotorNormMode.DEGREES)
+def _lerobot_motor(node_id: int) -> Motor:
+    motor = Motor(id=node_id, model="robstride", norm_mode=MotorNormMode.DEGREES)
     motor.motor_type_str = "O5"
-    motor.recv_id = node
+    motor.recv_id = node_id
     return motor
 
 
-def _turn_by_torque(bus: RobstrideMotorsBus, name: str) -> None:
-    start = float(bus.read("Present_Position", name))
+def _turn_by_torque(bus: RobstrideMotorsBus, motor_name: str) -> None:
+    start = float(bus.read("Present_Position", motor_name))
 
     def turned() -> bool:
-        bus._mit_control(name, 0.0, 0.0, 0.0, 0.0, 0.1)
-        return float(bus.read("Present_Position", name)) > start + 20.0
+        bus._mit_control(motor_name, 0.0, 0.0, 0.0, 0.0, 0.1)
+        return float(bus.read("Present_Position", motor_name)) > start + 20.0
 
     _wait_until(turned, "turned by a torque")
-    bus._mit_control(name, 0.0, 1.0, 0.0, 0.0, 0.0)
+    bus._mit_control(motor_name, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
-def _hold_position(bus: RobstrideMotorsBus, name: str, goal: float) -> float:
-    bus._mit_control(name, 10.0, 1.0, goal, 0.0, 0.0)
-    return float(bus.read("Present_Position", name))
+def _hold_position(bus: RobstrideMotorsBus, motor_name: str, goal_position: float) -> float:
+    bus._mit_control(motor_name, 10.0, 1.0, goal_position, 0.0, 0.0)
+    return float(bus.read("Present_Position", motor_name))
 
 
-def _wait_until(reached: Callable[[], bool], expected_event: str) -> None:
+def _wait_until(is_reached: Callable[[], bool], expected_event: str) -> None:
     end = time.monotonic() + WAIT_TIMEOUT_S
-    while not reached():
+    while not is_reached():
         assert time.monotonic() < end, f"never: {expected_event}"
         time.sleep(0.005)

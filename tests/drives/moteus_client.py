@@ -17,30 +17,32 @@ CLIENT_TIMEOUT_S = 60.0
 VALUE_RESOLUTIONS = (moteus.INT8, moteus.INT16, moteus.INT32, moteus.F32)
 
 
-def use_moteus(interface: str, channel: str, node: int = 2) -> None:
+def use_moteus(interface: str, channel: str, node_id: int = 2) -> None:
     """Use moteus: query registers in every number type, configure the drive, command torque and position, and stop."""
-    asyncio.run(asyncio.wait_for(_use_transport(interface, channel, node), CLIENT_TIMEOUT_S))
+    asyncio.run(asyncio.wait_for(_use_transport(interface, channel, node_id), CLIENT_TIMEOUT_S))
 
 
-async def _use_transport(interface: str, channel: str, node: int) -> None:
+async def _use_transport(interface: str, channel: str, node_id: int) -> None:
     device = PythonCanDevice(interface=interface, channel=channel, fd=True)
     transport = moteus.Transport([device])
     try:
-        await _use_controller(moteus.Controller(id=node, transport=transport), transport, node)
+        await _use_controller(
+            moteus.Controller(id=node_id, transport=transport), transport, node_id
+        )
     finally:
         transport.close()
 
 
-async def _step_until(step: Any, reached: Any, expected_event: str) -> Any:
+async def _step_until(make_step: Any, is_reached: Any, expected_event: str) -> Any:
     for _ in range(MAX_TRIES):
-        result = await step()
-        if reached(result.values):
+        result = await make_step()
+        if is_reached(result.values):
             return result.values
         await asyncio.sleep(TRY_INTERVAL_S)
     raise AssertionError(f"never: {expected_event}; {result.values}")
 
 
-async def _use_controller(controller: Any, transport: Any, node: int) -> None:
+async def _use_controller(controller: Any, transport: Any, node_id: int) -> None:
     register, mode = moteus.Register, moteus.Mode
     for resolution in VALUE_RESOLUTIONS:
         query = moteus.QueryResolution()

@@ -28,29 +28,29 @@ OPTIONS_TEXT_BY_PROTOCOL = {
 """For each protocol, the necessary options of a motor, as text of a section of the hand file."""
 
 
-def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
+def hand_file(hand_folder: Path, protocols: Sequence[str], added_text: str = "") -> Path:
     """Write the file of the packaged hand with other drive protocols.
 
     Return the path of the new file.
 
     Args:
-        folder: folder of the new file.
+        hand_folder: folder of the new file.
         protocols: protocol of each motor, in the order of the motors. All remaining motors get the
             last protocol.
-        extra: text with further options of every motor.
+        added_text: text with further options of every motor.
     """
     head, *motors = load_hand("jamia").to_toml().split("[[motor]]")
     for i, text in enumerate(motors):
         protocol = protocols[min(i, len(protocols) - 1)]
         text = text.replace('"mit"', f'"{protocol}"')
         text = re.sub(r"node_id = \d+", f"node_id = {FIRST_NODE_ID + i}", text)
-        options = OPTIONS_TEXT_BY_PROTOCOL[protocol] + extra
+        options = OPTIONS_TEXT_BY_PROTOCOL[protocol] + added_text
         if PROTOCOL_TRAITS[protocol].can_fd and "data_bitrate" not in head:
             head = head.replace(
                 "bitrate = 1000000\n", "bitrate = 1000000\ndata_bitrate = 5000000\n"
             )
         motors[i] = text.rstrip() + "\n" + options + "\n" if options else text
-    path = folder / "hand.toml"
+    path = hand_folder / "hand.toml"
     path.write_text("[[motor]]".join([head, *motors]))
     return path
 
@@ -58,30 +58,32 @@ def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
 SECOND_BUS_SECTION = '[[bus]]\nname = "second"\nbitrate = 1000000\n\n[sensor_node]'
 
 
-def move_to_second_bus(path: Path, motors: Sequence[int] = (2, 3)) -> Path:
+def move_to_second_bus(hand_path: Path, motor_indices: Sequence[int] = (2, 3)) -> Path:
     """Move some motors of a hand file to a second bus, and return the path of the file.
 
     The second bus has no load cells.
     """
     head, *sections = (
-        path.read_text().replace("[sensor_node]", SECOND_BUS_SECTION).split("[[motor]]")
+        hand_path.read_text().replace("[sensor_node]", SECOND_BUS_SECTION).split("[[motor]]")
     )
-    for i in motors:
+    for i in motor_indices:
         sections[i] = sections[i].replace('bus = "main"', 'bus = "second"')
-    path.write_text("[[motor]]".join([head, *sections]))
-    return path
+    hand_path.write_text("[[motor]]".join([head, *sections]))
+    return hand_path
 
 
 class ProtocolBench:
     """Bench in which the drives and the sensor node of a hand run with the simulated firmware."""
 
     def __init__(
-        self, path: Path, wire: Sequence[str] | None = None, period_ns: int = PERIOD_NS
+        self, hand_path: Path, wire_words: Sequence[str] | None = None, period_ns: int = PERIOD_NS
     ) -> None:
         """Start the simulator and the drives of a hand file."""
-        self.hand = load_hand(str(path))
+        self.hand = load_hand(str(hand_path))
         self.period_ns = period_ns
-        self.simulated_hand = LockstepHand(str(path), seed=3, period_ns=period_ns, wire=wire)
+        self.simulated_hand = LockstepHand(
+            str(hand_path), seed=3, period_ns=period_ns, wire=wire_words
+        )
         buses = self.hand.bus_names
         self.drives: list[Drive] = list(make_drives(self.hand))
         self.states: list[DriveState] = [drive.initial_state() for drive in self.drives]
@@ -114,12 +116,12 @@ class ProtocolBench:
         ]
         self.k += 1
 
-    def run_until_phase(self, target: DriveTarget, phase: DrivePhase, ticks: int = 400) -> None:
+    def run_until_phase(self, target: DriveTarget, phase: DrivePhase, max_ticks: int = 400) -> None:
         """Run ticks until all drives are in a given phase.
 
         If the drives do not all reach this phase, the test fails.
         """
-        for _ in range(ticks):
+        for _ in range(max_ticks):
             self.tick(target)
             if all(state.phase == phase for state in self.states):
                 return
@@ -137,7 +139,11 @@ class ProtocolBench:
 
 
 def motor_on_bench(
-    protocol: str, node: int, torque: float, options: dict[str, object], **changes: object
+    protocol: str,
+    node_id: int,
+    torque_max_N_m: float,
+    drive_options: dict[str, object],
+    **section_changes: object,
 ) -> Motor:
     """Return the hand-file section of a motor that is alone on a bus.
 
@@ -145,11 +151,11 @@ def motor_on_bench(
     """
     return Motor.model_validate(
         {
-            "name": "m", "protocol": protocol, "bus": "bench", "node_id": node, "spool_radius_m": 0.005,
+            "name": "m", "protocol": protocol, "bus": "bench", "node_id": node_id, "spool_radius_m": 0.005,
             "inertia_kg_m2": 1e-4, "viscous_N_m_s_per_rad": 1e-3, "coulomb_N_m": 0.0,
-            "torque_constant_N_m_per_A": 0.26, "torque_max_N_m": torque, "torque_peak_N_m": torque,
+            "torque_constant_N_m_per_A": 0.26, "torque_max_N_m": torque_max_N_m, "torque_peak_N_m": torque_max_N_m,
             "position_range_rad": 12.5, "velocity_range_rad_s": 30.0, "direction": 1, "zero_rad": 0.0,
-            "watchdog_ms": 50, "options": options, **changes,
+            "watchdog_ms": 50, "options": drive_options, **section_changes,
         }
     )  # fmt: skip
 

@@ -62,16 +62,18 @@ class ScriptedMotor:
             self.torque_codes.append(frame.data[6] << 8 & 0xF00 | frame.data[7])
         return self.feedback_bytes()
 
-    def _run_special_command(self, code: int) -> None:
-        if code in self.ignored_commands:
+    def _run_special_command(self, command_code: int) -> None:
+        if command_code in self.ignored_commands:
             return
-        if code == 0xFC and self.state_nibble == 0:
+        if command_code == 0xFC and self.state_nibble == 0:
             self.state_nibble = 1
-        elif (code == 0xFD and self.state_nibble == 1) or (code == 0xFB and self.state_nibble > 1):
+        elif (command_code == 0xFD and self.state_nibble == 1) or (
+            command_code == 0xFB and self.state_nibble > 1
+        ):
             self.state_nibble = 0
 
-    def _answer_register_request(self, data: bytes) -> bytes | None:
-        operation, register = data[2], data[3]
+    def _answer_register_request(self, request_data: bytes) -> bytes | None:
+        operation, register = request_data[2], request_data[3]
         if operation == 0xCC:
             return self.feedback_bytes()
         if register in self.unanswered_registers:
@@ -81,8 +83,8 @@ class ScriptedMotor:
             self.written_registers.append(register)
             assert self.state_nibble != 1, "a register was written while torque was on"
             if register not in self.fixed_registers:
-                (self.registers[register],) = struct.unpack(layout, data[4:])
-        return data[:4] + struct.pack(layout, self.registers[register])
+                (self.registers[register],) = struct.unpack(layout, request_data[4:])
+        return request_data[:4] + struct.pack(layout, self.registers[register])
 
     def feedback_bytes(self) -> bytes:
         """Return the 8 bytes of a feedback frame, packed bit by bit from the table in the manual."""

@@ -13,22 +13,24 @@ from handctl.drives.frame_time import bus_time_s, frame_time_s, highest_rate
 NOMINAL_BITRATE, DATA_BITRATE = 1_000_000, 5_000_000
 
 
-@pytest.mark.parametrize(("size", "microseconds"), [(0, 55), (4, 95), (8, 135)])
-def test_classical_frame_times_match_reference_values(size: int, microseconds: float) -> None:
-    assert frame_time_s(size, False, NOMINAL_BITRATE) * 1e6 == pytest.approx(microseconds)
+@pytest.mark.parametrize(("payload_size", "expected_us"), [(0, 55), (4, 95), (8, 135)])
+def test_classical_frame_times_match_reference_values(
+    payload_size: int, expected_us: float
+) -> None:
+    assert frame_time_s(payload_size, False, NOMINAL_BITRATE) * 1e6 == pytest.approx(expected_us)
 
 
 @pytest.mark.parametrize(
-    ("size", "microseconds"), [(4, 48.6), (8, 56.6), (16, 72.6), (32, 105.6), (64, 169.6)]
+    ("payload_size", "expected_us"), [(4, 48.6), (8, 56.6), (16, 72.6), (32, 105.6), (64, 169.6)]
 )
-def test_fd_frame_times_match_reference_values(size: int, microseconds: float) -> None:
-    assert frame_time_s(size, True, NOMINAL_BITRATE, DATA_BITRATE) * 1e6 == pytest.approx(
-        microseconds, rel=0.001
+def test_fd_frame_times_match_reference_values(payload_size: int, expected_us: float) -> None:
+    assert frame_time_s(payload_size, True, NOMINAL_BITRATE, DATA_BITRATE) * 1e6 == pytest.approx(
+        expected_us, rel=0.001
     )
 
 
 @pytest.mark.parametrize(
-    ("fd", "motors", "tensions", "microseconds"),
+    ("can_fd", "motor_count", "cells_per_frame", "expected_us"),
     [
         (False, 4, [8], 1215),
         (False, 11, [8, 8, 8], 3375),
@@ -37,11 +39,11 @@ def test_fd_frame_times_match_reference_values(size: int, microseconds: float) -
     ],
 )
 def test_tick_time_of_mit_motors_and_load_cells_matches_reference_values(
-    fd: bool, motors: int, tensions: list[int], microseconds: float
+    can_fd: bool, motor_count: int, cells_per_frame: list[int], expected_us: float
 ) -> None:
-    frames = [(8, fd, 2.0 * motors), *((size, fd, 1.0) for size in tensions)]
+    frames = [(8, can_fd, 2.0 * motor_count), *((size, can_fd, 1.0) for size in cells_per_frame)]
     assert bus_time_s(frames, NOMINAL_BITRATE, DATA_BITRATE) * 1e6 == pytest.approx(
-        microseconds, rel=0.001
+        expected_us, rel=0.001
     )
 
 
@@ -51,24 +53,24 @@ random_payloads = st.lists(
 """Random payloads. Bytes that need many stuff bits are frequent."""
 
 
-def stuff_bits(bits: str) -> str:
+def stuff_bits(bit_text: str) -> str:
     """Return bits with stuff bits inserted.
 
     A stuff bit follows five equal bits and is opposite to them. A stuff bit itself counts among the
     next five bits.
     """
     out = ""
-    for bit in bits:
+    for bit in bit_text:
         out += bit
         if len(out) >= 5 and len(set(out[-5:])) == 1:
             out += "10"[int(bit)]
     return out
 
 
-def crc15(bits: str) -> str:
+def crc15(bit_text: str) -> str:
     """Return the CRC-15 of bits, with the polynomial 0x4599. Source: ISO 11898-1."""
     register = 0
-    for bit in bits:
+    for bit in bit_text:
         top = register >> 14 & 1
         register = register << 1 & 0x7FFF
         if top ^ int(bit):
@@ -77,11 +79,11 @@ def crc15(bits: str) -> str:
 
 
 @given(st.integers(0, 0x7FF), random_payloads)
-def test_no_classical_frame_takes_longer_than_its_worst_case(can_id: int, data: bytes) -> None:
-    head = "0" + format(can_id, "011b") + "000" + format(len(data), "04b")
-    body = head + "".join(format(byte, "08b") for byte in data)
+def test_no_classical_frame_takes_longer_than_its_worst_case(can_id: int, payload: bytes) -> None:
+    head = "0" + format(can_id, "011b") + "000" + format(len(payload), "04b")
+    body = head + "".join(format(byte, "08b") for byte in payload)
     bits = len(stuff_bits(body + crc15(body))) + 13
-    assert bits / NOMINAL_BITRATE <= frame_time_s(len(data), False, NOMINAL_BITRATE) + 1e-12
+    assert bits / NOMINAL_BITRATE <= frame_time_s(len(payload), False, NOMINAL_BITRATE) + 1e-12
 
 
 def test_the_worst_case_can_nearly_happen() -> None:
@@ -91,17 +93,18 @@ def test_the_worst_case_can_nearly_happen() -> None:
     assert bits > 0.85 * 135
 
 
-@pytest.mark.parametrize("size", range(65))
-def test_fd_lengths_round_up(size: int) -> None:
-    at_once = frame_time_s(size, True, NOMINAL_BITRATE, DATA_BITRATE)
-    assert at_once <= frame_time_s(min(64, size + 1), True, NOMINAL_BITRATE, DATA_BITRATE)
-    assert at_once < frame_time_s(size, True, NOMINAL_BITRATE)
+@pytest.mark.parametrize("payload_size", range(65))
+def test_fd_lengths_round_up(payload_size: int) -> None:
+    at_once = frame_time_s(payload_size, True, NOMINAL_BITRATE, DATA_BITRATE)
+    assert at_once <= frame_time_s(min(64, payload_size + 1), True, NOMINAL_BITRATE, DATA_BITRATE)
+    assert at_once < frame_time_s(payload_size, True, NOMINAL_BITRATE)
 
 
 @pytest.mark.parametrize(
-    ("times_us", "rate"), [([1350.0], 500.0), ([1000.0, 1420.0], 400.0), ([600.0], 1000.0)]
+    ("bus_times_us", "expected_rate_hz"),
+    [([1350.0], 500.0), ([1000.0, 1420.0], 400.0), ([600.0], 1000.0)],
 )
 def test_the_highest_rate_leaves_three_tenths_of_every_bus(
-    times_us: list[float], rate: float
+    bus_times_us: list[float], expected_rate_hz: float
 ) -> None:
-    assert highest_rate(time * 1e-6 for time in times_us) == rate
+    assert highest_rate(time * 1e-6 for time in bus_times_us) == expected_rate_hz

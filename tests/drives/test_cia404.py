@@ -51,16 +51,16 @@ class AmplifierSection:
     decimal_digits: int = 3
 
 
-def hand_with_amplifiers(name: str = "jamia", **changed: Any) -> Hand:
+def hand_with_amplifiers(hand_name: str = "jamia", **changed_keys: Any) -> Hand:
     """Return a packaged hand whose load cells are on CiA 404 amplifiers."""
-    content = load_hand(name).content
+    content = load_hand(hand_name).content
     node = {
         key: value
         for key, value in content["sensor_node"].items()
         if key not in KEYS_OF_SENSOR_NODE
     }
     return hand_from_content(
-        {**content, "sensor_node": {**node, **AMPLIFIER_KEYS, **changed}}, name
+        {**content, "sensor_node": {**node, **AMPLIFIER_KEYS, **changed_keys}}, hand_name
     )
 
 
@@ -95,11 +95,11 @@ def test_a_float_is_read_as_it_is() -> None:
     assert math.isnan(wired.tensions[2])
 
 
-@pytest.mark.parametrize("data", [b"", bytes(4), bytes(7)])
-def test_a_frame_of_another_length_is_malformed(data: bytes) -> None:
+@pytest.mark.parametrize("frame_data", [b"", bytes(4), bytes(7)])
+def test_a_frame_of_another_length_is_malformed(frame_data: bytes) -> None:
     wired = WiredDrives((), Cia404LoadCells.from_description(AmplifierSection(), 0, TENDON_NAMES))
     wired.begin_tick_with_sync(0)
-    wired.receive([Frame(0x1A1, data, t_ns=REPLY_DELAY_NS)])
+    wired.receive([Frame(0x1A1, frame_data, t_ns=REPLY_DELAY_NS)])
     assert (wired.tensions, wired.has_malformed_frame) == ({}, True)
 
 
@@ -125,14 +125,14 @@ def test_channels_go_to_further_tpdos() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "raw"),
+    ("value_format", "raw_bytes"),
     [("int32", struct.pack("<ii", 1500, -2)), ("real32", struct.pack("<ff", 1.5, -2e-3))],
 )
-def test_the_dbc_decodes_the_same_tensions(value: str, raw: bytes) -> None:
-    hand = hand_with_amplifiers(process_value=value)
+def test_the_dbc_decodes_the_same_tensions(value_format: str, raw_bytes: bytes) -> None:
+    hand = hand_with_amplifiers(process_value=value_format)
     text = dbc_of_bus(0, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints)
     database = cantools.database.load_string(text, "dbc", strict=True)
-    decoded = database.decode_message(0x1A1, raw)  # type: ignore[union-attr]
+    decoded = database.decode_message(0x1A1, raw_bytes)  # type: ignore[union-attr]
     assert decoded == pytest.approx({"index_tendon": 1.5, "middle_tendon": -2e-3})
 
 
@@ -142,9 +142,9 @@ def test_the_dbc_decodes_the_same_tensions(value: str, raw: bytes) -> None:
 class AmplifierBench:
     """Bench in which the amplifiers of a hand run with the simulator, without drives."""
 
-    def __init__(self, hand: Hand, path: str) -> None:
+    def __init__(self, hand: Hand, hand_path: str) -> None:
         """Start the simulator of a hand file."""
-        self.simulated_hand = LockstepHand(path, seed=1, period_ns=PERIOD_NS)
+        self.simulated_hand = LockstepHand(hand_path, seed=1, period_ns=PERIOD_NS)
         self.sensors = make_sensors(hand)
         self.states = [one.initial_state() for one in self.sensors.amplifiers]
         self.k = 0
@@ -156,9 +156,9 @@ class AmplifierBench:
         """Return the simulated amplifiers."""
         return self.simulated_hand.world.sensor_nodes
 
-    def tick(self, target: DriveTarget = DriveTarget.POLL, sync: bool = True) -> None:
+    def tick(self, target: DriveTarget = DriveTarget.POLL, with_sync: bool = True) -> None:
         """Exchange the frames of one tick."""
-        out = [self.sensors.sync(self.k)] if sync else []
+        out = [self.sensors.sync(self.k)] if with_sync else []
         for i, amplifier in enumerate(self.sensors.amplifiers):
             self.states[i], frames = amplifier.advance(self.states[i], self.k * PERIOD_NS, target)
             out += frames
@@ -172,12 +172,12 @@ class AmplifierBench:
                 self.states[i] = amplifier.receive(self.states[i], frame)
         self.k += 1
 
-    def run_until_phase(self, phase: DrivePhase, ticks: int = 400) -> None:
+    def run_until_phase(self, phase: DrivePhase, max_ticks: int = 400) -> None:
         """Run ticks until all amplifiers are in a given phase.
 
         If the amplifiers do not all reach this phase, the test fails.
         """
-        for _ in range(ticks):
+        for _ in range(max_ticks):
             self.tick()
             if all(state.phase == phase for state in self.states):
                 return
@@ -191,10 +191,10 @@ def bench(tmp_path: Any) -> Iterator[AmplifierBench]:
     made.simulated_hand.close()
 
 
-def make_bench(folder: Any, **changed: Any) -> AmplifierBench:
+def make_bench(hand_folder: Any, **changed_keys: Any) -> AmplifierBench:
     """Return a bench whose hand has other values for some keys of its sensor section."""
-    hand = hand_with_amplifiers(**changed)
-    path = folder / "hand.toml"
+    hand = hand_with_amplifiers(**changed_keys)
+    path = hand_folder / "hand.toml"
     path.write_text(hand.to_toml())
     return AmplifierBench(hand, str(path))
 
@@ -264,9 +264,9 @@ WRONG_OBJECTS: dict[str, tuple[Callable[[Any], None], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG_OBJECTS)
-def test_a_wrong_object_refuses_to_arm(name: str) -> None:
-    spoil, text = WRONG_OBJECTS[name]
+@pytest.mark.parametrize("wrong_object", WRONG_OBJECTS)
+def test_a_wrong_object_refuses_to_arm(wrong_object: str) -> None:
+    spoil, text = WRONG_OBJECTS[wrong_object]
     with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
         spoil(nodes_of(simulation)[0])
         assert simulation.run_until(lambda out: out.mode == HandMode.DONE, 4.0)
@@ -325,7 +325,7 @@ def nodes_of(simulation: SimulatedRun) -> list[Any]:
 
 
 def faults_of(
-    hand: Hand, seed: int, start: Callable[[SimulatedRun], None], ticks: int = 60
+    hand: Hand, seed: int, disturb: Callable[[SimulatedRun], None], tick_count: int = 60
 ) -> tuple[set[str], int]:
     """Disturb a grasp.
 
@@ -334,10 +334,10 @@ def faults_of(
     """
     with homed_run(hand, 500.0, seed) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)
-        start(simulation)
+        disturb(simulation)
         found: set[str] = set()
         first = -1
-        for i in range(ticks):
+        for i in range(tick_count):
             out = simulation.run_tick()
             found |= {event.text.split()[0] for event in out.events if event.name == "fault"}
             if first < 0 and out.mode != HandMode.ACTIVE:
@@ -345,8 +345,8 @@ def faults_of(
         return found, first
 
 
-def fault_injection(text: str) -> Callable[[SimulatedRun], None]:
-    return lambda simulation: simulation.simulated_hand.inject(text)
+def fault_injection(fault_text: str) -> Callable[[SimulatedRun], None]:
+    return lambda simulation: simulation.simulated_hand.inject(fault_text)
 
 
 def restart_all(simulation: SimulatedRun) -> None:
@@ -367,9 +367,9 @@ NIGHTLY_CASES = [
 ]
 
 
-@pytest.mark.parametrize("name", ["mute", *NIGHTLY_CASES])
-def test_a_fault_is_found_as_with_the_sensor_node_of_handctl(name: str) -> None:
-    text, row = FAULT_BY_CASE[name]
+@pytest.mark.parametrize("fault_case", ["mute", *NIGHTLY_CASES])
+def test_a_fault_is_found_as_with_the_sensor_node_of_handctl(fault_case: str) -> None:
+    text, row = FAULT_BY_CASE[fault_case]
     own = faults_of(load_hand("jamia"), 0, fault_injection(text))
     amplifiers = faults_of(hand_with_amplifiers(), 0, fault_injection(text))
     assert row in own[0], own
@@ -460,9 +460,9 @@ HAND_FILE_MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", HAND_FILE_MISTAKES)
-def test_a_mistake_is_one_line(name: str) -> None:
-    changed, text = HAND_FILE_MISTAKES[name]
+@pytest.mark.parametrize("mistake_name", HAND_FILE_MISTAKES)
+def test_a_mistake_is_one_line(mistake_name: str) -> None:
+    changed, text = HAND_FILE_MISTAKES[mistake_name]
     keys = {key: value for key, value in changed.items() if value is not None}
     if not text:
         assert hand_with_amplifiers(**keys).sensor_node.tension_ids == (0x1A1, 0x181)

@@ -30,12 +30,12 @@ def test_a_tpdo_is_a_status_word_a_position_and_a_torque() -> None:
     assert cia402.ENABLED_STATUS == 0x7 << 2 | 0x1
 
 
-@pytest.mark.parametrize("status", STATE_BY_STATUS_WORD)
-def test_states_are_distinguished_for_any_other_bits(status: int) -> None:
+@pytest.mark.parametrize("status_word", STATE_BY_STATUS_WORD)
+def test_states_are_distinguished_for_any_other_bits(status_word: int) -> None:
     assert (
-        cia402.power_state(status)
-        == cia402.power_state(status | 0x8600)
-        == STATE_BY_STATUS_WORD[status]
+        cia402.power_state(status_word)
+        == cia402.power_state(status_word | 0x8600)
+        == STATE_BY_STATUS_WORD[status_word]
     )
 
 
@@ -74,17 +74,18 @@ SDO_REPLIES = {
 }
 
 
-@pytest.mark.parametrize("data", SDO_REPLIES)
-def test_sdo_replies_are_decoded(data: str) -> None:
-    assert canopen.decode_sdo_reply(bytes.fromhex(data)) == SDO_REPLIES[data]
+@pytest.mark.parametrize("reply_hex", SDO_REPLIES)
+def test_sdo_replies_are_decoded(reply_hex: str) -> None:
+    assert canopen.decode_sdo_reply(bytes.fromhex(reply_hex)) == SDO_REPLIES[reply_hex]
 
 
 @pytest.mark.parametrize(
-    "specifier", sorted(set(range(256)) - {0x80, 0x60, 0x43, 0x47, 0x4B, 0x4F})
+    "command_specifier", sorted(set(range(256)) - {0x80, 0x60, 0x43, 0x47, 0x4B, 0x4F})
 )
-def test_no_other_specifier_is_a_reply(specifier: int) -> None:
+def test_no_other_specifier_is_a_reply(command_specifier: int) -> None:
     assert (
-        canopen.decode_sdo_reply(bytes([specifier]) + bytes.fromhex("41 60 02 00 00 00 00")) is None
+        canopen.decode_sdo_reply(bytes([command_specifier]) + bytes.fromhex("41 60 02 00 00 00 00"))
+        is None
     )
 
 

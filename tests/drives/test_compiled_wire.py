@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
-from fuzz.drives import FUZZED_DRIVES, FuzzedDrive
+from fuzz.fuzzed_drives import FUZZED_DRIVES, FuzzedDrive
 from handctl.drives import readback
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import NO_STEADY_STATUS, Drive, DrivePhase, DriveState, DriveTarget
@@ -36,13 +36,15 @@ NO_SENSORS = SensorNode(0, 0x7F0, (0x7F1,), ((),), (1,), 0, (-1,), 1)
 
 
 @cache
-def enable_drive(name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
+def enable_drive(variant_name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
     """Return an enabled drive, the state of the drive, the time [ns], and frames that the drive has sent."""
-    variant = DRIVE_VARIANTS[name]
+    variant = DRIVE_VARIANTS[variant_name]
     with TemporaryDirectory() as folder:
         path = hand_file(Path(folder), [variant.protocol], variant.options)
         lines = path.read_text().splitlines(keepends=True)
-        path.write_text("".join(line for line in lines if not line.startswith(variant.without)))
+        path.write_text(
+            "".join(line for line in lines if not line.startswith(variant.skipped_option))
+        )
         bench = ProtocolBench(path)
         bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
         bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
@@ -55,65 +57,71 @@ def enable_drive(name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
     return drive, state, t_ns, tuple(heard)
 
 
-def random_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> Frame:
+def random_frame(
+    random_source: random.Random, received_frames: tuple[Frame, ...], t_ns: int
+) -> Frame:
     """Return one of the frames of a drive, unchanged or with one random change."""
-    frame = chance.choice(heard)._replace(t_ns=t_ns)
-    data, way = bytearray(frame.data), chance.randrange(12)
+    frame = random_source.choice(received_frames)._replace(t_ns=t_ns)
+    data, way = bytearray(frame.data), random_source.randrange(12)
     if way == 0:
-        return frame._replace(data=chance.randbytes(chance.randrange(65)))
+        return frame._replace(data=random_source.randbytes(random_source.randrange(65)))
     if way == 1:
-        return frame._replace(data=chance.randbytes(8))
+        return frame._replace(data=random_source.randbytes(8))
     if way == 2:
         return frame._replace(data=bytes(data[:-1]))
     if way == 3:
-        return frame._replace(can_id=frame.can_id | chance.choice((ERROR_FLAG, REMOTE_FLAG)))
+        return frame._replace(can_id=frame.can_id | random_source.choice((ERROR_FLAG, REMOTE_FLAG)))
     if way == 4:
         return frame._replace(flags=frame.flags ^ (FDF | BRS))
     if way == 5 and data:
-        data[0] ^= 1 << chance.randrange(8)
+        data[0] ^= 1 << random_source.randrange(8)
     if way == 6 and len(data) == 8:
-        data[4 * chance.randrange(2) :][:4] = b""
-        wrong = struct.pack("<f", chance.choice((math.nan, math.inf, -math.inf, 3.4e38)))
+        data[4 * random_source.randrange(2) :][:4] = b""
+        wrong = struct.pack("<f", random_source.choice((math.nan, math.inf, -math.inf, 3.4e38)))
         data = (
             bytearray(wrong + bytes(data[-4:]))
-            if chance.random() < 0.5
+            if random_source.random() < 0.5
             else bytearray(bytes(data[:4]) + wrong)
         )
     if way > 7 and len(data) == 8:
-        data[1 + chance.randrange(7)] = chance.randrange(256)
+        data[1 + random_source.randrange(7)] = random_source.randrange(256)
     return frame._replace(data=bytes(data))
 
 
-def are_states_equal(one: DriveState, other: DriveState, drive: Drive) -> bool:
+def are_states_equal(first_state: DriveState, second_state: DriveState, drive: Drive) -> bool:
     """Return True if two states of a drive are equal.
 
     For CiA 402 drives, one state may have the time of the last heartbeat where the other has the
     time of the last feedback. Such states count as equal.
     """
     if isinstance(drive, Cia402Drive):
-        one, other = (
+        first_state, second_state = (
             state._replace(
                 private=state.private._replace(
                     life_sign_ns=max(state.private.life_sign_ns, state.feedback_t_ns)
                 )
             )
-            for state in (one, other)
+            for state in (first_state, second_state)
         )
-    numbers = [(one[i], other[i]) for i in range(1, 5)]
+    numbers = [(first_state[i], second_state[i]) for i in range(1, 5)]
     equal = all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in numbers)
-    return equal and one[0] == other[0] and one[5:] == other[5:]
+    return equal and first_state[0] == second_state[0] and first_state[5:] == second_state[5:]
 
 
-def random_targets(chance: random.Random) -> Iterator[DriveTarget]:
+def random_targets(random_source: random.Random) -> Iterator[DriveTarget]:
     while True:
-        yield DriveTarget.ENABLE if chance.random() < 0.97 else chance.choice(list(DriveTarget))
+        yield (
+            DriveTarget.ENABLE
+            if random_source.random() < 0.97
+            else random_source.choice(list(DriveTarget))
+        )
 
 
 @pytest.mark.parametrize("seed", RANDOM_FRAME_SEEDS)
-@pytest.mark.parametrize("name", DRIVE_VARIANTS)
-def test_compiled_code_and_state_machine_give_equal_results(name: str, seed: int) -> None:
-    drive, begin, t_ns, heard = enable_drive(name)
-    chance = random.Random(f"{name} {seed}")
+@pytest.mark.parametrize("variant_name", DRIVE_VARIANTS)
+def test_compiled_code_and_state_machine_give_equal_results(variant_name: str, seed: int) -> None:
+    drive, begin, t_ns, heard = enable_drive(variant_name)
+    chance = random.Random(f"{variant_name} {seed}")
     state, wired, steady = begin, WiredDrives([drive], NO_SENSORS), 0
     wired.store_drive_state(0, begin)
     for _, target in zip(range(TICKS_PER_SEED), random_targets(chance), strict=False):
@@ -230,10 +238,10 @@ def test_invalid_torque_is_never_sent(name: str) -> None:
         )
 
 
-@pytest.mark.parametrize("name", DRIVE_VARIANTS)
-def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
-    drive, state, t_ns, _ = enable_drive(name)
-    assert bool(drive.rechecks) == (name in RECHECKED_VARIANTS)
+@pytest.mark.parametrize("variant_name", DRIVE_VARIANTS)
+def test_an_enabled_drive_is_steady_until_it_is_due(variant_name: str) -> None:
+    drive, state, t_ns, _ = enable_drive(variant_name)
+    assert bool(drive.rechecks) == (variant_name in RECHECKED_VARIANTS)
     assert drive.steady_status(state) != NO_STEADY_STATUS
     due = drive.due_ns(state)
     assert due > t_ns - PERIOD_NS
@@ -245,13 +253,13 @@ def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
         assert drive.steady_status(silent) == NO_STEADY_STATUS
 
 
-@pytest.mark.parametrize("name", DRIVE_VARIANTS)
-def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
+@pytest.mark.parametrize("variant_name", DRIVE_VARIANTS)
+def test_cyclic_frames_are_what_the_bus_is_planned_for(variant_name: str) -> None:
     """`bus plan` computes the bus load from the cyclic commands and replies of a drive.
 
     Other messages that handctl decodes are unsolicited or rare.
     """
-    drive, _, _, _ = enable_drive(name)
+    drive, _, _, _ = enable_drive(variant_name)
     command_layouts = sorted(
         (message.length, bool(message.flags)) for message in drive.cyclic_messages.commands
     )

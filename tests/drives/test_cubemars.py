@@ -53,7 +53,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
         assert state.torque == pytest.approx(0.05, abs=2 * TORQUE_STEP_N_M)
         assert state.temperature == 25.0
     assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=TORQUE_STEP_N_M)
-    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
+    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, max_ticks=100)
     assert servo_torques(bench) == [0.0] * 4
     assert [state.misread for state in bench.states] == [0] * 4
     assert world.malformed == 0
@@ -77,23 +77,26 @@ def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off
 
 
 @pytest.mark.parametrize(
-    ("error", "words", "cause"),
+    ("feedback_error", "error_text", "fault_cause"),
     [(FeedbackError.HOT, "over-temperature", DriveFaultCause.HOT),
      (FeedbackError.UNDER_VOLTAGE, "under-voltage", DriveFaultCause.VOLTAGE),
      (FeedbackError.ENCODER, "encoder error", DriveFaultCause.OTHER)],
 )  # fmt: skip
 def test_an_error_has_a_text_and_ends_only_by_a_clear(
-    bench: ProtocolBench, error: FeedbackError, words: str, cause: DriveFaultCause
+    bench: ProtocolBench,
+    feedback_error: FeedbackError,
+    error_text: str,
+    fault_cause: DriveFaultCause,
 ) -> None:
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    first_cubemars_node(bench).trip(error)
+    first_cubemars_node(bench).trip(feedback_error)
     for _ in range(5):
         bench.tick(DriveTarget.ENABLE, 0.05)
     state = bench.states[0]
     assert (state.phase, state.error_text, bench.drives[0].fault_cause(state.error)) == (
         DrivePhase.FAULT,
-        words,
-        cause,
+        error_text,
+        fault_cause,
     )
     bench.clear()
     for _ in range(20):
@@ -156,12 +159,15 @@ def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
         assert state.temperature == temperature
 
 
-@pytest.mark.parametrize("offset", [True, "cold", 40])
-def test_another_offset_of_temperature_is_refused(offset: object) -> None:
+@pytest.mark.parametrize("temperature_offset", [True, "cold", 40])
+def test_another_offset_of_temperature_is_refused(temperature_offset: object) -> None:
     with pytest.raises(ConfigError, match="temperature_offset_C") as refused:
         make_drive(
             motor_on_bench(
-                "cubemars", 1, 18.0, {"motor_type": "ak80-9", "temperature_offset_C": offset}
+                "cubemars",
+                1,
+                18.0,
+                {"motor_type": "ak80-9", "temperature_offset_C": temperature_offset},
             ),
             0,
         )
@@ -210,23 +216,25 @@ def test_a_motor_that_does_not_disable_is_detected() -> None:
     assert rig.state.phase == DrivePhase.ENABLED
 
 
-@pytest.mark.parametrize("model", FULL_SCALE)
-def test_host_and_simulator_have_the_same_ranges(model: str) -> None:
-    assert tuple(MOTOR_MODEL_RANGES[model]) == FULL_SCALE[model]
-    assert DriveBench([drive_spec("mit", 1, model)]).receive(Frame(1, b"\xff" * 7 + b"\xfc"))  # type: ignore[arg-type]
+@pytest.mark.parametrize("motor_model", FULL_SCALE)
+def test_host_and_simulator_have_the_same_ranges(motor_model: str) -> None:
+    assert tuple(MOTOR_MODEL_RANGES[motor_model]) == FULL_SCALE[motor_model]
+    assert DriveBench([drive_spec("mit", 1, motor_model)]).receive(Frame(1, b"\xff" * 7 + b"\xfc"))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("drive_options", "expected_message"),
     [
         ({}, "ak80-9"),
         ({"motor_type": "ak1"}, "ak80-9"),
         ({"motor_type": "ak80-9", "reply_id": 3}, "unknown key"),
     ],
 )
-def test_options_that_make_no_motor_are_refused(options: dict[str, object], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
-        make_drive(motor_on_bench("cubemars", 1, 0.8, options), 0)
+def test_options_that_make_no_motor_are_refused(
+    drive_options: dict[str, object], expected_message: str
+) -> None:
+    with pytest.raises(ConfigError, match=expected_message):
+        make_drive(motor_on_bench("cubemars", 1, 0.8, drive_options), 0)
     with pytest.raises(ConfigError, match="at most 18"):
         make_drive(motor_on_bench("cubemars", 1, 20.0, {"motor_type": "ak80-9"}), 0)
 

@@ -12,7 +12,7 @@ import cantools
 import pytest
 from cantools.database import Database
 
-from fuzz.drives import FUZZED_DRIVES, FuzzedDrive
+from fuzz.fuzzed_drives import FUZZED_DRIVES, FuzzedDrive
 from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.dbc_export import HOST_NODE_NAME, SENSOR_NODE_NAME, dbc_of_bus
@@ -32,8 +32,10 @@ DRIVE_VARIANTS = FUZZED_DRIVES | {"mit-fd": FuzzedDrive("mit", "[motor.options]\
 EXCHANGED_TICKS = 40
 
 
-def exported_dbc(hand: Hand, bus: int = 0) -> Database:
-    text = dbc_of_bus(bus, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints)
+def exported_dbc(hand: Hand, bus_index: int = 0) -> Database:
+    text = dbc_of_bus(
+        bus_index, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints
+    )
     found = cantools.database.load_string(text, "dbc", strict=True)
     assert isinstance(found, Database)
     return found
@@ -44,14 +46,14 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[ProtocolBe
     variant = DRIVE_VARIANTS[request.param]
     path = hand_file(tmp_path, [variant.protocol], variant.options)
     lines = path.read_text().splitlines(keepends=True)
-    path.write_text("".join(line for line in lines if not line.startswith(variant.without)))
+    path.write_text("".join(line for line in lines if not line.startswith(variant.skipped_option)))
     made = ProtocolBench(path)
     yield made
     made.simulated_hand.close()
 
 
 def values_read_by_controller(
-    wired: WiredDrives, message: CyclicMessage, i: int
+    wired_drives: WiredDrives, message: CyclicMessage, drive_index: int
 ) -> dict[str, float]:
     """Return the values that the controller has decoded from a frame of drive i."""
     values = {
@@ -60,7 +62,7 @@ def values_read_by_controller(
         if signal.quantity in FIELD_BY_QUANTITY
     }
     return {
-        name: float(wired.field_view(FIELD_BY_QUANTITY[quantity])[i])
+        name: float(wired_drives.field_view(FIELD_BY_QUANTITY[quantity])[drive_index])
         for name, quantity in values.items()
     }
 

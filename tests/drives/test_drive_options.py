@@ -21,7 +21,7 @@ CIA402_OPTIONS = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}
 
 
 @pytest.mark.parametrize(
-    ("protocol", "options", "key", "right"),
+    ("protocol", "drive_options", "option_key", "is_accepted"),
     [
         (
             "cia402",
@@ -58,21 +58,23 @@ CIA402_OPTIONS = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}
     ],
 )
 def test_a_number_that_rounds_to_nothing_is_refused(
-    protocol: str, options: dict[str, object], key: str, right: str
+    protocol: str, drive_options: dict[str, object], option_key: str, is_accepted: str
 ) -> None:
     with pytest.raises(ConfigError) as refused:
-        make_drive(motor_on_bench(protocol, 1, 0.01, options), 0)
-    assert key in str(refused.value)
-    assert right in str(refused.value)
+        make_drive(motor_on_bench(protocol, 1, 0.01, drive_options), 0)
+    assert option_key in str(refused.value)
+    assert is_accepted in str(refused.value)
 
 
-@pytest.mark.parametrize("heartbeat", [1, 50.0, 1000])
-def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
+@pytest.mark.parametrize("heartbeat_s", [1, 50.0, 1000])
+def test_a_whole_number_may_be_written_with_a_point(heartbeat_s: float) -> None:
     for protocol, options in (("cia402", CIA402_OPTIONS), ("odrive", {})):
         drive = make_drive(
-            motor_on_bench(protocol, 1, 0.01, options | {"heartbeat_ms": heartbeat}), 0
+            motor_on_bench(protocol, 1, 0.01, options | {"heartbeat_ms": heartbeat_s}), 0
         )
-        assert drive.background_frames[0][2] > 999.0 / heartbeat, "at least as often as configured"
+        assert drive.background_frames[0][2] > 999.0 / heartbeat_s, (
+            "at least as often as configured"
+        )
 
 
 def test_position_step_is_reported() -> None:
@@ -91,17 +93,19 @@ def test_position_step_is_reported() -> None:
     assert make_drive(motor_on_bench("odrive", 1, 0.01, {}), 0).position_step == 0.0
 
 
-@pytest.mark.parametrize(("counts", "step"), [(1000, math.tau / 1000), (1 << 20, 25.0 / 65535)])
+@pytest.mark.parametrize(
+    ("counts_per_turn", "expected_step_m"), [(1000, math.tau / 1000), (1 << 20, 25.0 / 65535)]
+)
 def test_the_filter_counts_with_the_drive_s_encoder(
-    tmp_path: Path, counts: int, step: float
+    tmp_path: Path, counts_per_turn: int, expected_step_m: float
 ) -> None:
     path = hand_file(tmp_path, ["cia402"])
     path.write_text(
-        path.read_text().replace("counts_per_turn = 65536", f"counts_per_turn = {counts}")
+        path.read_text().replace("counts_per_turn = 65536", f"counts_per_turn = {counts_per_turn}")
     )
     hand = load_hand(path)
     space = tendon_space(hand, tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names))
-    np.testing.assert_allclose(space.encoder_step, step * space.spool)
+    np.testing.assert_allclose(space.encoder_step, expected_step_m * space.spool)
 
 
 REQUIRED_OPTIONS = {
@@ -121,13 +125,13 @@ def test_an_unknown_option_is_refused_with_the_declared_options(protocol: str) -
 
 
 @pytest.mark.parametrize(
-    ("protocol", "key"),
+    ("protocol", "option_key"),
     [(name, key) for name, entry in PROTOCOL_ENTRIES.items() for key in entry.options],
 )
-def test_a_declared_option_is_known(protocol: str, key: str) -> None:
+def test_a_declared_option_is_known(protocol: str, option_key: str) -> None:
     """The message about a wrong value of an option names the option, and does not call it unknown."""
-    options = REQUIRED_OPTIONS.get(protocol, {}) | {key: "wrong"}
-    with pytest.raises(ConfigError, match=key) as refused:
+    options = REQUIRED_OPTIONS.get(protocol, {}) | {option_key: "wrong"}
+    with pytest.raises(ConfigError, match=option_key) as refused:
         make_drive(motor_on_bench(protocol, 1, 0.01, options), 0)
     assert "unknown key" not in str(refused.value)
 

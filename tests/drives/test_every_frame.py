@@ -38,7 +38,7 @@ def bench(
     made.simulated_hand.close()
 
 
-def extended_ids(bench: ProtocolBench, chance: random.Random) -> set[int]:
+def extended_ids(bench: ProtocolBench, random_source: random.Random) -> set[int]:
     """Return random 29-bit identifiers, and some 29-bit identifiers that a drive and its host use.
 
     Each identifier also appears with one bit changed.
@@ -46,12 +46,12 @@ def extended_ids(bench: ProtocolBench, chance: random.Random) -> set[int]:
     ours = sorted(
         one for one in bench.drives[0].node_ids | bench.drives[0].host_ids if one & EXTENDED_FLAG
     )
-    near = chance.sample(ours, min(len(ours), 4))
+    near = random_source.sample(ours, min(len(ours), 4))
     changed = {one ^ 1 << bit for one in near for bit in range(29)}
     return {
         *near,
         *changed,
-        *(EXTENDED_FLAG | chance.getrandbits(29) for _ in range(RANDOM_ID_COUNT)),
+        *(EXTENDED_FLAG | random_source.getrandbits(29) for _ in range(RANDOM_ID_COUNT)),
     }
 
 
@@ -76,13 +76,13 @@ def states_of(bench: ProtocolBench) -> list[DriveState]:
     return [bench.drives[0].initial_state(), ready, bench.states[0]]
 
 
-@pytest.mark.parametrize("number", range(3), ids=["silent", "ready", "enabled"])
+@pytest.mark.parametrize("state_index", range(3), ids=["silent", "ready", "enabled"])
 def test_a_frame_of_another_host_changes_nothing_and_no_frame_raises(
-    bench: ProtocolBench, number: int
+    bench: ProtocolBench, state_index: int
 ) -> None:
-    drive, before = bench.drives[0], states_of(bench)[number]
+    drive, before = bench.drives[0], states_of(bench)[state_index]
     receive, ours, t_ns = drive.receive, drive.node_ids, bench.k * 2_000_000
-    for frame in every_frame(bench, number, t_ns):
+    for frame in every_frame(bench, state_index, t_ns):
         after = receive(before, frame)
         if frame.can_id not in ours:
             assert after is before, frame

@@ -33,7 +33,7 @@ def vendor_dbc() -> cantools.database.can.Database:
 
 
 @pytest.mark.parametrize(
-    ("name", "command"),
+    ("message_name", "command_number"),
     [
         ("Get_Version", codec.GET_VERSION),
         ("Heartbeat", codec.HEARTBEAT),
@@ -49,11 +49,11 @@ def vendor_dbc() -> cantools.database.can.Database:
     ],
 )
 def test_identifiers_are_the_vendors(
-    vendor_dbc: cantools.database.can.Database, name: str, command: int
+    vendor_dbc: cantools.database.can.Database, message_name: str, command_number: int
 ) -> None:
     assert vendor_dbc.get_message_by_name(
-        f"Axis{ODRIVE_NODE_ID}_{name}"
-    ).frame_id == codec.message_id(ODRIVE_NODE_ID, command)
+        f"Axis{ODRIVE_NODE_ID}_{message_name}"
+    ).frame_id == codec.message_id(ODRIVE_NODE_ID, command_number)
 
 
 def test_payloads_are_the_vendors(vendor_dbc: cantools.database.can.Database) -> None:
@@ -73,9 +73,9 @@ def test_payloads_are_the_vendors(vendor_dbc: cantools.database.can.Database) ->
     assert next(iter(torque.values())) == -0.5
 
 
-@pytest.mark.parametrize("bit", sorted(codec.ERROR_TEXTS))
-def test_errors_are_the_vendors(vendor_dbc: cantools.database.can.Database, bit: int) -> None:
-    data = struct.pack("<IBBBB", 1 << bit, codec.IDLE, 3, 0, 0)
+@pytest.mark.parametrize("error_bit", sorted(codec.ERROR_TEXTS))
+def test_errors_are_the_vendors(vendor_dbc: cantools.database.can.Database, error_bit: int) -> None:
+    data = struct.pack("<IBBBB", 1 << error_bit, codec.IDLE, 3, 0, 0)
     known = vendor_dbc.decode_message(f"Axis{ODRIVE_NODE_ID}_Heartbeat", data, decode_choices=False)
     beat = codec.decode_heartbeat(data)
     assert (known["Axis_Error"], known["Axis_State"], known["Procedure_Result"]) == beat

@@ -35,37 +35,41 @@ PROTOCOLS_AND_GUARDS = [
 ]
 
 
-def keep_setting(virtual_bench: VirtualBench, guard) -> None:
+def keep_setting(virtual_bench: VirtualBench, guarded_setting) -> None:
     """Make a simulated drive confirm each write of a setting, but keep the old value."""
     node = virtual_bench.bench.nodes[0]
     if isinstance(node, MitNode):
         write = node.registers.write
         node.registers.write = lambda register, raw: (
-            None if register == guard else write(register, raw)
+            None if register == guarded_setting else write(register, raw)
         )
     elif isinstance(node, OdriveNode):
-        node.endpoints = _EndpointsWithFixedValue(node.endpoints, guard)
+        node.endpoints = _EndpointsWithFixedValue(node.endpoints, guarded_setting)
     elif isinstance(node, MoteusNode):
-        node.channel.items = _EndpointsWithFixedValue(node.channel.items, guard)
+        node.channel.items = _EndpointsWithFixedValue(node.channel.items, guarded_setting)
         write_one = node._write_register
         node._write_register = lambda number, kind, raw: (
-            0 if number == guard else write_one(number, kind, raw)
+            0 if number == guarded_setting else write_one(number, kind, raw)
         )
     elif isinstance(node, RobstrideNode):
         write_parameter = node._write_parameter
         node._write_parameter = lambda data, t_ns: (
-            None if int.from_bytes(data[:2], "little") == guard else write_parameter(data, t_ns)
+            None
+            if int.from_bytes(data[:2], "little") == guarded_setting
+            else write_parameter(data, t_ns)
         )
     else:
         assert isinstance(node, Cia402Node)
         write_object = node.objects.write
-        node.objects.write = lambda key, raw: None if key == guard else write_object(key, raw)
+        node.objects.write = lambda key, raw: (
+            None if key == guarded_setting else write_object(key, raw)
+        )
 
 
 class _EndpointsWithFixedValue(dict):
-    def __init__(self, values, key):
-        super().__init__(values)
-        self.key = key
+    def __init__(self, endpoint_values, fixed_endpoint):
+        super().__init__(endpoint_values)
+        self.key = fixed_endpoint
 
     def __setitem__(self, key, value):
         if key != self.key:
@@ -73,22 +77,24 @@ class _EndpointsWithFixedValue(dict):
 
 
 @pytest.mark.parametrize(
-    ("protocol", "guard", "name"),
+    ("protocol", "guarded_setting", "setting_name"),
     PROTOCOLS_AND_GUARDS,
     ids=[f"{case[0]}-{case[2]}" for case in PROTOCOLS_AND_GUARDS],
 )
-def test_a_guard_that_does_not_read_back_keeps_the_drive_off(protocol, guard, name):
+def test_a_guard_that_does_not_read_back_keeps_the_drive_off(
+    protocol, guarded_setting, setting_name
+):
     virtual_bench = VirtualBench(protocol)
-    if guard == 10:
+    if guarded_setting == 10:
         virtual_bench.bench.nodes[0].registers.show(10, 2.0)
-    if guard == (0x6007, 0):
-        virtual_bench.bench.nodes[0].objects[guard] = 0
-    if guard == "servo.fixed_voltage_mode":
-        virtual_bench.bench.nodes[0].channel.items[guard] = 1.0
-    if guard == 0x7005:
-        virtual_bench.bench.nodes[0].parameters[guard] = b"\x03\0\0\0"
+    if guarded_setting == (0x6007, 0):
+        virtual_bench.bench.nodes[0].objects[guarded_setting] = 0
+    if guarded_setting == "servo.fixed_voltage_mode":
+        virtual_bench.bench.nodes[0].channel.items[guarded_setting] = 1.0
+    if guarded_setting == 0x7005:
+        virtual_bench.bench.nodes[0].parameters[guarded_setting] = b"\x03\0\0\0"
     rig = drive_rig_on(virtual_bench, protocol, 0.5)
-    keep_setting(virtual_bench, guard)
+    keep_setting(virtual_bench, guarded_setting)
     seen = set()
 
     def record_state(state):
@@ -98,7 +104,7 @@ def test_a_guard_that_does_not_read_back_keeps_the_drive_off(protocol, guard, na
     rig.run_until(DriveTarget.ENABLE, record_state, 3.0)
     assert DrivePhase.FAULT in seen
     assert DrivePhase.ENABLED not in seen
-    assert name in rig.state.error_text
+    assert setting_name in rig.state.error_text
     assert virtual_bench.largest_torque == 0.0
 
 

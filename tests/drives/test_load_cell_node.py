@@ -92,10 +92,10 @@ class LoadCellNodeStruct(ctypes.Structure):
     ]
 
 
-def crc16(data: bytes) -> int:
+def crc_16_ccitt(message: bytes) -> int:
     """Compute the CRC-16-CCITT that the data sheet defines, bit by bit over the whole message."""
     remainder = 0xFFFF
-    for byte in data:
+    for byte in message:
         for bit in range(7, -1, -1):
             carry = (remainder >> 15) ^ (byte >> bit & 1)
             remainder = (remainder << 1 & 0xFFFF) ^ (0x1021 if carry else 0)
@@ -115,19 +115,22 @@ class Ads131m04Chip:
     writable_registers: frozenset[int] = frozenset((MODE_REGISTER, CLOCK_REGISTER, GAIN_REGISTER))
     """Registers that store a value when a host writes it."""
 
-    def transfer_frame(self, out: bytes) -> bytes:
+    def transfer_frame(self, sent_frame: bytes) -> bytes:
         """Receive a frame of 18 bytes and return the reply of the chip, as in an SPI transfer."""
         status = (self.registers[MODE_REGISTER] & RESET_FLAG) | 0x0100 | self.new_channels
         words = [self.answer if self.answer is not None else status]
         data = words[0].to_bytes(2) + b"\0"
         data += b"".join((count & 0xFFFFFF).to_bytes(3) for count in self.counts)
-        data += crc16(data).to_bytes(2) + b"\0"
-        command, address = int.from_bytes(out[:2]), int.from_bytes(out[:2]) >> 7 & 0x3F
+        data += crc_16_ccitt(data).to_bytes(2) + b"\0"
+        command, address = (
+            int.from_bytes(sent_frame[:2]),
+            int.from_bytes(sent_frame[:2]) >> 7 & 0x3F,
+        )
         self.answer = None
         if command >> 13 == 0b011:
             self.answer = 0x4000 | address << 7
             if address in self.writable_registers:
-                self.registers[address] = int.from_bytes(out[3:5])
+                self.registers[address] = int.from_bytes(sent_frame[3:5])
         elif command >> 13 == 0b101:
             self.answer = self.registers[address]
         return self.corrupt_reply(data)
@@ -139,7 +142,7 @@ class FirmwareBench:
     The bench collects the frames that the firmware sends.
     """
 
-    def __init__(self, firmware_library: Any, channels: int) -> None:
+    def __init__(self, firmware_library: Any, channel_count: int) -> None:
         self.library = firmware_library
         self.chips = [Ads131m04Chip() for _ in range(4)]
         self.sent_frames: list[tuple[int, bytes]] = []
@@ -147,12 +150,12 @@ class FirmwareBench:
             TRANSFER_CALLBACK_TYPE(self._transfer),
             SEND_CALLBACK_TYPE(self._send),
         )
-        self.adc = Ads131m04Struct(self.transfer, None, -(-channels // 4))
+        self.adc = Ads131m04Struct(self.transfer, None, -(-channel_count // 4))
         read = ctypes.cast(firmware_library.ads131m04_read, ctypes.c_void_p)
         self.board = NodeBoard(
             read, self.send, ctypes.cast(ctypes.pointer(self.adc), ctypes.c_void_p)
         )
-        self.settings = NodeSettings(SYNC_ID, BASE_ID, channels)
+        self.settings = NodeSettings(SYNC_ID, BASE_ID, channel_count)
         self.settings.nN_per_count[:] = [NN_PER_COUNT] * CHANNELS_MAX
         self.node = LoadCellNodeStruct()
         assert self.initialize_firmware()
@@ -300,12 +303,12 @@ def test_an_open_bridge_is_at_the_rail(firmware_library: Any) -> None:
         assert bench.tension_codes() == [96, RAIL_CODE]
 
 
-@pytest.mark.parametrize("silent", [b"\0" * 18, b"\xff" * 18])
+@pytest.mark.parametrize("silent_reply", [b"\0" * 18, b"\xff" * 18])
 def test_an_adc_without_answer_is_at_the_rail_and_comes_back(
-    firmware_library: Any, silent: bytes
+    firmware_library: Any, silent_reply: bytes
 ) -> None:
     bench = FirmwareBench(firmware_library, 5)
-    bench.chips[0].corrupt_reply = lambda data: silent
+    bench.chips[0].corrupt_reply = lambda data: silent_reply
     assert bench.tension_codes() == [RAIL_CODE] * 4 + [96]
     bench.chips[0].corrupt_reply = bytes
     bench.tension_codes()
@@ -338,13 +341,16 @@ def test_a_chip_that_was_reset_is_set_up_again(firmware_library: Any) -> None:
     assert bench.tension_codes() == [tension_code(100.0)] * 4
 
 
-@pytest.mark.parametrize("lost", [MODE_REGISTER, CLOCK_REGISTER, GAIN_REGISTER])
-def test_a_chip_that_keeps_other_settings_is_never_ready(firmware_library: Any, lost: int) -> None:
+@pytest.mark.parametrize("lost_register", [MODE_REGISTER, CLOCK_REGISTER, GAIN_REGISTER])
+def test_a_chip_that_keeps_other_settings_is_never_ready(
+    firmware_library: Any, lost_register: int
+) -> None:
     bench = FirmwareBench(firmware_library, 4)
     broken = Ads131m04Chip(
-        writable_registers=frozenset((MODE_REGISTER, CLOCK_REGISTER, GAIN_REGISTER)) - {lost}
+        writable_registers=frozenset((MODE_REGISTER, CLOCK_REGISTER, GAIN_REGISTER))
+        - {lost_register}
     )
-    broken.registers[lost] = 0x0001
+    broken.registers[lost_register] = 0x0001
     bench.chips[0] = broken
     assert not firmware_library.ads131m04_setup(ctypes.byref(bench.adc), 0)
     assert bench.tension_codes() == [RAIL_CODE] * 4
@@ -363,7 +369,7 @@ def test_a_conversion_that_does_not_end_is_at_the_rail_from_the_third_sync(
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
+    ("setting_name", "setting_value"),
     [
         ("channels", 0),
         ("channels", 16),
@@ -373,10 +379,10 @@ def test_a_conversion_that_does_not_end_is_at_the_rail_from_the_third_sync(
     ],
 )
 def test_settings_that_cannot_work_are_refused(
-    firmware_library: Any, name: str, value: int
+    firmware_library: Any, setting_name: str, setting_value: int
 ) -> None:
     bench = FirmwareBench(firmware_library, CHANNELS_MAX)
-    setattr(bench.settings, name, value)
+    setattr(bench.settings, setting_name, setting_value)
     assert not bench.initialize_firmware()
 
 

@@ -18,9 +18,9 @@ from handctl.drives.signals import SignalTable
 from handctl.errors import ConfigError
 from tests.drives.conftest import MotorSection, mit_drive_of
 
-TMAX = 0.8
-MOTOR_RANGES = codec.MotorRanges(12.5, 50.0, TMAX)
-torques_in_range = st.floats(-TMAX, TMAX)
+TORQUE_MAX_N_M = 0.8
+MOTOR_RANGES = codec.MotorRanges(12.5, 50.0, TORQUE_MAX_N_M)
+torques_in_range = st.floats(-TORQUE_MAX_N_M, TORQUE_MAX_N_M)
 COMMAND_TABLE, FEEDBACK_TABLE = (
     SignalTable(codec.command_message(1, MOTOR_RANGES)),
     SignalTable(codec.feedback_message(0x11, MOTOR_RANGES)),
@@ -31,7 +31,7 @@ ENABLED_STATE = DriveState(
 
 
 @pytest.mark.parametrize(
-    ("torque", "payload"),
+    ("torque", "payload_hex"),
     [  # p = 0x7FFF, v = 0x7FF, kp = kd = 0. The last twelve bits are the torque
         (-0.8, "7fff7ff000000000"),
         (0.8, "7fff7ff000000fff"),
@@ -40,12 +40,12 @@ ENABLED_STATE = DriveState(
         (-0.4, "7fff7ff000000400"),
     ],
 )
-def test_commands_have_the_bytes_of_the_manual(torque: float, payload: str) -> None:
-    assert COMMAND_TABLE.pack(torque) == bytes.fromhex(payload)
+def test_commands_have_the_bytes_of_the_manual(torque: float, payload_hex: str) -> None:
+    assert COMMAND_TABLE.pack(torque) == bytes.fromhex(payload_hex)
 
 
 @pytest.mark.parametrize(
-    ("payload", "values"),
+    ("payload_hex", "expected_values"),
     [  # state and identifier of the motor, 16 bits of position, 12 of velocity, 12 of torque, two temperatures
         ("01000000000000ff", (0, -12.5, -50.0, -0.8, 255.0)),
         ("11ffffffffff2a19", (1, 12.5, 50.0, 0.8, 42.0)),
@@ -53,14 +53,16 @@ def test_commands_have_the_bytes_of_the_manual(torque: float, payload: str) -> N
         ("018000800bff2020", (0, 12.5 / 65535, 50 / 4095, 0.8 * (2 * 3071 / 4095 - 1), 32.0)),
     ],
 )
-def test_feedback_is_decoded_to_known_values(payload: str, values: tuple[float, ...]) -> None:
-    assert codec.decode_feedback(bytes.fromhex(payload), FEEDBACK_TABLE) == pytest.approx(
-        values, abs=1e-12
+def test_feedback_is_decoded_to_known_values(
+    payload_hex: str, expected_values: tuple[float, ...]
+) -> None:
+    assert codec.decode_feedback(bytes.fromhex(payload_hex), FEEDBACK_TABLE) == pytest.approx(
+        expected_values, abs=1e-12
     )
 
 
 @pytest.mark.parametrize(
-    ("request_", "payload"),
+    ("request_payload", "payload_hex"),
     [
         (codec.register_request(1, codec.REFRESH), "0100cc0000000000"),
         (codec.register_request(11, codec.READ, 23), "0b00331700000000"),
@@ -72,8 +74,8 @@ def test_feedback_is_decoded_to_known_values(payload: str, values: tuple[float, 
         (codec.special_command(codec.CLEAR), "fffffffffffffffb"),
     ],
 )
-def test_requests_have_the_known_bytes(request_: bytes, payload: str) -> None:
-    assert request_ == bytes.fromhex(payload)
+def test_requests_have_the_known_bytes(request_payload: bytes, payload_hex: str) -> None:
+    assert request_payload == bytes.fromhex(payload_hex)
 
 
 def test_register_replies_are_decoded_to_known_values() -> None:
@@ -91,7 +93,9 @@ def test_register_replies_are_decoded_to_known_values() -> None:
 @given(torques_in_range)
 def test_a_torque_arrives_within_half_a_step(torque: float) -> None:
     code = int.from_bytes(COMMAND_TABLE.pack(torque), "big") & 0xFFF
-    assert code * 2 * TMAX / 4095 - TMAX == pytest.approx(torque, abs=TMAX / 4095 + 1e-12)
+    assert code * 2 * TORQUE_MAX_N_M / 4095 - TORQUE_MAX_N_M == pytest.approx(
+        torque, abs=TORQUE_MAX_N_M / 4095 + 1e-12
+    )
 
 
 @given(torques_in_range)
@@ -102,14 +106,15 @@ def test_a_command_never_looks_like_a_special_one_and_has_no_gains(torque: float
 
 
 @given(torques_in_range, torques_in_range)
-def test_more_torque_is_never_a_smaller_code(one: float, other: float) -> None:
-    less, more = sorted((one, other))
+def test_more_torque_is_never_a_smaller_code(first_torque: float, second_torque: float) -> None:
+    less, more = sorted((first_torque, second_torque))
     assert COMMAND_TABLE.pack(less) <= COMMAND_TABLE.pack(more)
 
 
 @given(
     st.one_of(
-        st.floats(max_value=-TMAX, exclude_max=True), st.floats(min_value=TMAX, exclude_min=True)
+        st.floats(max_value=-TORQUE_MAX_N_M, exclude_max=True),
+        st.floats(min_value=TORQUE_MAX_N_M, exclude_min=True),
     )
 )
 def test_torque_out_of_range_cannot_be_encoded(torque: float) -> None:
@@ -136,19 +141,19 @@ def test_direction_turns_every_sign(torque: float, direction: int) -> None:
 
 @given(st.integers(0, 15), st.integers(0, 0xFFFF), st.integers(0, 0xFFF), st.integers(0, 0xFFF))
 def test_feedback_of_the_simulated_firmware_reads_back(
-    nibble: int, position: int, velocity: int, torque: int
+    state_nibble: int, position_code: int, velocity_code: int, torque: int
 ) -> None:
     from firmware_sim.nodes.mit import codec as firmware
 
     ranges = firmware.FrameRanges(*MOTOR_RANGES)
     motion = (
-        firmware.from_code(position, 12.5, 16),
-        firmware.from_code(velocity, 50.0, 12),
-        firmware.from_code(torque, TMAX, 12),
+        firmware.from_code(position_code, 12.5, 16),
+        firmware.from_code(velocity_code, 50.0, 12),
+        firmware.from_code(torque, TORQUE_MAX_N_M, 12),
     )
-    data = firmware.encode_feedback(nibble, 3, motion, ranges, (30.0, 40.0))
+    data = firmware.encode_feedback(state_nibble, 3, motion, ranges, (30.0, 40.0))
     seen = codec.decode_feedback(data, FEEDBACK_TABLE)
-    assert seen[0] == nibble
+    assert seen[0] == state_nibble
     steps = (25.0 / 65535, 100.0 / 4095, 1.6 / 4095)
     for value, true, step in zip(seen[1:4], motion, steps, strict=True):
         assert abs(value - true) <= step * 1.001
@@ -162,7 +167,7 @@ def test_the_simulated_firmware_reads_commands(torque: float) -> None:
         COMMAND_TABLE.pack(torque), firmware.FrameRanges(*MOTOR_RANGES)
     )
     assert (decoded.kp, decoded.kd) == (0.0, 0.0)
-    assert decoded.torque == pytest.approx(torque, abs=TMAX / 4095 + 1e-12)
+    assert decoded.torque == pytest.approx(torque, abs=TORQUE_MAX_N_M / 4095 + 1e-12)
 
 
 drive_states = st.builds(
@@ -235,7 +240,7 @@ def test_options_set_reply_identifier_and_can_fd() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "text"),
+    ("drive_options", "expected_message"),
     [
         ({"speed": 1}, "motor[index_motor].options.speed: unknown key; expected reply_id or fd"),
         (
@@ -247,10 +252,10 @@ def test_options_set_reply_identifier_and_can_fd() -> None:
         ({"fd": 1}, "motor[index_motor].options.fd: 1; expected true or false"),
     ],
 )
-def test_wrong_options_are_refused(options: dict[str, object], text: str) -> None:
+def test_wrong_options_are_refused(drive_options: dict[str, object], expected_message: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        mit_drive_of(options=options)
-    assert str(caught.value).startswith(text)
+        mit_drive_of(options=drive_options)
+    assert str(caught.value).startswith(expected_message)
 
 
 def test_the_registry_knows_mit_and_says_what_it_knows() -> None:

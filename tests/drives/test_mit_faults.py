@@ -27,7 +27,7 @@ def test_a_lost_answer_to_enable_does_not_count_as_disabled(rig: MotorRig) -> No
     for _ in range(20):
         assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
     rig.motor.sends_nothing = False
-    assert rig.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, ticks=3)
+    assert rig.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, max_ticks=3)
     assert rig.motor.state_nibble == 0
 
 
@@ -70,37 +70,42 @@ def test_a_motor_enabled_by_another_host_does_not_count_as_disabled(rig: MotorRi
     for _ in range(5):
         assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
     rig.motor.ignored_commands.clear()
-    rig.run_until_phase(DriveTarget.DISABLE, DrivePhase.FAULT, ticks=3)
+    rig.run_until_phase(DriveTarget.DISABLE, DrivePhase.FAULT, max_ticks=3)
     assert rig.motor.state_nibble == 0
 
 
 @pytest.mark.parametrize(
-    ("nibble", "text"),
+    ("state_nibble", "error_text"),
     [
         (0x8, "over-voltage"),
         (0xD, "communication lost: the drive's watchdog fired"),
         (0xE, "overload"),
     ],
 )
-def test_an_error_of_the_motor_is_reported_and_stays(rig: MotorRig, nibble: int, text: str) -> None:
+def test_an_error_of_the_motor_is_reported_and_stays(
+    rig: MotorRig, state_nibble: int, error_text: str
+) -> None:
     rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    rig.motor.state_nibble = nibble
+    rig.motor.state_nibble = state_nibble
     state = rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.FAULT)
-    assert (state.error, state.error_text) == (nibble, text)
+    assert (state.error, state.error_text) == (state_nibble, error_text)
     rig.motor.state_nibble = 0
     for _ in range(5):
         assert rig.tick(DriveTarget.ENABLE).phase == DrivePhase.FAULT
     assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.FAULT
 
 
-@pytest.mark.parametrize("nibble", [2, 3, 4, 7, 15])
+@pytest.mark.parametrize("state_nibble", [2, 3, 4, 7, 15])
 def test_an_unknown_state_is_a_fault_and_never_counts_as_disabled(
-    rig: MotorRig, nibble: int
+    rig: MotorRig, state_nibble: int
 ) -> None:
     rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    rig.motor.state_nibble = nibble
+    rig.motor.state_nibble = state_nibble
     state = rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.FAULT)
-    assert (state.error, state.error_text) == (UNKNOWN_STATUS_ERROR, f"unknown state {nibble:#x}")
+    assert (state.error, state.error_text) == (
+        UNKNOWN_STATUS_ERROR,
+        f"unknown state {state_nibble:#x}",
+    )
     for _ in range(20):
         assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
         assert rig.sent_frames[-1].data == DISABLE_PAYLOAD
@@ -129,14 +134,14 @@ def test_an_error_that_cannot_be_cleared_comes_back(rig: MotorRig) -> None:
     rig.motor.ignored_commands.add(0xFB)
     rig.run_until_phase(DriveTarget.POLL, DrivePhase.FAULT)
     rig.state, _ = rig.drive.clear(rig.state)
-    assert rig.run_until_phase(DriveTarget.POLL, DrivePhase.FAULT, ticks=10).error == 0x9
+    assert rig.run_until_phase(DriveTarget.POLL, DrivePhase.FAULT, max_ticks=10).error == 0x9
 
 
 def test_a_motor_that_was_without_power_is_configured_again(rig: MotorRig) -> None:
     rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     rig.motor.sends_nothing = True
     rig.run_until_phase(
-        DriveTarget.POLL, DrivePhase.SILENT, ticks=2 + SILENCE_TIMEOUT_NS // PERIOD_NS
+        DriveTarget.POLL, DrivePhase.SILENT, max_ticks=2 + SILENCE_TIMEOUT_NS // PERIOD_NS
     )
     rig.motor.sends_nothing = False
     rig.motor.registers[23] = 10.0

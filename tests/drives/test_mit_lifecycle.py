@@ -42,27 +42,33 @@ def test_right_registers_are_not_written(rig: MotorRig) -> None:
     assert rig.motor.written_registers == []
 
 
-@pytest.mark.parametrize("register", [9, 10, 21, 22, 23])
-def test_a_wrong_register_is_written_once_and_read_back(rig: MotorRig, register: int) -> None:
+@pytest.mark.parametrize("register_number", [9, 10, 21, 22, 23])
+def test_a_wrong_register_is_written_once_and_read_back(
+    rig: MotorRig, register_number: int
+) -> None:
     rig.motor.registers[9] = 1000
-    right = rig.motor.registers[register]
-    rig.motor.registers[register] = 3
+    right = rig.motor.registers[register_number]
+    rig.motor.registers[register_number] = 3
     rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
-    assert rig.motor.written_registers == [register]
-    assert rig.motor.registers[register] == pytest.approx(right, rel=1e-6)
+    assert rig.motor.written_registers == [register_number]
+    assert rig.motor.registers[register_number] == pytest.approx(right, rel=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("register", "name"), [(10, "CTRL_MODE"), (21, "PMAX"), (23, "TMAX"), (9, "TIMEOUT")]
+    ("register_number", "register_name"),
+    [(10, "CTRL_MODE"), (21, "PMAX"), (23, "TMAX"), (9, "TIMEOUT")],
 )
 def test_a_register_that_does_not_keep_its_value_is_named(
-    rig: MotorRig, register: int, name: str
+    rig: MotorRig, register_number: int, register_name: str
 ) -> None:
-    rig.motor.registers[register] = 7
-    rig.motor.fixed_registers.add(register)
+    rig.motor.registers[register_number] = 7
+    rig.motor.fixed_registers.add(register_number)
     state = rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.FAULT)
     assert state.error == SETTING_MISMATCH_ERROR
-    assert f"register {register} {name} reads 7 after writing, expected" in state.error_text
+    assert (
+        f"register {register_number} {register_name} reads 7 after writing, expected"
+        in state.error_text
+    )
     for _ in range(50):
         rig.tick(DriveTarget.ENABLE)
     assert rig.motor.state_nibble == 0

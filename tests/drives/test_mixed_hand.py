@@ -18,13 +18,13 @@ from handctl.hand.hand_loading import load_hand
 from tests.drives.protocol_bench import ProtocolBench, hand_file, motor_on_bench, move_to_second_bus
 
 
-def mixed_hand(folder: Path) -> Path:
+def mixed_hand(hand_folder: Path) -> Path:
     """Write the file of a hand with three drive protocols on two buses, and return its path.
 
     An MIT and an ODrive drive share the first bus with the load cells. Two CiA 402 drives are on
     the second bus, and one of them sends the SYNC frame.
     """
-    path = move_to_second_bus(hand_file(folder, ["mit", "odrive", "cia402"]))
+    path = move_to_second_bus(hand_file(hand_folder, ["mit", "odrive", "cia402"]))
     head, *motors = path.read_text().split("[[motor]]")
     motors[2] = motors[2].replace("counts_per_turn", "sync = true\ncounts_per_turn")
     path.write_text("[[motor]]".join([head, *motors]))
@@ -41,7 +41,7 @@ def test_two_buses_and_three_protocols_work_as_one_hand(tmp_path: Path) -> None:
     motors = bench.simulated_hand.world.plant.motors.values()
     assert [motor.servo.torque for motor in motors] == pytest.approx([0.05] * 4, abs=0.001)
     assert min(state.feedback_t_ns for state in bench.states) >= (bench.k - 2) * 2_000_000
-    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
+    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, max_ticks=100)
     bench.simulated_hand.close()
 
 
@@ -108,7 +108,7 @@ def test_identifiers_of_different_protocols_may_not_meet(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("protocol", "option", "wrong"),
+    ("protocol", "option_line", "expected_message"),
     [
         ("odrive", "gear_ratio = 0.0", "gear_ratio"),
         ("odrive", "colour = 1", "colour"),
@@ -119,16 +119,16 @@ def test_identifiers_of_different_protocols_may_not_meet(tmp_path: Path) -> None
     ],
 )
 def test_wrong_options_are_refused_by_their_path(
-    tmp_path: Path, protocol: str, option: str, wrong: str
+    tmp_path: Path, protocol: str, option_line: str, expected_message: str
 ) -> None:
     path = hand_file(tmp_path, [protocol])
     text = path.read_text()
-    if f"\n{wrong} = " in text:
-        text = re.sub(rf"\n{wrong} = .*", "\n" + option, text)
+    if f"\n{expected_message} = " in text:
+        text = re.sub(rf"\n{expected_message} = .*", "\n" + option_line, text)
     else:
-        text = text.replace("[motor.options]\n", f"[motor.options]\n{option}\n")
+        text = text.replace("[motor.options]\n", f"[motor.options]\n{option_line}\n")
     path.write_text(text)
-    with pytest.raises(ConfigError, match=rf"motor\[index_motor\].options.{wrong}"):
+    with pytest.raises(ConfigError, match=rf"motor\[index_motor\].options.{expected_message}"):
         bus_loads(load_hand(str(path)))
 
 
@@ -147,17 +147,17 @@ def test_can_fd_needs_its_data_bit_rate(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("protocol", "extra", "microseconds"),
+    ("protocol", "added_text", "expected_us"),
     [("mit", "", 1215), ("cia402", "", 1110), ("odrive", "encoder_period_ms = 2\n", 1055)],
 )
 def test_the_load_is_that_of_the_table(
-    tmp_path: Path, protocol: str, extra: str, microseconds: float
+    tmp_path: Path, protocol: str, added_text: str, expected_us: float
 ) -> None:
     """The bus load includes the frames of the motors and one load-cell frame with 8 bytes.
 
     With CiA 402 drives, the bus load also includes an empty SYNC frame.
     """
-    bench = ProtocolBench(hand_file(tmp_path, [protocol], extra))
+    bench = ProtocolBench(hand_file(tmp_path, [protocol], added_text))
     frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.frames_per_tick] + [
         (8, False, 1.0)
     ]
@@ -168,7 +168,7 @@ def test_the_load_is_that_of_the_table(
         if protocol == "odrive"
         else []
     )
-    assert bus_time_s(frames, 1e6) * 1e6 == pytest.approx(microseconds, rel=0.02)
+    assert bus_time_s(frames, 1e6) * 1e6 == pytest.approx(expected_us, rel=0.02)
 
 
 def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canopen() -> None:
@@ -204,18 +204,20 @@ def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canope
         )
 
 
-@pytest.mark.parametrize(("cubemars", "mit", "reply"), [(5, 5, 0x15), (5, 0x21, 5), (5, 1, 0x80)])
+@pytest.mark.parametrize(
+    ("cubemars_node", "mit_node", "reply_id"), [(5, 5, 0x15), (5, 0x21, 5), (5, 1, 0x80)]
+)
 def test_an_identifier_with_two_meanings_is_refused_whatever_the_protocols(
-    cubemars: int, mit: int, reply: int
+    cubemars_node: int, mit_node: int, reply_id: int
 ) -> None:
     """A CubeMars motor replies with its node number as the identifier.
 
     In each case of this test, another motor or the SYNC frame already has this identifier.
     """
     sensors = make_sensors(load_hand("jamia"))
-    first = make_drive(motor_on_bench("cubemars", cubemars, 0.8, {"motor_type": "ak80-9"}), 0)
-    second = make_drive(motor_on_bench("mit", mit, 0.8, {"reply_id": reply}), 0)
+    first = make_drive(motor_on_bench("cubemars", cubemars_node, 0.8, {"motor_type": "ak80-9"}), 0)
+    second = make_drive(motor_on_bench("mit", mit_node, 0.8, {"reply_id": reply_id}), 0)
     with pytest.raises(ConfigError, match=r"^second: identifier .* has two meanings"):
         check_identifiers([("sensor", sensors), ("first", first), ("second", second)])
-    elsewhere = make_drive(motor_on_bench("mit", mit, 0.8, {"reply_id": reply}), 1)
+    elsewhere = make_drive(motor_on_bench("mit", mit_node, 0.8, {"reply_id": reply_id}), 1)
     check_identifiers([("first", first), ("second", elsewhere)])

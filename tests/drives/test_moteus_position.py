@@ -42,9 +42,9 @@ GAIN_BY_ITEM = {"servo.pid_position.kp": 15.708, "servo.pid_position.kd": 0.2205
 NAN_ITEMS = ("servo.default_velocity_limit", "servo.default_accel_limit", "servo.max_position_slip")
 
 
-def drive_with_loop(**changes: object) -> MoteusDrive:
+def drive_with_loop(**option_changes: object) -> MoteusDrive:
     """Return a drive that closes the position loop."""
-    given = {"control": "position", "kp_N_m_per_rad": KP, "kd_N_m_s_per_rad": KD} | changes
+    given = {"control": "position", "kp_N_m_per_rad": KP, "kd_N_m_s_per_rad": KD} | option_changes
     return MoteusDrive.from_motor(motor_on_bench("moteus", DRIVE_NODE_ID, 0.5, {}, **given), 0)
 
 
@@ -58,9 +58,9 @@ def node_of(virtual_bench: VirtualBench) -> MoteusNode:
     return node
 
 
-@pytest.mark.parametrize("direction", [1, -1])
-def test_the_frame_has_the_registers_of_the_fact_sheet(direction: int) -> None:
-    drive = drive_with_loop(direction=direction, zero_rad=0.3, watchdog_ms=50)
+@pytest.mark.parametrize("motor_direction", [1, -1])
+def test_the_frame_has_the_registers_of_the_fact_sheet(motor_direction: int) -> None:
+    drive = drive_with_loop(direction=motor_direction, zero_rad=0.3, watchdog_ms=50)
     message = drive.cyclic_messages.position
     assert message is not None
     assert drive.cyclic_messages.moves_target
@@ -69,9 +69,9 @@ def test_the_frame_has_the_registers_of_the_fact_sheet(direction: int) -> None:
         1.7, -4.0, 0.25 * GAINS_PER_RAD[0], 0.5 * GAINS_PER_RAD[1], 0.2, 0.4
     )
     position, velocity, torque, kp, kd, limit = moteus_command(data)
-    assert position == pytest.approx(0.3 + direction * 1.7, rel=1e-6)
-    assert velocity == pytest.approx(direction * -4.0, rel=1e-6)
-    assert torque == pytest.approx(direction * 0.2)
+    assert position == pytest.approx(0.3 + motor_direction * 1.7, rel=1e-6)
+    assert velocity == pytest.approx(motor_direction * -4.0, rel=1e-6)
+    assert torque == pytest.approx(motor_direction * 0.2)
     assert (kp, kd) == (0.25, 0.5)
     assert limit == pytest.approx(0.4)
     assert struct.unpack_from("<f", data, 36)[0] == pytest.approx(0.05)
@@ -107,15 +107,15 @@ def test_the_settings_are_written_and_read_back_before_arming_and_not_stored() -
     assert virtual_bench.largest_torque == 0.0
 
 
-@pytest.mark.parametrize("item", [*GAIN_BY_ITEM, *NAN_ITEMS])
-def test_a_setting_that_does_not_read_back_keeps_the_drive_off(item: str) -> None:
+@pytest.mark.parametrize("setting_name", [*GAIN_BY_ITEM, *NAN_ITEMS])
+def test_a_setting_that_does_not_read_back_keeps_the_drive_off(setting_name: str) -> None:
     virtual_bench = VirtualBench("moteus")
     items = node_of(virtual_bench).channel.items
-    items[item] = 3.0
-    keep_setting(virtual_bench, item)
+    items[setting_name] = 3.0
+    keep_setting(virtual_bench, setting_name)
     rig = armed_rig(virtual_bench)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 3.0)
-    assert f"{item} reads 3 after writing, expected" in rig.state.error_text
+    assert f"{setting_name} reads 3 after writing, expected" in rig.state.error_text
 
 
 def test_a_firmware_without_an_item_is_refused_by_name() -> None:
@@ -126,14 +126,14 @@ def test_a_firmware_without_an_item_is_refused_by_name() -> None:
     assert "servo.default_accel_limit reads ERR error reading, expected nan" in rig.state.error_text
 
 
-@pytest.mark.parametrize("item", [*GAIN_BY_ITEM, *NAN_ITEMS])
-def test_a_setting_that_is_lost_while_enabled_is_found(item: str) -> None:
+@pytest.mark.parametrize("setting_name", [*GAIN_BY_ITEM, *NAN_ITEMS])
+def test_a_setting_that_is_lost_while_enabled_is_found(setting_name: str) -> None:
     virtual_bench = VirtualBench("moteus")
     rig = armed_rig(virtual_bench)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
-    node_of(virtual_bench).channel.items[item] = 7.0
+    node_of(virtual_bench).channel.items[setting_name] = 7.0
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 6.0)
-    assert f"{item} reads 7" in rig.state.error_text
+    assert f"{setting_name} reads 7" in rig.state.error_text
 
 
 def test_a_restart_is_found_by_two_reads() -> None:
@@ -167,27 +167,29 @@ VALUES_OUT_OF_RANGE = [
 
 
 @pytest.mark.parametrize(
-    ("row", "value"),
+    ("target_row", "target_value"),
     [
         *VALUES_OUT_OF_RANGE,
         *((row, bad) for row, _ in VALUES_OUT_OF_RANGE[:6] for bad in (math.nan, math.inf)),
     ],
 )
-def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(row: int, value: float) -> None:
+def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(
+    target_row: int, target_value: float
+) -> None:
     with begin_to_and_fro(hand_with_position_loop(protocol="moteus")) as run:
         for _ in range(10):
             run.run_tick()
         assert run.state.view("servo_kp").all()
         layout, tables = run.state.layout, run.controller.derived.wire
         torque = run.state.tendon[s.TORQUE].copy()
-        if row == s.SERVO_KP and math.isnan(value):
+        if target_row == s.SERVO_KP and math.isnan(target_value):
             # A comparison of NaN with 0 is false. A command with a kp of NaN is therefore always a
             # torque command.
-            value = math.inf
+            target_value = math.inf
         block = run.state.block.copy()
         assert len(sent_frames(block, layout, tables, torque)) == 4
         good = sent_frames(block, layout, tables, torque)[1]
-        layout.table(block, "servo")[row, 1] = value
+        layout.table(block, "servo")[target_row, 1] = target_value
         frames = sent_frames(block, layout, tables, torque)
         drive = run.controller.drives[1]
         assert isinstance(drive, MoteusDrive)

@@ -46,15 +46,15 @@ def test_odrive_05_without_watchdog_fails_the_watchdog_check():
 
 
 @pytest.mark.parametrize(
-    ("error", "words"), [(1 << 25, "emergency stop"), (1 << 13, "motor failed")]
+    ("error_code", "error_text"), [(1 << 25, "emergency stop"), (1 << 13, "motor failed")]
 )
-def test_errors_have_texts(error, words):
+def test_errors_have_texts(error_code, error_text):
     virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE)
     rig = drive_rig_on(virtual_bench, "odrive", 0.1, OLD_FIRMWARE)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
-    virtual_bench.bench.nodes[0].disarm(error)
+    virtual_bench.bench.nodes[0].disarm(error_code)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 1.0)
-    assert words in rig.state.error_text
+    assert error_text in rig.state.error_text
 
 
 def test_odrive_05_is_not_asked_for_missing_messages():
@@ -82,7 +82,7 @@ def test_a_scan_names_odrive_05():
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("drive_options", "expected_message"),
     [
         ({"firmware": "0.4"}, "'0.6' or '0.5'"),
         ({"firmware": 0.5}, "'0.6' or '0.5'"),
@@ -90,9 +90,9 @@ def test_a_scan_names_odrive_05():
         ({"endpoint_torque_max": 3, **OLD_FIRMWARE}, "no SDO"),
     ],
 )
-def test_options_missing_in_odrive_05_are_refused(options, said):
-    with pytest.raises(ConfigError, match=said):
-        make_drive(motor_on_bench("odrive", DRIVE_NODE_ID, 0.1, options), 0)
+def test_options_missing_in_odrive_05_are_refused(drive_options, expected_message):
+    with pytest.raises(ConfigError, match=expected_message):
+        make_drive(motor_on_bench("odrive", DRIVE_NODE_ID, 0.1, drive_options), 0)
 
 
 def test_the_heartbeat_of_odrive_05_has_the_vendors_layout():

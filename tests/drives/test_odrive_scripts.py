@@ -33,9 +33,9 @@ SCRIPT_NAMES = ("can_simple_utils.py", "can_restore_config.py", "can_calibrate.p
 DOWNLOAD_TIMEOUT_S = 30.0
 SCRIPT_TIMEOUT_S = 60.0
 WAIT_TIMEOUT_S = 10.0
-NODE = 1
+ODRIVE_NODE_ID = 1
 IDLE_STATE, CLOSED_LOOP_STATE = 1, 8
-ENDPOINTS = {
+ENDPOINT_BY_PATH = {
     "axis0.config.enable_watchdog": ("endpoint_enable_watchdog", "bool", "?", True),
     "axis0.config.watchdog_timeout": ("endpoint_watchdog_timeout", "float", "f", 0.25),
     "axis0.config.torque_soft_max": ("endpoint_torque_max", "float", "f", 0.5),
@@ -45,7 +45,7 @@ ENDPOINTS = {
 
 
 @pytest.fixture(scope="module")
-def scripts(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def odrive_script_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the scripts."""
     if given := os.environ.get("HANDCTL_ODRIVE_SCRIPTS"):
         return Path(given)
@@ -62,14 +62,21 @@ def scripts(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def run_script(scripts: Path, tmp_path: Path) -> Callable[..., Any]:
+def run_script(odrive_script_folder: Path, tmp_path: Path) -> Callable[..., Any]:
     """Return a function that runs a script on the local bus, and returns the completed process."""
     (tmp_path / "flat_endpoints.json").write_text(json.dumps(_endpoints_file("0.6.10")))
 
     def run(name: str, *words: str) -> Any:
-        bus = ("--interface", "local", "--channel", LOCAL_BUS_NAME, "--node-id", str(NODE))
+        bus = (
+            "--interface",
+            "local",
+            "--channel",
+            LOCAL_BUS_NAME,
+            "--node-id",
+            str(ODRIVE_NODE_ID),
+        )
         return subprocess.run(
-            [sys.executable, str(scripts / name), *bus, *words],
+            [sys.executable, str(odrive_script_folder / name), *bus, *words],
             capture_output=True,
             text=True,
             check=False,
@@ -80,27 +87,37 @@ def run_script(scripts: Path, tmp_path: Path) -> Callable[..., Any]:
     return run
 
 
-def _endpoints_file(firmware: str) -> dict[str, Any]:
+def _endpoints_file(firmware_version: str) -> dict[str, Any]:
     """Return the contents of flat_endpoints.json for the simulated drives."""
     rows = {
         path: {"id": ENDPOINT_NUMBERS[option], "type": kind}
-        for path, (option, kind, _, _) in ENDPOINTS.items()
+        for path, (option, kind, _, _) in ENDPOINT_BY_PATH.items()
     }
-    return {"fw_version": firmware, "hw_version": "4.4.58", "endpoints": rows}
+    return {"fw_version": firmware_version, "hw_version": "4.4.58", "endpoints": rows}
 
 
-def _await_message(bus: can.BusABC, command: int, accept: Callable[[bytes], bool]) -> bytes:
+def _await_message(
+    bus: can.BusABC, command_number: int, is_accepted: Callable[[bytes], bool]
+) -> bytes:
     """Return the payload of the next message with a command number that is accepted."""
     end_s = time.monotonic() + WAIT_TIMEOUT_S
     while time.monotonic() < end_s:
         message = bus.recv(0.1)
-        if message and message.arbitration_id == NODE << 5 | command and accept(message.data):
+        if (
+            message
+            and message.arbitration_id == ODRIVE_NODE_ID << 5 | command_number
+            and is_accepted(message.data)
+        ):
             return bytes(message.data)
-    raise AssertionError(f"no message 0x{command:02X} with the expected contents")
+    raise AssertionError(f"no message 0x{command_number:02X} with the expected contents")
 
 
-def _send(bus: can.BusABC, command: int, payload: bytes) -> None:
-    bus.send(can.Message(arbitration_id=NODE << 5 | command, data=payload, is_extended_id=False))
+def _send(bus: can.BusABC, command_number: int, payload: bytes) -> None:
+    bus.send(
+        can.Message(
+            arbitration_id=ODRIVE_NODE_ID << 5 | command_number, data=payload, is_extended_id=False
+        )
+    )
 
 
 def _flush(bus: can.BusABC) -> None:
@@ -109,42 +126,42 @@ def _flush(bus: can.BusABC) -> None:
         pass
 
 
-def _read_endpoint(bus: can.BusABC, number: int, code: str) -> Any:
+def _read_endpoint(bus: can.BusABC, endpoint_number: int, format_code: str) -> Any:
     _flush(bus)
-    _send(bus, 0x04, struct.pack("<BHB", 0, number, 0))
-    reply = _await_message(bus, 0x05, lambda data: data[1:3] == struct.pack("<H", number))
-    return struct.unpack_from(f"<{code}", reply, 4)[0]
+    _send(bus, 0x04, struct.pack("<BHB", 0, endpoint_number, 0))
+    reply = _await_message(bus, 0x05, lambda data: data[1:3] == struct.pack("<H", endpoint_number))
+    return struct.unpack_from(f"<{format_code}", reply, 4)[0]
 
 
-def _request_state(bus: can.BusABC, state: int) -> int:
+def _request_state(bus: can.BusABC, axis_state: int) -> int:
     """Request an axis state, and return the axis state of a later heartbeat."""
-    _send(bus, 0x07, struct.pack("<I", state))
+    _send(bus, 0x07, struct.pack("<I", axis_state))
     time.sleep(0.5)
     _flush(bus)
     return _await_message(bus, 0x01, lambda data: True)[4]
 
 
-@pytest.mark.parametrize("saved", [False, True], ids=["in RAM", "saved"])
+@pytest.mark.parametrize("is_saved", [False, True], ids=["in RAM", "saved"])
 def test_a_configuration_is_restored_and_survives_a_reboot_if_it_was_saved(
-    run_script: Callable[..., Any], tmp_path: Path, saved: bool
+    run_script: Callable[..., Any], tmp_path: Path, is_saved: bool
 ) -> None:
-    values = {path: value for path, (_, _, _, value) in ENDPOINTS.items()}
+    values = {path: value for path, (_, _, _, value) in ENDPOINT_BY_PATH.items()}
     (tmp_path / "config.json").write_text(json.dumps(values))
     words = ["--endpoints-json", "flat_endpoints.json", "--config", "config.json"]
     with (
-        run_simulated_drives(f"local:{LOCAL_BUS_NAME}", "odrive", "--ids", f"0,{NODE}"),
+        run_simulated_drives(f"local:{LOCAL_BUS_NAME}", "odrive", "--ids", f"0,{ODRIVE_NODE_ID}"),
         can.Bus(interface="local", channel=LOCAL_BUS_NAME) as bus,
     ):
-        done = run_script("can_restore_config.py", *words, *(["--save-config"] if saved else []))
+        done = run_script("can_restore_config.py", *words, *(["--save-config"] if is_saved else []))
         assert done.returncode == 0, done.stderr
         assert f"writing {len(values)} variables" in done.stdout
         _send(bus, 0x16, b"\0")  # a reboot that saves nothing
         time.sleep(0.2)
         read = {
             path: _read_endpoint(bus, ENDPOINT_NUMBERS[option], code)
-            for path, (option, _, code, _) in ENDPOINTS.items()
+            for path, (option, _, code, _) in ENDPOINT_BY_PATH.items()
         }
-    assert (read == values) is saved, read
+    assert (read == values) is is_saved, read
 
 
 def test_the_endpoints_of_another_firmware_are_refused(
@@ -153,28 +170,28 @@ def test_the_endpoints_of_another_firmware_are_refused(
     (tmp_path / "other.json").write_text(json.dumps(_endpoints_file("0.6.9")))
     (tmp_path / "config.json").write_text("{}")
     words = ["--endpoints-json", "other.json", "--config", "config.json"]
-    with run_simulated_drives(f"local:{LOCAL_BUS_NAME}", "odrive", "--ids", f"0,{NODE}"):
+    with run_simulated_drives(f"local:{LOCAL_BUS_NAME}", "odrive", "--ids", f"0,{ODRIVE_NODE_ID}"):
         done = run_script("can_restore_config.py", *words)
     assert done.returncode == 1
     assert "0.6.9 != 0.6.10" in done.stderr
 
 
-@pytest.mark.parametrize("saved", [False, True], ids=["in RAM", "saved"])
+@pytest.mark.parametrize("is_saved", [False, True], ids=["in RAM", "saved"])
 def test_a_drive_enters_closed_loop_after_the_calibration(
-    run_script: Callable[..., Any], saved: bool
+    run_script: Callable[..., Any], is_saved: bool
 ) -> None:
-    drives = ("odrive", "--ids", f"0,{NODE}", "--uncalibrated")
+    drives = ("odrive", "--ids", f"0,{ODRIVE_NODE_ID}", "--uncalibrated")
     with (
         run_simulated_drives(f"local:{LOCAL_BUS_NAME}", *drives),
         can.Bus(interface="local", channel=LOCAL_BUS_NAME) as bus,
     ):
         assert _request_state(bus, CLOSED_LOOP_STATE) == IDLE_STATE
-        done = run_script("can_calibrate.py", *(["--save-config"] if saved else []))
+        done = run_script("can_calibrate.py", *(["--save-config"] if is_saved else []))
         assert done.returncode == 0, done.stderr
         assert "Calibration successful!" in done.stdout
         assert _request_state(bus, CLOSED_LOOP_STATE) == CLOSED_LOOP_STATE
         assert _request_state(bus, IDLE_STATE) == IDLE_STATE
         _send(bus, 0x16, b"\0")
         time.sleep(0.2)
-        expected = CLOSED_LOOP_STATE if saved else IDLE_STATE
+        expected = CLOSED_LOOP_STATE if is_saved else IDLE_STATE
         assert _request_state(bus, CLOSED_LOOP_STATE) == expected

@@ -53,10 +53,10 @@ def first_cia402_node(bench: ProtocolBench) -> Cia402Node:
 
 
 def error_of_first_drive(
-    bench: ProtocolBench, phase: DrivePhase, target: DriveTarget, ticks: int
+    bench: ProtocolBench, phase: DrivePhase, target: DriveTarget, max_ticks: int
 ) -> str:
     """Run ticks until the first drive is in a phase, and return the error text of this drive."""
-    for _ in range(ticks):
+    for _ in range(max_ticks):
         bench.tick(target)
         if bench.states[0].phase == phase:
             return bench.states[0].error_text
@@ -64,19 +64,21 @@ def error_of_first_drive(
 
 
 def lose_first_frames(
-    node: OdriveNode, command: int, start: bytes = b"", times: int = 1
+    node: OdriveNode, command_number: int, payload_start: bytes = b"", frame_count: int = 1
 ) -> list[WireFrame]:
     """Drop the first frames of a command to the first ODrive.
 
     The returned list collects the dropped frames.
 
-    If ``start`` is given, drop only frames whose data begin with ``start``.
+    If ``payload_start`` is given, drop only frames whose data begin with ``payload_start``.
     """
     taken, lost = node.receive, list[WireFrame]()
 
     def receive(frame: WireFrame, t_ns: int) -> list[WireFrame] | None:
-        mine = frame.can_id == FIRST_NODE_ID << 5 | command and frame.data.startswith(start)
-        if mine and len(lost) < times:
+        mine = frame.can_id == FIRST_NODE_ID << 5 | command_number and frame.data.startswith(
+            payload_start
+        )
+        if mine and len(lost) < frame_count:
             lost.append(frame)
             return []
         return taken(frame, t_ns)
@@ -85,9 +87,9 @@ def lose_first_frames(
     return lost
 
 
-@pytest.mark.parametrize("moment", ["ready", "ordered"])
+@pytest.mark.parametrize("restart_moment", ["ready", "ordered"])
 def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(
-    odrive_bench: ProtocolBench, moment: str
+    odrive_bench: ProtocolBench, restart_moment: str
 ) -> None:
     """After a restart, an ODrive is in position control and has no watchdog.
 
@@ -95,11 +97,11 @@ def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(
     """
     node = first_odrive_node(odrive_bench)
     odrive_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
-    if moment != "ready":
+    if restart_moment != "ready":
         while progress_of(odrive_bench.states[0]).enable_sent_ns < 0:
             odrive_bench.tick(DriveTarget.ENABLE)
     settings = dict(node.endpoints)
-    for _ in range(10 * (moment == "ready")):
+    for _ in range(10 * (restart_moment == "ready")):
         odrive_bench.tick(DriveTarget.POLL)
     node.receive(Frame(0x10 << 5 | 0x16, b"\0"), odrive_bench.simulated_hand.world.t_ns)  # type: ignore[arg-type]
     assert node.endpoints != settings
@@ -111,16 +113,16 @@ def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(
     raise AssertionError(odrive_bench.states[0])
 
 
-@pytest.mark.parametrize("command", [codec.SET_MODE, codec.SET_LIMITS])
+@pytest.mark.parametrize("command_number", [codec.SET_MODE, codec.SET_LIMITS])
 def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(
-    odrive_bench: ProtocolBench, command: int
+    odrive_bench: ProtocolBench, command_number: int
 ) -> None:
     """An ODrive does not confirm the commands that set its control mode and its limits.
 
     An ODrive that has stayed in position control would jump at the first torque command.
     """
     node = first_odrive_node(odrive_bench)
-    lost = lose_first_frames(node, command)
+    lost = lose_first_frames(node, command_number)
     before = node.velocity_limit
     odrive_bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     assert lost
@@ -128,21 +130,21 @@ def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(
     assert node.velocity_limit != before
 
 
-@pytest.mark.parametrize("losses", [1, 2, 3])
+@pytest.mark.parametrize("lost_frames", [1, 2, 3])
 def test_a_setting_that_is_lost_on_the_wire_is_written_again(
-    odrive_bench: ProtocolBench, losses: int
+    odrive_bench: ProtocolBench, lost_frames: int
 ) -> None:
     """An ODrive does not confirm that it has written a setting."""
     node = first_odrive_node(odrive_bench)
-    lost = lose_first_frames(node, codec.RX_SDO, bytes((codec.SDO_WRITE,)), losses)
-    if losses < 3:
+    lost = lose_first_frames(node, codec.RX_SDO, bytes((codec.SDO_WRITE,)), lost_frames)
+    if lost_frames < 3:
         odrive_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
         assert node.endpoints[201] == b"\1"
     else:
         assert "enable_watchdog reads 0 after writing, expected 1" in error_of_first_drive(
             odrive_bench, DrivePhase.FAULT, DriveTarget.POLL, 200
         )
-    assert len(lost) == losses
+    assert len(lost) == lost_frames
 
 
 def test_an_odrive_that_ignores_commands_is_a_fault(odrive_bench: ProtocolBench) -> None:
@@ -154,12 +156,17 @@ def test_an_odrive_that_ignores_commands_is_a_fault(odrive_bench: ProtocolBench)
 
 
 @pytest.mark.parametrize(
-    ("bit", "words"), [(25, "emergency stop"), (13, "motor over-temperature"), (6, "missing input")]
+    ("error_bit", "error_text"),
+    [(25, "emergency stop"), (13, "motor over-temperature"), (6, "missing input")],
 )
-def test_an_odrive_says_what_disarmed_it(odrive_bench: ProtocolBench, bit: int, words: str) -> None:
+def test_an_odrive_says_what_disarmed_it(
+    odrive_bench: ProtocolBench, error_bit: int, error_text: str
+) -> None:
     odrive_bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    first_odrive_node(odrive_bench).disarm(1 << bit)
-    assert words in error_of_first_drive(odrive_bench, DrivePhase.FAULT, DriveTarget.ENABLE, 60)
+    first_odrive_node(odrive_bench).disarm(1 << error_bit)
+    assert error_text in error_of_first_drive(
+        odrive_bench, DrivePhase.FAULT, DriveTarget.ENABLE, 60
+    )
 
 
 def test_an_odrive_that_is_left_enabled_is_made_idle_first(odrive_bench: ProtocolBench) -> None:
@@ -228,18 +235,20 @@ def test_another_protocol_version_is_refused(odrive_bench: ProtocolBench) -> Non
 
 
 @pytest.mark.parametrize(
-    ("code", "words"),
+    ("error_code", "error_text"),
     [(0x8130, "watchdog"), (0x4310, "motor over-temperature"), (0xFF01, "0xff01")],
 )
 def test_a_cia402_drive_says_what_its_fault_is(
-    cia402_bench: ProtocolBench, code: int, words: str
+    cia402_bench: ProtocolBench, error_code: int, error_text: str
 ) -> None:
     cia402_bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    first_cia402_node(cia402_bench).trip(code)
+    first_cia402_node(cia402_bench).trip(error_code)
     cia402_bench.received_frames += first_cia402_node(cia402_bench).wake(
         cia402_bench.simulated_hand.world.t_ns
     )  # type: ignore[arg-type]
-    assert words in error_of_first_drive(cia402_bench, DrivePhase.FAULT, DriveTarget.ENABLE, 10)
+    assert error_text in error_of_first_drive(
+        cia402_bench, DrivePhase.FAULT, DriveTarget.ENABLE, 10
+    )
 
 
 def test_another_rated_torque_is_refused(cia402_bench: ProtocolBench) -> None:

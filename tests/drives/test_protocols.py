@@ -41,7 +41,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
         assert state.position == pytest.approx(truth, abs=0.01)
         assert state.feedback_t_ns >= (bench.k - 2) * 2_000_000
     assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=0.001)
-    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
+    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, max_ticks=100)
     assert servo_torques(bench) == [0.0] * 4
     assert [state.misread for state in bench.states] == [0] * 4
     assert bench.simulated_hand.world.malformed == 0
@@ -56,7 +56,7 @@ def test_any_control_rate_that_the_watchdogs_allow_comes_to_torque(
     slow.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     for _ in range(5):
         slow.tick(DriveTarget.POLL)
-    slow.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED, ticks=200)
+    slow.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED, max_ticks=200)
     slow.simulated_hand.close()
 
 
@@ -69,10 +69,10 @@ def test_dead_host_loses_torque_until_an_operator_clears(bench: ProtocolBench) -
     for _ in range(35):
         bench.tick(DriveTarget.LISTEN)
     assert servo_torques(bench) == [0.0] * 4, "100 ms, and the watchdogs are set to 50 ms"
-    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.FAULT, ticks=100)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.FAULT, max_ticks=100)
     for state in bench.states:
         assert "watchdog" in state.error_text
-    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.FAULT, ticks=100)
+    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.FAULT, max_ticks=100)
     bench.clear()
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     assert [state.error for state in bench.states] == [0] * 4

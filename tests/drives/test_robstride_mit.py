@@ -36,9 +36,9 @@ def first_robstride_node(bench: ProtocolBench) -> RobstrideMitNode:
     return node
 
 
-def robstride_mit_drive(**options: object) -> RobstrideMitDrive:
+def robstride_mit_drive(**drive_options: object) -> RobstrideMitDrive:
     drive = make_drive(
-        motor_on_bench("robstride_mit", 5, 0.8, {"motor_type": "rs05", **options}), 0
+        motor_on_bench("robstride_mit", 5, 0.8, {"motor_type": "rs05", **drive_options}), 0
     )
     assert isinstance(drive, RobstrideMitDrive)
     return drive
@@ -56,14 +56,14 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
         assert state.torque == pytest.approx(0.05, abs=2 * TORQUE_STEP_N_M)
         assert state.temperature == pytest.approx(25.0, abs=0.5)
     assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=TORQUE_STEP_N_M)
-    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
+    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, max_ticks=100)
     assert servo_torques(bench) == [0.0] * 4
     assert [state.misread for state in bench.states] == [0] * 4
     assert world.malformed == 0
 
 
 @pytest.mark.parametrize(
-    ("fault", "words", "cause"),
+    ("fault_bits", "error_text", "fault_cause"),
     [
         (simulated.HOT_FAULT, "over-temperature", DriveFaultCause.HOT),
         (simulated.UNDER_VOLTAGE, "under-voltage", DriveFaultCause.VOLTAGE),
@@ -72,15 +72,15 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
     ],
 )
 def test_faults_are_read_before_torque_and_await_a_clear(
-    bench: ProtocolBench, fault: int, words: str, cause: DriveFaultCause
+    bench: ProtocolBench, fault_bits: int, error_text: str, fault_cause: DriveFaultCause
 ) -> None:
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
-    first_robstride_node(bench).trip(fault)
+    first_robstride_node(bench).trip(fault_bits)
     for _ in range(20):
         bench.tick(DriveTarget.POLL)
     drive, state = bench.drives[0], bench.states[0]
-    assert (state.phase, state.error_text) == (DrivePhase.FAULT, words)
-    assert drive.fault_cause(state.error) == cause
+    assert (state.phase, state.error_text) == (DrivePhase.FAULT, error_text)
+    assert drive.fault_cause(state.error) == fault_cause
     for _ in range(20):
         bench.tick(DriveTarget.ENABLE)
     assert bench.states[0].phase == DrivePhase.FAULT
@@ -122,7 +122,7 @@ def test_feedback_at_the_freezing_point_is_no_fault() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "wrong"),
+    ("drive_options", "expected_message"),
     [
         ({"motor_type": "rs02"}, "motor_type"),
         ({"host_id": 5}, "host_id"),
@@ -131,9 +131,11 @@ def test_feedback_at_the_freezing_point_is_no_fault() -> None:
         ({"watchdog": 1}, "watchdog"),
     ],
 )
-def test_a_wrong_option_is_refused_by_its_path(options: dict[str, object], wrong: str) -> None:
-    with pytest.raises(ConfigError, match=rf"motor\[m\].options.{wrong}"):
-        robstride_mit_drive(**options)
+def test_a_wrong_option_is_refused_by_its_path(
+    drive_options: dict[str, object], expected_message: str
+) -> None:
+    with pytest.raises(ConfigError, match=rf"motor\[m\].options.{expected_message}"):
+        robstride_mit_drive(**drive_options)
 
 
 def test_no_numbers_share_an_identifier() -> None:

@@ -58,43 +58,47 @@ def node() -> SensorNode:
 
 
 def encode_frames(
-    first_id: int, prefix: str, counter: int, values: Sequence[float], t_ns: int = 0
+    first_id: int,
+    message_prefix: str,
+    sync_counter: int,
+    sensor_values: Sequence[float],
+    t_ns: int = 0,
 ) -> list[Frame]:
     """Return frames of the sensor node as the DBC file encodes them.
 
     Each frame has only as many bytes as its channels need.
     """
     frames = []
-    for group in range(math.ceil(len(values) / 5)):
-        part = values[5 * group : 5 * group + 5]
+    for group in range(math.ceil(len(sensor_values) / 5)):
+        part = sensor_values[5 * group : 5 * group + 5]
         message = SENSOR_NODE_DBC.get_message_by_frame_id(first_id + group)
-        signals: dict[str, float] = {f"{prefix}_{5 * group + i}": 0 for i in range(5)}
-        signals |= {f"{prefix}_{5 * group + i}": value for i, value in enumerate(part)}
-        data = message.encode({**signals, "counter": counter}, scaling=False)
+        signals: dict[str, float] = {f"{message_prefix}_{5 * group + i}": 0 for i in range(5)}
+        signals |= {f"{message_prefix}_{5 * group + i}": value for i, value in enumerate(part)}
+        data = message.encode({**signals, "counter": sync_counter}, scaling=False)
         frames.append(Frame(first_id + group, data[: (4 + 12 * len(part) + 7) // 8], t_ns=t_ns))
     return frames
 
 
-def tick_of(node: SensorNode, nibble: int) -> int:
-    """Return the first tick whose SYNC counter has ``nibble`` as its lowest four bits."""
-    return next(k for k, counter in enumerate(node.counters) if counter & 0xF == nibble)
+def tick_with_counter_nibble(node: SensorNode, counter_nibble: int) -> int:
+    """Return the first tick whose SYNC counter has ``counter_nibble`` as its lowest four bits."""
+    return next(k for k, counter in enumerate(node.counters) if counter & 0xF == counter_nibble)
 
 
-@pytest.mark.parametrize("decimation", [1, 2, 3, 4, 5, 7, 8, 12, 16, 100, 256])
-def test_counters_keep_the_turn_of_the_joints(decimation: int) -> None:
-    made = sync_counters(decimation)
-    assert len(made) % decimation == 0
-    assert all(counter % decimation == k % decimation for k, counter in enumerate(made))
+@pytest.mark.parametrize("joint_decimation", [1, 2, 3, 4, 5, 7, 8, 12, 16, 100, 256])
+def test_counters_keep_the_turn_of_the_joints(joint_decimation: int) -> None:
+    made = sync_counters(joint_decimation)
+    assert len(made) % joint_decimation == 0
+    assert all(counter % joint_decimation == k % joint_decimation for k, counter in enumerate(made))
 
 
-@pytest.mark.parametrize("decimation", [1, 2, 3, 4, 5, 6, 7])
-def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
+@pytest.mark.parametrize("joint_decimation", [1, 2, 3, 4, 5, 6, 7])
+def test_no_age_of_a_frame_makes_it_fresh(joint_decimation: int) -> None:
     """A frame that is up to 7 ticks old never counts as a new frame.
 
     An even older frame may count as new by chance. Of 100 such frames, more than 40 still count as
     lost, which causes the fault B03b (many replies are being lost).
     """
-    nibbles = [counter & 0xF for counter in sync_counters(decimation)]
+    nibbles = [counter & 0xF for counter in sync_counters(joint_decimation)]
     n = len(nibbles)
     for age in range(1, 200):
         same = [
@@ -105,10 +109,10 @@ def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
         assert worst < 60, age
 
 
-def state_after_sync(node: SensorNode, k: int) -> WiredDrives:
+def state_after_sync(node: SensorNode, tick_index: int) -> WiredDrives:
     """Return the state that the host keeps about the sensor node, after the SYNC frame of tick k."""
     wired = WiredDrives((), node)
-    wired.begin_tick_with_sync(k)
+    wired.begin_tick_with_sync(tick_index)
     return wired
 
 
@@ -117,18 +121,22 @@ def state_after_sync(node: SensorNode, k: int) -> WiredDrives:
     st.lists(raw_codes, max_size=CHANNEL_COUNT),
     st.integers(0, 2**40),
 )
-def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int], k: int) -> None:
+def test_every_value_reads_as_the_dbc_says(
+    tension_codes: list[int], joint_codes: list[int], tick_index: int
+) -> None:
     node = SensorNode.from_description(
-        SensorNodeSection(tendons=TENDON_NAMES[: len(tensions)], joints=JOINT_NAMES[: len(joints)]),
+        SensorNodeSection(
+            tendons=TENDON_NAMES[: len(tension_codes)], joints=JOINT_NAMES[: len(joint_codes)]
+        ),
         0,
         TENDON_NAMES,
         JOINT_NAMES,
     )
-    wired, sync = state_after_sync(node, k), node.sync(k)
+    wired, sync = state_after_sync(node, tick_index), node.sync(tick_index)
     assert SENSOR_NODE_DBC.decode_message(sync.can_id, sync.data) == {"counter": sync.data[0]}
     nibble = sync.data[0] % 16
-    frames = encode_frames(0x1A0, "tension", nibble, tensions) + encode_frames(
-        0x1B0, "joint", nibble, joints
+    frames = encode_frames(0x1A0, "tension", nibble, tension_codes) + encode_frames(
+        0x1B0, "joint", nibble, joint_codes
     )
     wired.receive(frames)
     decoded: dict[str, Any] = {}
@@ -136,9 +144,9 @@ def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int
         decoded.update(
             SENSOR_NODE_DBC.decode_message(frame.can_id, frame.data, allow_truncated=True)
         )  # type: ignore[arg-type]
-    assert wired.tensions == {i: decoded[f"tension_{i}"] for i in range(len(tensions))}
+    assert wired.tensions == {i: decoded[f"tension_{i}"] for i in range(len(tension_codes))}
     assert wired.joints == pytest.approx(
-        {i: decoded[f"joint_{i}"] for i in range(len(joints))}, abs=1e-12
+        {i: decoded[f"joint_{i}"] for i in range(len(joint_codes))}, abs=1e-12
     )
     assert (wired.field_number("stale"), wired.has_malformed_frame) == (0, False)
 
@@ -152,32 +160,34 @@ def test_sensor_frames_are_decoded_to_known_values() -> None:
     node = SensorNode.from_description(
         SensorNodeSection(tendons=TENDON_NAMES[:3], joints=("j4",)), 0, TENDON_NAMES, JOINT_NAMES
     )
-    sync = node.sync(tick_of(node, 7))
+    sync = node.sync(tick_with_counter_nibble(node, 7))
     assert sync == Frame(0x080, sync.data)
     assert sync.data[0] & 0xF == 7
-    wired = state_after_sync(node, tick_of(node, 7)).receive(
+    wired = state_after_sync(node, tick_with_counter_nibble(node, 7)).receive(
         [Frame(0x1A0, bytes.fromhex("070600f1ff"))]
     )
     assert wired.tensions == {0: 0.0, 1: 10.0, 2: 249.9375}
-    wired = state_after_sync(node, tick_of(node, 7)).receive([Frame(0x1B0, bytes.fromhex("0780"))])
+    wired = state_after_sync(node, tick_with_counter_nibble(node, 7)).receive(
+        [Frame(0x1B0, bytes.fromhex("0780"))]
+    )
     assert wired.joints == {4: 0.0}
 
 
 @given(st.integers(0, 255), st.integers(0, 15))
-def test_only_the_answer_to_the_last_sync_counts(k: int, counter: int) -> None:
+def test_only_the_answer_to_the_last_sync_counts(tick_index: int, counter: int) -> None:
     node = SensorNode.from_description(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
-    wired = state_after_sync(node, k).receive(
+    wired = state_after_sync(node, tick_index).receive(
         encode_frames(0x1A0, "tension", counter, [100] * CHANNEL_COUNT)
     )
-    fresh = counter == node.sync(k).data[0] % 16
+    fresh = counter == node.sync(tick_index).data[0] % 16
     assert len(wired.tensions) == (CHANNEL_COUNT if fresh else 0)
     assert wired.field_number("stale") == (0 if fresh else 3)
     assert wired.field_number("tension_frames") == (3 if fresh else 0)
 
 
-@pytest.mark.parametrize(("base", "prefix"), [(0x1A0, "tension"), (0x1B0, "joint")])
+@pytest.mark.parametrize(("first_id", "message_prefix"), [(0x1A0, "tension"), (0x1B0, "joint")])
 def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(
-    node: SensorNode, base: int, prefix: str
+    node: SensorNode, first_id: int, message_prefix: str
 ) -> None:
     """If a stale frame arrives after the fresh frame of its tick, it is reported.
 
@@ -185,7 +195,7 @@ def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(
     frame again.
     """
     (fresh, *_), (stale, *_) = (
-        encode_frames(base, prefix, nibble, [7] * CHANNEL_COUNT) for nibble in (3, 2)
+        encode_frames(first_id, message_prefix, nibble, [7] * CHANNEL_COUNT) for nibble in (3, 2)
     )
     for frames, stale_now in (
         ([stale], 1),
@@ -193,18 +203,18 @@ def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(
         ([fresh, stale], 2),
         ([fresh, stale, stale], 2),
     ):
-        wired = state_after_sync(node, tick_of(node, 3)).receive(frames)
+        wired = state_after_sync(node, tick_with_counter_nibble(node, 3)).receive(frames)
         assert (wired.field_number("stale_now"), wired.field_number("stale")) == (
             stale_now,
             frames.count(stale),
         )
         assert len(wired.tensions or wired.joints) == (5 if fresh in frames else 0)
-    wired.begin_tick_with_sync(tick_of(node, 4))
+    wired.begin_tick_with_sync(tick_with_counter_nibble(node, 4))
     assert (wired.field_number("stale_now"), wired.field_number("stale")) == (0, 2)
 
 
 def test_a_stale_frame_changes_no_value(node: SensorNode) -> None:
-    wired = state_after_sync(node, tick_of(node, 3)).receive(
+    wired = state_after_sync(node, tick_with_counter_nibble(node, 3)).receive(
         encode_frames(0x1A0, "tension", 3, [160] * CHANNEL_COUNT, t_ns=5)
     )
     wired.receive(encode_frames(0x1A0, "tension", 4, [200] * CHANNEL_COUNT, t_ns=6))
@@ -214,7 +224,7 @@ def test_a_stale_frame_changes_no_value(node: SensorNode) -> None:
 
 
 def test_reading_is_new_once_and_missing_stays_missing(node: SensorNode) -> None:
-    wired = state_after_sync(node, tick_of(node, 1))
+    wired = state_after_sync(node, tick_with_counter_nibble(node, 1))
     first, second, _ = encode_frames(0x1A0, "tension", 1, range(CHANNEL_COUNT))
     assert list(wired.receive([second]).tensions) == [5, 6, 7, 8, 9]
     wired.begin_tick()
@@ -229,7 +239,7 @@ def test_times_are_in_the_order_of_the_hand() -> None:
         TENDON_NAMES[:7],
         JOINT_NAMES,
     )
-    wired = state_after_sync(node, tick_of(node, 0))
+    wired = state_after_sync(node, tick_with_counter_nibble(node, 0))
     groups = [node.group_of_tendon(i) for i in range(7)]
     assert groups == [0, 0, 0, 1, 0, 0, -1]
     assert wired.field_view("group_ns").tolist() == [-1] * 5
@@ -253,11 +263,11 @@ def test_a_hand_without_load_cells_has_no_reading() -> None:
     assert node.tension_frames == 0
 
 
-def without_unknown_counters(wired: WiredDrives) -> bytes:
+def without_unknown_counters(wired_drives: WiredDrives) -> bytes:
     """Return the bytes of the state block with the counters of unknown and malformed frames set to zero."""
-    block = wired.block.copy()
+    block = wired_drives.block.copy()
     for name in ("strange", "misread_now"):
-        wired.layout.view(block, name)[...] = 0
+        wired_drives.layout.view(block, name)[...] = 0
     return block.tobytes()
 
 
@@ -267,24 +277,26 @@ def without_unknown_counters(wired: WiredDrives) -> bytes:
     st.binary(max_size=64),
     st.integers(0, 2),
 )
-def test_any_sensor_frame_is_survived(can_id: int, mark: int, data: bytes, bus: int) -> None:
+def test_any_sensor_frame_is_survived(can_id: int, frame_flags: int, data: bytes, bus: int) -> None:
     node = SensorNode.from_description(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
     wired = state_after_sync(node, 5)
     before, here = without_unknown_counters(wired), bus == 0 and can_id in node.node_ids
-    wired.receive([Frame(can_id | mark, data, bus=bus)])
-    if mark or not here:
+    wired.receive([Frame(can_id | frame_flags, data, bus=bus)])
+    if frame_flags or not here:
         assert without_unknown_counters(wired) == before
-    assert len(wired.foreign_frames) == (bus == 0 and not mark and can_id in node.host_ids)
+    assert len(wired.foreign_frames) == (bus == 0 and not frame_flags and can_id in node.host_ids)
     assert wired.field_number("strange") == (
-        not wired.foreign_frames and not (here and mark in (0, ERROR_FLAG))
+        not wired.foreign_frames and not (here and frame_flags in (0, ERROR_FLAG))
     )
-    fits = here and mark == 0 and len(data) == node.lengths[node.ids.index(can_id)]
-    assert wired.has_malformed_frame == (here and mark != ERROR_FLAG and not fits)
+    fits = here and frame_flags == 0 and len(data) == node.lengths[node.ids.index(can_id)]
+    assert wired.has_malformed_frame == (here and frame_flags != ERROR_FLAG and not fits)
 
 
-@pytest.mark.parametrize("size", [0, 1, 7, 9, 64])
-def test_a_frame_of_a_wrong_length_is_counted_and_not_read(node: SensorNode, size: int) -> None:
-    wired = state_after_sync(node, 0).receive([Frame(0x1A0, bytes(size))])
+@pytest.mark.parametrize("frame_length", [0, 1, 7, 9, 64])
+def test_a_frame_of_a_wrong_length_is_counted_and_not_read(
+    node: SensorNode, frame_length: int
+) -> None:
+    wired = state_after_sync(node, 0).receive([Frame(0x1A0, bytes(frame_length))])
     assert wired.has_malformed_frame
     assert wired.tensions == {}
 
@@ -310,7 +322,7 @@ def test_the_simulated_node_and_the_host_agree(node: SensorNode) -> None:
         Frame(0x1A0, pack(3, [tension_code(force) for force in forces])),
         Frame(0x1B0, pack(3, [joint_code(angle) for angle in angles])),
     ]
-    wired = state_after_sync(node, tick_of(node, 3)).receive(frames)
+    wired = state_after_sync(node, tick_with_counter_nibble(node, 3)).receive(frames)
     assert list(wired.tensions.values()) == pytest.approx(forces, abs=0.0625 / 2)
     assert list(wired.joints.values()) == pytest.approx(angles, abs=math.pi / 4096)
 
@@ -318,7 +330,7 @@ def test_the_simulated_node_and_the_host_agree(node: SensorNode) -> None:
 def test_a_frame_group_counts_its_frames(node: SensorNode) -> None:
     wired = WiredDrives((), node)
     for k in (5, 6):
-        sync = wired.begin_tick_with_sync(tick_of(node, k))
+        sync = wired.begin_tick_with_sync(tick_with_counter_nibble(node, k))
         wired.receive(encode_frames(0x1A0, "tension", k & 0xF, [1.0] * CHANNEL_COUNT, t_ns=k))
     assert wired.field_number("sync_asked") == 6
     assert wired.field_number("syncs") == 2
@@ -331,7 +343,9 @@ def test_a_frame_group_counts_its_frames(node: SensorNode) -> None:
 
 
 def test_stale_and_unreadable_values_are_counted_separately(node: SensorNode) -> None:
-    wired = state_after_sync(node, tick_of(node, 1)).receive([Frame(0x1A0, bytes(3))])
+    wired = state_after_sync(node, tick_with_counter_nibble(node, 1)).receive(
+        [Frame(0x1A0, bytes(3))]
+    )
     (good, *_) = encode_frames(0x1A0, "tension", 2, [1.0] * CHANNEL_COUNT)
     wired.receive([good])
     assert (wired.has_malformed_frame, wired.field_number("stale")) == (True, 1)

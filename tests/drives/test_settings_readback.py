@@ -28,19 +28,19 @@ def test_each_setting_has_its_own_tries() -> None:
     assert readback.request_setting(cursor.next_setting(), "second", 1)[1], "at once"
 
 
-@pytest.mark.parametrize("writes", [0, 1, 3])
-def test_wrong_setting_is_written_and_read_again(writes: int) -> None:
+@pytest.mark.parametrize("lost_writes", [0, 1, 3])
+def test_wrong_setting_is_written_and_read_again(lost_writes: int) -> None:
     cursor = ReadbackCursor(2, sent_ns=5, tries=1)
-    for number in range(writes):
-        cursor, problem = readback.on_wrong_value(cursor, "limit", "3", "4", writes)
+    for number in range(lost_writes):
+        cursor, problem = readback.on_wrong_value(cursor, "limit", "3", "4", lost_writes)
         assert (cursor, problem) == (ReadbackCursor(2, writing=True, written=number), "")
         cursor = cursor.after_write()
         assert cursor == ReadbackCursor(2, written=number + 1)
         cursor, send, _ = readback.request_setting(cursor, "limit", 7)
         assert send
-    after, problem = readback.on_wrong_value(cursor, "limit", "3", "4", writes)
+    after, problem = readback.on_wrong_value(cursor, "limit", "3", "4", lost_writes)
     assert after == cursor
-    assert problem == f"limit reads 3{' after writing' if writes else ''}, expected 4"
+    assert problem == f"limit reads 3{' after writing' if lost_writes else ''}, expected 4"
 
 
 def test_a_setting_that_is_read_again_while_enabled() -> None:

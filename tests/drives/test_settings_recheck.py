@@ -37,14 +37,20 @@ def enabled_mit_drive(node_id: int) -> tuple[MitDrive, object]:
     return drive, state
 
 
-def run_drive(drive: MitDrive, state, ticks: int, registers: dict[int, float], heard: bool = True):
+def run_drive(
+    drive: MitDrive,
+    state,
+    tick_count: int,
+    register_values: dict[int, float],
+    motor_is_heard: bool = True,
+):
     """Run a drive whose motor replies to commands and requests.
 
     Return the final state, and the tick and the register of each request.
     """
     asked = []
     feedback = bytes((codec.ENABLED << 4 | drive.node_id & 0xF, 0x80, 0, 0x7F, 0xF7, 0xFF, 25, 25))
-    for k in range(ticks):
+    for k in range(tick_count):
         state, frames = drive.advance(state, k * TICK_NS, DriveTarget.ENABLE, 0.1)
         if state.phase != DrivePhase.ENABLED:
             break
@@ -53,8 +59,8 @@ def run_drive(drive: MitDrive, state, ticks: int, registers: dict[int, float], h
             if frame.can_id == codec.BROADCAST_ID:
                 register = frame.data[3]
                 asked.append((k, register))
-                answer = frame.data[:4] + codec.register_bytes(register, registers[register])
-                if not heard:
+                answer = frame.data[:4] + codec.register_bytes(register, register_values[register])
+                if not motor_is_heard:
                     continue
             state = drive.receive(state, Frame(drive.reply_id, answer, 0, 0, k * TICK_NS + 1000))
     return state, asked
@@ -86,11 +92,11 @@ def test_no_two_of_eleven_motors_ask_in_one_tick():
     assert len(set(ticks)) == 11
 
 
-@pytest.mark.parametrize("lost", [{codec.TIMEOUT: 0}, {codec.TMAX: 10.0}])
+@pytest.mark.parametrize("lost_register", [{codec.TIMEOUT: 0}, {codec.TMAX: 10.0}])
 @pytest.mark.parametrize("node_id", [2, 0x12])
-def test_a_lost_register_is_a_mismatch_within_a_second(node_id, lost):
+def test_a_lost_register_is_a_mismatch_within_a_second(node_id, lost_register):
     drive, state = enabled_mit_drive(node_id)
-    state, asked = run_drive(drive, state, 600, CORRECT_REGISTERS | lost)
+    state, asked = run_drive(drive, state, 600, CORRECT_REGISTERS | lost_register)
     assert state.phase == DrivePhase.FAULT
     assert drive.fault_cause(state.error) == DriveFaultCause.MISMATCH
     assert "while enabled" in state.error_text
@@ -100,11 +106,11 @@ def test_a_lost_register_is_a_mismatch_within_a_second(node_id, lost):
 def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
     drive, state = enabled_mit_drive(3)
     few, _ = run_drive(
-        drive, state, 250 * (readback.RECHECK_TRIES - 1), CORRECT_REGISTERS, heard=False
+        drive, state, 250 * (readback.RECHECK_TRIES - 1), CORRECT_REGISTERS, motor_is_heard=False
     )
     assert few.phase == DrivePhase.ENABLED
     many, asked = run_drive(
-        drive, state, 250 * (readback.RECHECK_TRIES + 1), CORRECT_REGISTERS, heard=False
+        drive, state, 250 * (readback.RECHECK_TRIES + 1), CORRECT_REGISTERS, motor_is_heard=False
     )
     assert many.phase == DrivePhase.FAULT
     assert "not answered while enabled" in many.error_text

@@ -102,7 +102,7 @@ def test_the_packaged_hand_on_two_buses_has_sync_on_both() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "expected"),
+    ("original_text", "replacement_text", "expected_senders"),
     [
         ("sync_id = 128", "sync_id = 255", ["middle_motor", "thumb_motor"]),
         (
@@ -113,7 +113,7 @@ def test_the_packaged_hand_on_two_buses_has_sync_on_both() -> None:
     ],
 )
 def test_one_drive_of_a_bus_sends_sync(
-    old: str, new: str, expected: list[str], tmp_path: Path
+    original_text: str, replacement_text: str, expected_senders: list[str], tmp_path: Path
 ) -> None:
     """If the sensor node uses another identifier than SYNC, a drive sends SYNC.
 
@@ -121,9 +121,9 @@ def test_one_drive_of_a_bus_sends_sync(
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
-    assert sync_sender_names(load_hand(str(path))) == expected
+    assert original_text in text
+    path.write_text(text.replace(original_text, replacement_text, 1))
+    assert sync_sender_names(load_hand(str(path))) == expected_senders
 
 
 def test_other_protocols_have_no_sync(tmp_path: Path) -> None:

@@ -19,19 +19,22 @@ MEASURED_TICKS = 400
 PERIOD_NS = 4_000_000
 
 
-def planned_tick_s(path: Path, period_ns: int = PERIOD_NS) -> list[float]:
+def planned_tick_s(hand_path: Path, period_ns: int = PERIOD_NS) -> list[float]:
     """Return the planned bus time per tick on each bus [s].
 
     This time includes the frames that nodes send by a timer.
     """
     return [
-        load.load_at(1e9 / period_ns) * period_ns * 1e-9 for load in bus_loads(load_hand(str(path)))
+        load.load_at(1e9 / period_ns) * period_ns * 1e-9
+        for load in bus_loads(load_hand(str(hand_path)))
     ]
 
 
-def measured_tick_s(path: Path, wire: Sequence[str], period_ns: int = PERIOD_NS) -> list[float]:
+def measured_tick_s(
+    hand_path: Path, wire_words: Sequence[str], period_ns: int = PERIOD_NS
+) -> list[float]:
     """Return the mean measured bus time of a tick on each bus [s] while the drives are enabled."""
-    bench = ProtocolBench(path, wire, period_ns)
+    bench = ProtocolBench(hand_path, wire_words, period_ns)
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     assert bench.simulated_hand.wired
     wires = bench.simulated_hand.wired.wires
@@ -118,16 +121,17 @@ def test_the_same_wire_gives_the_same_answers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("adapter", "ticks"), [("none", 1), ("usb-hs", 1), ("spi", 1), ("usb-fs", 2), ("ftdi", 8)]
+    ("adapter_class", "delay_ticks"),
+    [("none", 1), ("usb-hs", 1), ("spi", 1), ("usb-fs", 2), ("ftdi", 8)],
 )
 def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(
-    adapter: str, ticks: int, tmp_path: Path
+    adapter_class: str, delay_ticks: int, tmp_path: Path
 ) -> None:
     """With each class of USB adapter, the drives become ready at 250 Hz.
 
     Because of the latency of the adapter, some ticks get no feedback.
     """
-    bench = ProtocolBench(hand_file(tmp_path, ["mit"]), [f"adapter={adapter}"], PERIOD_NS)
+    bench = ProtocolBench(hand_file(tmp_path, ["mit"]), [f"adapter={adapter_class}"], PERIOD_NS)
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY, 1000)
     silent = longest = 0
     for _ in range(100):
@@ -135,5 +139,5 @@ def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(
         bench.tick(DriveTarget.POLL)
         silent = silent + 1 if bench.states[0].feedback_count == before else 0
         longest = max(longest, silent)
-    assert ticks // 2 - 1 <= longest < ticks
+    assert delay_ticks // 2 - 1 <= longest < delay_ticks
     bench.simulated_hand.close()

@@ -31,14 +31,16 @@ class VirtualBench:
 
     name = "bench"
 
-    def __init__(self, protocol, fault="", inertia=None, delay_ticks=0, **options):
+    def __init__(
+        self, protocol, drive_fault="", shaft_inertia=None, delay_ticks=0, **drive_options
+    ):
         """Put a simulated drive on the bench.
 
         The drive may have a fault, and its frames may have a delay in ticks.
         """
-        spec = drive_spec(protocol, DRIVE_NODE_ID, inertia=inertia)
+        spec = drive_spec(protocol, DRIVE_NODE_ID, inertia=shaft_inertia)
         self.bench = SimulatedDriveBench(
-            [replace(spec, options=options or spec.options)], fault=fault
+            [replace(spec, options=drive_options or spec.options)], fault=drive_fault
         )
         self.frames_on_bus, self.largest_torque, self.origin_ns = [], 0.0, 0
         self.delayed_frames = [
@@ -86,12 +88,12 @@ class VirtualBench:
         return []
 
 
-def drive_rig_on(virtual_bench, protocol, torque_limit, options=None):
+def drive_rig_on(virtual_bench, protocol, torque_limit, drive_options=None):
     """Return a host that commands the drive of a bench with a torque of at most ``torque_limit`` [N m]."""
     motor = motor_on_bench(
         protocol,
         DRIVE_NODE_ID,
         torque_limit,
-        OPTIONS_BY_PROTOCOL[protocol] if options is None else options,
+        OPTIONS_BY_PROTOCOL[protocol] if drive_options is None else drive_options,
     )
     return DriveRig(make_drive(motor, 0), virtual_bench, virtual_bench)

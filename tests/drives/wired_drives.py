@@ -56,13 +56,13 @@ class WiredDrives:
         for i, state in enumerate(self.states):
             self.store_drive_state(i, state)
 
-    def field_view(self, name: str) -> NDArray:
+    def field_view(self, field_name: str) -> NDArray:
         """Return a field of the block."""
-        return self.layout.view(self.block, name)
+        return self.layout.view(self.block, field_name)
 
-    def field_number(self, name: str) -> int:
+    def field_number(self, field_name: str) -> int:
         """Return a single number of the state block by its name."""
-        return int(self.field_view(name)[0])
+        return int(self.field_view(field_name)[0])
 
     def begin_tick(self) -> None:
         """Begin a tick without changing the number and the time of the tick."""
@@ -125,26 +125,29 @@ class WiredDrives:
             sent += frames
             first += 1
 
-    def store_drive_state(self, i: int, known: DriveState) -> None:
+    def store_drive_state(self, drive_index: int, drive_state: DriveState) -> None:
         """Store the state of drive i. The values of the drive go into the state block."""
         drive, whole, table = (
-            self.drives[i],
+            self.drives[drive_index],
             *(self.layout.table(self.block, name) for name in ("tendon_int", "tendon")),
         )
-        table[s.POSITION : s.POSITION + 4, i] = known[1:5]
-        whole[s.FEEDBACKS, i], whole[s.FEEDBACK_NS, i] = known.feedback_count, known.feedback_t_ns
-        whole[s.RECHECK_STEP : s.RECHECK_TRIES + 1, i] = known.recheck
-        whole[s.PHASE, i] = known.phase
-        whole[s.STATUS_EXPECTED, i], whole[s.DUE_NS, i] = (
-            drive.steady_status(known),
-            drive.due_ns(known),
+        table[s.POSITION : s.POSITION + 4, drive_index] = drive_state[1:5]
+        whole[s.FEEDBACKS, drive_index], whole[s.FEEDBACK_NS, drive_index] = (
+            drive_state.feedback_count,
+            drive_state.feedback_t_ns,
         )
-        self.states[i] = known
+        whole[s.RECHECK_STEP : s.RECHECK_TRIES + 1, drive_index] = drive_state.recheck
+        whole[s.PHASE, drive_index] = drive_state.phase
+        whole[s.STATUS_EXPECTED, drive_index], whole[s.DUE_NS, drive_index] = (
+            drive.steady_status(drive_state),
+            drive.due_ns(drive_state),
+        )
+        self.states[drive_index] = drive_state
 
-    def drive_state(self, i: int) -> DriveState:
+    def drive_state(self, drive_index: int) -> DriveState:
         """Return the state of drive i with its values from the block."""
         table, whole = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
-        return self.states[i].with_values(*drive_values(table, whole, i))
+        return self.states[drive_index].with_values(*drive_values(table, whole, drive_index))
 
     # Readings that the sensor node has sent.
 

@@ -28,18 +28,21 @@ from tests.runtime.processes import (
 EXAMPLES_FOLDER = Path(__file__).parents[2] / "examples"
 REALTIME = pytest.mark.realtime
 TIME_SCALE = 1.0
-BLUE = np.array([0x1F, 0x77, 0xB4]) / 255
+LINE_BLUE_RGB = np.array([0x1F, 0x77, 0xB4]) / 255
 """First colour of lines in matplotlib."""
 
 
 @contextmanager
-def hand_serving(*words):
+def hand_serving(*simulator_options):
     """Run a simulator beside an example program.
 
     The ``with`` block begins when the simulator is ready.
     """
     process = subprocess.Popen(
-        [sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        [sys.executable, *simulator_options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
     )
     try:
         assert select.select([process.stdout], [], [], READY_TIMEOUT_S)[0], "no ready line"
@@ -69,25 +72,25 @@ def grasp_log(tmp_path_factory):
     return path
 
 
-def run_example(name, *words, stdin=""):
+def run_example(example_name, *example_arguments, stdin_text=""):
     """Run an example program and return its output."""
-    command = [sys.executable, str(EXAMPLES_FOLDER / name), *words]
+    command = [sys.executable, str(EXAMPLES_FOLDER / example_name), *example_arguments]
     ran = subprocess.run(
-        command, capture_output=True, text=True, timeout=280, input=stdin, check=False
+        command, capture_output=True, text=True, timeout=280, input=stdin_text, check=False
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
     assert "Traceback" not in ran.stderr
     return ran.stdout
 
 
-def numbers_in(text):
+def numbers_in(printed_text):
     """Return all numbers that a text contains."""
-    return [float(number) for number in re.findall(r"-?\d+(?:\.\d+)?", text)]
+    return [float(number) for number in re.findall(r"-?\d+(?:\.\d+)?", printed_text)]
 
 
-def check_picture(name):
+def check_picture(picture_name):
     """Check that a picture has several colours on a white background."""
-    picture = imread(name)[..., :3]
+    picture = imread(picture_name)[..., :3]
     colours = np.unique(picture.reshape(-1, 3).round(1), axis=0)
     assert len(colours) > 5
     assert (picture > 0.99).all(axis=-1).mean() > 0.5
@@ -149,7 +152,7 @@ def test_retarget(repeat_time_scale):
 def test_teleoperate(repeat_time_scale):
     with simulated_hand(repeat_time_scale, "--scene", "none") as options:
         out = run_example(
-            "teleoperate.py", *options, stdin="index=40 middle=20\nnonsense\nthumb=10\n"
+            "teleoperate.py", *options, stdin_text="index=40 middle=20\nnonsense\nthumb=10\n"
         )
     angles = np.array(numbers_in(out.partition("StreamStatus")[0]))
     assert np.abs(angles[:3].mean() - 40.0) < 3.0
@@ -245,7 +248,7 @@ def test_train_policy_begins():
     check_picture("training.png")
     picture = imread("training.png")[..., :3]
     left = picture[:, : picture.shape[1] // 3]
-    assert (np.abs(left - BLUE).max(axis=-1) < 0.02).any(), "a single reward is visible"
+    assert (np.abs(left - LINE_BLUE_RGB).max(axis=-1) < 0.02).any(), "a single reward is visible"
 
 
 @pytest.mark.nightly

@@ -110,14 +110,14 @@ def test_fault_free_run_alone_continues_its_seeds():
     assert (seeds, report.all_results, report.simulated_s) == ([(500, 30.0, 76)], [], 30.0)
 
 
-def alarms_of_run(phase, *texts):
+def alarms_of_run(last_phase, *event_texts):
     """Return the false alarms of a run without injected faults.
 
     In this run, the hand stays in one phase for eight seconds, and reports the given faults in each
     second.
     """
-    events = tuple(TickEvent("warn", "fault", "", text) for text in texts)
-    out = SimpleNamespace(mode=HandMode.ACTIVE, phase=phase, events=events)
+    events = tuple(TickEvent("warn", "fault", "", text) for text in event_texts)
+    out = SimpleNamespace(mode=HandMode.ACTIVE, phase=last_phase, events=events)
 
     @contextlib.contextmanager
     def simulate_one_phase(hand, rate_hz, seed, perturb):
@@ -232,9 +232,9 @@ def test_a_reaction_to_another_fault_does_not_count():
     assert not result.ok
 
 
-@pytest.mark.parametrize(("name", "rate_hz"), [("jamia", RATE_HZ), ("jamia11", 200.0)])
-def test_a_free_motion_is_disturbed_while_it_moves(name, rate_hz):
-    with homed_run(hand_with_protocol(name, "mit"), rate_hz, 0) as simulation:
+@pytest.mark.parametrize(("fault_name", "rate_hz"), [("jamia", RATE_HZ), ("jamia11", 200.0)])
+def test_a_free_motion_is_disturbed_while_it_moves(fault_name, rate_hz):
+    with homed_run(hand_with_protocol(fault_name, "mit"), rate_hz, 0) as simulation:
         advance_to_stage(simulation, ARMING_STAGE)
         advance_to_stage(simulation, FREE_STAGE)
         free = [out for _, out in simulation.recorded_ticks if out.phase == "free"]
@@ -274,14 +274,14 @@ def test_silent_joint_encoders_are_detected(joint):
 
 
 def results_of_hand(
-    name: str, seed: int, wanted: dict[str, tuple[str, ...]], protocol: str = "mit"
+    hand_name: str, seed: int, faults_by_stage: dict[str, tuple[str, ...]], protocol: str = "mit"
 ) -> dict[str, ScenarioResult]:
     """Return the results of a hand's scenarios by name, with the catalogue rows that each stage runs."""
-    hand = hand_with_protocol(name, protocol)
+    hand = hand_with_protocol(hand_name, protocol)
     rate = default_rate(hand)
     results: list[ScenarioResult] = []
     with homed_run(hand, rate, seed) as simulation:
-        for stage, rows in wanted.items():
+        for stage, rows in faults_by_stage.items():
             advance_to_stage(simulation, stage)
             todo = [
                 one

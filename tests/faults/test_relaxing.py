@@ -56,7 +56,7 @@ The bound neglects capstan friction and contacts.
 """
 
 
-class TendonInstant(NamedTuple):
+class TrueTendonState(NamedTuple):
     """True state of the tendons: motor force at the tendon [N], tension [N], and speed at the spool [m/s]."""
 
     force: np.ndarray
@@ -64,14 +64,14 @@ class TendonInstant(NamedTuple):
     speed: np.ndarray
 
 
-def observe_instant(simulation: SimulatedRun) -> TendonInstant:
+def observe_instant(simulation: SimulatedRun) -> TrueTendonState:
     peer: Any = simulation.simulated_hand
     spool = simulation.controller.model.space.spool
     motors = [
         peer.world.plant.motors[motor.name] for motor in simulation.controller.model.hand.motor
     ]
     torque = np.array([motor.command for motor in motors])
-    return TendonInstant(
+    return TrueTendonState(
         torque / spool,
         np.array(peer.truth()["tension"]),
         np.array([m.omega for m in motors]) * spool,
@@ -79,7 +79,7 @@ def observe_instant(simulation: SimulatedRun) -> TendonInstant:
 
 
 def tension_bound(
-    simulation: SimulatedRun, decided: TendonInstant, force: np.ndarray
+    simulation: SimulatedRun, decision_instant: TrueTendonState, motor_force: np.ndarray
 ) -> np.ndarray:
     """Return the largest tension (N,) that the motion of each rotor and the stretch of its tendon explain [N].
 
@@ -88,12 +88,14 @@ def tension_bound(
     sqrt((F - T)^2 + k m v^2). While the finger moves freely, the force accelerates the rotor.
     """
     space = simulation.controller.model.space
-    largest = np.maximum(force, 0.0)
-    gained = np.abs(decided.speed) + largest / space.motor_mass * COMMAND_DELAY_S * (
-        decided.tension < 10.0
+    largest = np.maximum(motor_force, 0.0)
+    gained = np.abs(decision_instant.speed) + largest / space.motor_mass * COMMAND_DELAY_S * (
+        decision_instant.tension < 10.0
     )
-    stretch = (largest - decided.tension) ** 2 + space.stiffness * space.motor_mass * gained**2
-    return np.maximum(largest + np.sqrt(stretch), decided.tension) + BOUND_MARGIN_N
+    stretch = (
+        largest - decision_instant.tension
+    ) ** 2 + space.stiffness * space.motor_mass * gained**2
+    return np.maximum(largest + np.sqrt(stretch), decision_instant.tension) + BOUND_MARGIN_N
 
 
 @pytest.mark.parametrize(("hand_name", "protocol", "seed"), SAMPLED_CASES)
@@ -123,18 +125,20 @@ def test_relaxing_raises_no_command_and_no_tension(
         check_relaxing(simulation, stop_at, round(COMMAND_DELAY_S * rate), fault)
 
 
-def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: str) -> None:
-    recent: list[TendonInstant] = [observe_instant(simulation)]
+def check_relaxing(
+    simulation: SimulatedRun, stop_tick: int, window_ticks: int, fault_command: str
+) -> None:
+    recent: list[TrueTendonState] = [observe_instant(simulation)]
     # A drive with a delay may still execute a command from before the stop. The largest command
     # therefore includes these commands.
     commanded = [simulation.state.view("asked").copy()]
     while simulation.state.mode == HandMode.ACTIVE:
-        simulation.run_tick(requests=(STOP_REQUEST,) if simulation.k == stop_at else ())
+        simulation.run_tick(requests=(STOP_REQUEST,) if simulation.k == stop_tick else ())
         recent.append(observe_instant(simulation))
         commanded.append(simulation.state.view("asked").copy())
     decided = recent[-2]
     before = np.nanmax(
-        [*(one.force for one in recent[-window:]), *commanded[-window - 1 : -1]], axis=0
+        [*(one.force for one in recent[-window_ticks:]), *commanded[-window_ticks - 1 : -1]], axis=0
     )
     last = simulation.state.view("asked").copy()
     peak = decided.tension
@@ -147,7 +151,7 @@ def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: s
         command = simulation.state.view("asked").copy()
         if simulation.state.mode == mode == HandMode.RELAX:
             rises = command > np.maximum(last, 0.0)
-            assert not rises.any(), f"{fault}: {command} after {last}"
+            assert not rises.any(), f"{fault_command}: {command} after {last}"
         last = command
         now = observe_instant(simulation)
         peak = np.maximum(peak, now.tension)
@@ -155,22 +159,22 @@ def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: s
     # A faulty drive may make more force than commanded. Even then, the force must not exceed the
     # force before the decision to relax.
     assert (force <= np.maximum(before, 0.0) + COMMAND_ROUNDING_N).all(), (
-        f"{fault}: {force} after {before}"
+        f"{fault_command}: {force} after {before}"
     )
     bound = tension_bound(simulation, decided, before)
     assert (peak <= bound).all(), (
-        f"{fault}: {peak} N, at most {bound} N are explained, from {decided}"
+        f"{fault_command}: {peak} N, at most {bound} N are explained, from {decided}"
     )
     assert simulation.state.mode == HandMode.DONE
     assert not math.isnan(float(peak.max()))
 
 
 @pytest.mark.parametrize(
-    "fault", ["cross node=index_motor with=middle_motor", "late node=index_motor size=25"]
+    "fault_command", ["cross node=index_motor with=middle_motor", "late node=index_motor size=25"]
 )
 @pytest.mark.parametrize("seed", range(20) if NIGHTLY else [0])
 def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_digit(
-    fault: str, seed: int
+    fault_command: str, seed: int
 ) -> None:
     """Reproduce a defect.
 
@@ -185,7 +189,7 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
             "free", out, free_ticks := free_ticks + (out.phase == "free")
         ):
             out = simulation.run_tick()
-        simulation.simulated_hand.inject(fault)
+        simulation.simulated_hand.inject(fault_command)
         assert simulation.run_until(lambda out: out.mode == HandMode.RELAX, 2.0)
         found = {mark.id for mark in simulation.state.latched}
         # With some seeds, the unstable loop first makes the tension too large (T03), or makes the
@@ -195,7 +199,7 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
             table, model = simulation.state.tendon, simulation.controller.model
             explained = np.maximum(table[s.TENSION], model.relaxed) + model.space.coulomb
             assert (simulation.state.view("asked") <= explained + SETPOINT_MARGIN_N).all()
-        if fault.startswith("cross"):
+        if fault_command.startswith("cross"):
             peak = 0.0
             while simulation.run_tick().mode != HandMode.DONE:
                 peak = max(peak, *simulation.simulated_hand.truth()["tension"])

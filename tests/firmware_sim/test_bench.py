@@ -21,32 +21,36 @@ NS_PER_MS = 1_000_000
 ENABLE_PAYLOAD = b"\xff" * 7 + b"\xfc"
 
 
-def read_register(bench: SimulatedDriveBench, node: int, number: int) -> bytes:
-    (reply,) = bench.receive(Frame(0x7FF, bytes((node, 0, 0x33, number, 0, 0, 0, 0))))
-    assert reply.can_id == node + 0x10
+def read_register(bench: SimulatedDriveBench, node_id: int, register_number: int) -> bytes:
+    (reply,) = bench.receive(Frame(0x7FF, bytes((node_id, 0, 0x33, register_number, 0, 0, 0, 0))))
+    assert reply.can_id == node_id + 0x10
     return reply.data[4:]
 
 
-@pytest.mark.parametrize("kind", mit_bench.MOTOR_TYPE_RANGES)
-def test_an_mit_motor_has_the_manufacturers_ranges_and_no_watchdog(kind: str) -> None:
-    bench = SimulatedDriveBench([drive_spec("mit", 2, kind), drive_spec("mit", 5, kind)])
+@pytest.mark.parametrize("motor_type", mit_bench.MOTOR_TYPE_RANGES)
+def test_an_mit_motor_has_the_manufacturers_ranges_and_no_watchdog(motor_type: str) -> None:
+    bench = SimulatedDriveBench(
+        [drive_spec("mit", 2, motor_type), drive_spec("mit", 5, motor_type)]
+    )
     for node in (2, 5):
         ranges = [
             struct.unpack("<f", read_register(bench, node, number))[0] for number in (21, 22, 23)
         ]
-        assert ranges == pytest.approx(mit_bench.MOTOR_TYPE_RANGES[kind])
+        assert ranges == pytest.approx(mit_bench.MOTOR_TYPE_RANGES[motor_type])
         assert read_register(bench, node, 9) == bytes(4)
         assert read_register(bench, node, 35) == b"\4\0\0\0"
 
 
 @pytest.mark.parametrize(
-    ("kind", "ratio"),
+    ("motor_type", "expected_ratio"),
     [("dm3507", 7), ("dm4310", 10), ("dm4310v", 10), ("dm4340", 40), ("dm6248", 48), ("dm8009", 9)],
 )
-def test_an_mit_motor_reads_the_gear_ratio_of_its_type(kind: str, ratio: int) -> None:
+def test_an_mit_motor_reads_the_gear_ratio_of_its_type(
+    motor_type: str, expected_ratio: int
+) -> None:
     """Reproduce a defect: each motor type reported the ratio 16, so the client i2rt refused all of them."""
-    bench = SimulatedDriveBench([drive_spec("mit", 2, kind)])
-    assert struct.unpack("<f", read_register(bench, 2, 20)) == (ratio,)
+    bench = SimulatedDriveBench([drive_spec("mit", 2, motor_type)])
+    assert struct.unpack("<f", read_register(bench, 2, 20)) == (expected_ratio,)
 
 
 def test_a_motor_set_to_fd_reports_it_and_answers_in_fd() -> None:
@@ -89,14 +93,14 @@ def test_an_odrive_follows_positions_and_velocities() -> None:
 
 
 def bench_and_speed_at(
-    protocol: str, torque: float, kind: str = "", inertia: float | None = None
+    protocol: str, torque: float, motor_type: str = "", inertia: float | None = None
 ) -> tuple[SimulatedDriveBench, float]:
     """Command a torque [N m] for five seconds.
 
     Return the bench, and the final speed of the shaft [rad/s].
     """
-    bench = SimulatedDriveBench([drive_spec(protocol, 2, kind, inertia=inertia)])
-    spec = drive_spec(protocol, 2, kind)
+    bench = SimulatedDriveBench([drive_spec(protocol, 2, motor_type, inertia=inertia)])
+    spec = drive_spec(protocol, 2, motor_type)
     code = round((torque / spec.torque_max + 1.0) / 2.0 * 4095)
     bench.receive(Frame(2, ENABLE_PAYLOAD))
     for _ in range(50):
@@ -105,15 +109,15 @@ def bench_and_speed_at(
     return bench, bench.motors[0].omega
 
 
-@pytest.mark.parametrize("kind", sorted(mit_bench.MOTOR_TYPE_RANGES))
+@pytest.mark.parametrize("motor_type", sorted(mit_bench.MOTOR_TYPE_RANGES))
 @pytest.mark.parametrize("inertia", [None, 2e-5], ids=["free shaft", "light shaft"])
 def test_a_damiao_motor_turns_no_faster_than_its_no_load_speed(
-    kind: str, inertia: float | None
+    motor_type: str, inertia: float | None
 ) -> None:
     """Reproduce a defect: 1 N m drove a DM4310 motor to 76 rad/s, although its speed without load is 21 rad/s."""
-    shaft = mit_bench.shaft_of_mit_motor(kind)
+    shaft = mit_bench.shaft_of_mit_motor(motor_type)
     for sign in (1.0, -1.0):
-        _, speed = bench_and_speed_at("mit", sign * 0.1 * shaft.peak, kind, inertia)
+        _, speed = bench_and_speed_at("mit", sign * 0.1 * shaft.peak, motor_type, inertia)
         assert 0.9 * shaft.top_speed < sign * speed <= shaft.top_speed
 
 
@@ -122,10 +126,10 @@ def test_a_dm4310_turns_at_200_rpm_at_one_newton_metre() -> None:
     assert speed == pytest.approx(200.0 / 60.0 * math.tau, rel=0.01)
 
 
-@pytest.mark.parametrize("kind", sorted(cubemars.FULL_SCALE))
-def test_a_cubemars_motor_turns_no_faster_than_its_no_load_speed(kind: str) -> None:
-    shaft = cubemars.shaft_of_motor(kind)
-    _, speed = bench_and_speed_at("mit", 0.1 * shaft.peak, kind)
+@pytest.mark.parametrize("motor_type", sorted(cubemars.FULL_SCALE))
+def test_a_cubemars_motor_turns_no_faster_than_its_no_load_speed(motor_type: str) -> None:
+    shaft = cubemars.shaft_of_motor(motor_type)
+    _, speed = bench_and_speed_at("mit", 0.1 * shaft.peak, motor_type)
     assert 0.9 * shaft.top_speed < speed <= shaft.top_speed
 
 
@@ -224,11 +228,11 @@ def test_the_current_limit_of_an_odrive_acts() -> None:
     assert bench.motors[0].torque == pytest.approx(4.0 * odrive_bench.TORQUE_CONSTANT, rel=0.01)
 
 
-@pytest.mark.parametrize("command", [0x00, 0x03, 0x06, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D])
-def test_an_odrive_answers_an_empty_data_frame_as_a_request(command: int) -> None:
+@pytest.mark.parametrize("command_number", [0x00, 0x03, 0x06, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D])
+def test_an_odrive_answers_an_empty_data_frame_as_a_request(command_number: int) -> None:
     bench = SimulatedDriveBench([drive_spec("odrive", 3)])
-    (remote,) = bench.receive(Frame(3 << 5 | command | REMOTE_FLAG, b""))
-    (data,) = bench.receive(Frame(3 << 5 | command, b""))
+    (remote,) = bench.receive(Frame(3 << 5 | command_number | REMOTE_FLAG, b""))
+    (data,) = bench.receive(Frame(3 << 5 | command_number, b""))
     assert (data.can_id, data.data) == (remote.can_id, remote.data)
 
 
@@ -237,14 +241,16 @@ def encoder_position(bench: SimulatedDriveBench) -> float:
     return float(struct.unpack_from("<f", reply.data)[0])
 
 
-@pytest.mark.parametrize("firmware", ["0.6", "0.5"])
-def test_an_odrive_obeys_set_absolute_position(firmware: str) -> None:
-    bench = SimulatedDriveBench([drive_spec("odrive", 3, firmware=firmware)])
+@pytest.mark.parametrize("firmware_version", ["0.6", "0.5"])
+def test_an_odrive_obeys_set_absolute_position(firmware_version: str) -> None:
+    bench = SimulatedDriveBench([drive_spec("odrive", 3, firmware=firmware_version)])
     send_to_odrive(
         bench,
         (
             0x19,
-            struct.pack("<f", 7.25) if firmware == "0.6" else struct.pack("<i", 7 * 8192 + 2048),
+            struct.pack("<f", 7.25)
+            if firmware_version == "0.6"
+            else struct.pack("<i", 7 * 8192 + 2048),
         ),
     )
     assert encoder_position(bench) == pytest.approx(7.25)
@@ -302,11 +308,11 @@ def test_the_help_names_the_endpoints_and_the_eds_file(capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize(
-    ("behaviour", "polled", "idle"),
+    ("watchdog_behaviour", "polled", "idle"),
     [("commands", 0xD, 0x0), ("frames", 0x1, 0x0), ("always", 0xD, 0xD)],
 )
 def test_the_watchdog_of_a_damiao_motor_is_selectable(
-    behaviour: str, polled: int, idle: int
+    watchdog_behaviour: str, polled: int, idle: int
 ) -> None:
     """The vendor describes the condition of the watchdog as "no CAN commands within the interval".
 
@@ -315,7 +321,7 @@ def test_the_watchdog_of_a_damiao_motor_is_selectable(
     """
     spec = drive_spec("mit", 2)
     for enabled, expected in ((True, polled), (False, idle)):
-        bench = SimulatedDriveBench([replace(spec, options={"watchdog": behaviour})])
+        bench = SimulatedDriveBench([replace(spec, options={"watchdog": watchdog_behaviour})])
         bench.receive(Frame(0x7FF, b"\2\0\x55\x09" + struct.pack("<I", 2000)))
         bench.receive(Frame(2, ENABLE_PAYLOAD if enabled else b"\xff" * 7 + b"\xfd"))
         for _ in range(30):
@@ -333,15 +339,15 @@ def test_the_eds_file_and_a_drive_agree_on_the_rated_torque() -> None:
     assert int.from_bytes(reply.data[4:], "little") == 1000
 
 
-@pytest.mark.parametrize("fault", ["", *sorted(DRIVE_FAULTS)])
+@pytest.mark.parametrize("drive_fault", ["", *sorted(DRIVE_FAULTS)])
 @pytest.mark.parametrize("protocol", sorted(PROTOCOL_SPECS))
-def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
+def test_no_frame_ends_a_drive(protocol: str, drive_fault: str) -> None:
     """Reproduce a defect.
 
     A simulated MIT motor with the fault ``deaf`` raised OverflowError at the first remote or
     extended frame.
     """
-    bench = SimulatedDriveBench([drive_spec(protocol, 2)], fault=fault)
+    bench = SimulatedDriveBench([drive_spec(protocol, 2)], fault=drive_fault)
     specials = [b"\xff" * 7 + bytes((code,)) for code in (0xFB, 0xFC, 0xFD, 0xFE, 0xFF)]
     payloads = [b"\xff" * size for size in range(9)] + [bytes(size) for size in range(9)] + specials
     identifiers = [0, 2, 0x41, 0x47, 0x4E, 0x80, 0x202, 0x602, 0x702, 0x77F, 0x7FF, 0x12345678]
@@ -355,11 +361,11 @@ def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
         bench.take_unsolicited()
 
 
-def bench_in_mode(mode: int) -> SimulatedDriveBench:
+def bench_in_mode(control_mode: int) -> SimulatedDriveBench:
     """Return a bench with one enabled Damiao motor in a control mode."""
     bench = SimulatedDriveBench([drive_spec("mit", 2)])
-    bench.receive(Frame(0x7FF, b"\2\0\x55\x0a" + struct.pack("<I", mode)))
-    assert read_register(bench, 2, 10) == struct.pack("<I", mode)
+    bench.receive(Frame(0x7FF, b"\2\0\x55\x0a" + struct.pack("<I", control_mode)))
+    assert read_register(bench, 2, 10) == struct.pack("<I", control_mode)
     bench.receive(Frame(2, ENABLE_PAYLOAD))
     return bench
 
@@ -395,9 +401,9 @@ def test_a_damiao_motor_moves_with_a_limited_torque() -> None:
     assert strongest == pytest.approx(0.05 * 7.0, rel=0.02)
 
 
-@pytest.mark.parametrize("mode", [1, 2, 3, 4])
-def test_a_command_of_another_mode_is_answered_without_effect(mode: int) -> None:
-    bench = bench_in_mode(mode)
+@pytest.mark.parametrize("control_mode", [1, 2, 3, 4])
+def test_a_command_of_another_mode_is_answered_without_effect(control_mode: int) -> None:
+    bench = bench_in_mode(control_mode)
     commands = {
         1: Frame(2, (0x7FFF7FF << 36 | 0xFFF).to_bytes(8, "big")),
         2: Frame(0x102, struct.pack("<ff", 3.0, 2.0)),
@@ -405,12 +411,12 @@ def test_a_command_of_another_mode_is_answered_without_effect(mode: int) -> None
         4: Frame(0x302, struct.pack("<fHH", 3.0, 1000, 10_000)),
     }
     for other, frame in commands.items():
-        if other != mode:
+        if other != control_mode:
             (reply,) = bench.receive(frame)
             assert reply.data[0] >> 4 == 1
     bench.advance(100 * NS_PER_MS)
     assert bench.motors[0].theta == 0.0
-    bench.receive(commands[mode])
+    bench.receive(commands[control_mode])
     bench.advance(bench.t_ns + 100 * NS_PER_MS)
     assert bench.motors[0].theta > 0.0
 
@@ -469,7 +475,7 @@ def test_frames_for_no_node_are_counted() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "expected"),
+    ("drive_options", "expected_message"),
     [
         ("mit --ids 1,1 --bus local:x", "each number once"),
         ("mit --ids one --bus local:x", "expected numbers"),
@@ -501,17 +507,17 @@ def test_frames_for_no_node_are_counted() -> None:
     ],
 )
 def test_wrong_arguments_are_refused_in_one_line(
-    words: str, expected: str, capsys: pytest.CaptureFixture[str]
+    drive_options: str, expected_message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["drive", *words.split()]) == 2
+    assert main(["drive", *drive_options.split()]) == 2
     text = capsys.readouterr().err
-    assert expected in text
+    assert expected_message in text
     assert text.count("\n") == 1
 
 
-def sdo_reply(bench: SimulatedDriveBench, data: bytes) -> bytes:
+def sdo_reply(bench: SimulatedDriveBench, request_data: bytes) -> bytes:
     """Send an SDO request to CiA 402 node 33, and return the data of its last reply."""
-    return bench.receive(Frame(0x600 + 33, data))[-1].data
+    return bench.receive(Frame(0x600 + 33, request_data))[-1].data
 
 
 def test_a_cia402_drive_tells_its_name_in_segments() -> None:
@@ -541,14 +547,14 @@ def test_a_cia402_drive_tells_its_counts_and_stores_its_settings() -> None:
     assert sdo_reply(bench, b"\x40\x72\x60\0" + bytes(4))[4:6] == struct.pack("<H", 500)
 
 
-@pytest.mark.parametrize("rpm", [100, 600])
-def test_the_speed_limit_of_a_cia402_drive_acts(rpm: int) -> None:
+@pytest.mark.parametrize("speed_limit_rpm", [100, 600])
+def test_the_speed_limit_of_a_cia402_drive_acts(speed_limit_rpm: int) -> None:
     bench = SimulatedDriveBench([drive_spec("cia402", 33)])
-    sdo_reply(bench, b"\x23\x80\x60\0" + struct.pack("<I", rpm))
+    sdo_reply(bench, b"\x23\x80\x60\0" + struct.pack("<I", speed_limit_rpm))
     sdo_reply(bench, b"\x2f\x60\x60\0" + struct.pack("<Bxxx", 10))
     sdo_reply(bench, b"\x2b\x71\x60\0" + struct.pack("<hxx", 200))
     for word in (0x06, 0x07, 0x0F):
         sdo_reply(bench, b"\x2b\x40\x60\0" + struct.pack("<Hxx", word))
     bench.advance(5_000 * NS_PER_MS)
-    top = rpm / 60.0 * math.tau
+    top = speed_limit_rpm / 60.0 * math.tau
     assert 0.8 * top < bench.motors[0].omega <= top

@@ -29,19 +29,19 @@ from firmware_sim.plant.plant_perturbation import PERTURBATION_KEYS, perturbed_h
 from handctl.hand.hand_loading import load_hand as described
 
 
-def write_edited_jamia(tmp_path: Path, old: str, new: str) -> str:
-    """Copy the hand file of jamia, replace the first occurrence of ``old`` by ``new``, and return the path."""
+def write_edited_jamia(tmp_path: Path, original_text: str, replacement_text: str) -> str:
+    """Copy the hand file of jamia, replace the first occurrence of a text, and return the path."""
     text = described("jamia").to_toml()
-    assert old in text
+    assert original_text in text
     path = tmp_path / "edited.toml"
-    path.write_text(text.replace(old, new, 1))
+    path.write_text(text.replace(original_text, replacement_text, 1))
     return str(path)
 
 
-@pytest.mark.parametrize("name", ["jamia", "jamia11"])
-def test_every_number_comes_from_the_file(name: str) -> None:
-    raw = tomllib.loads(described(name).to_toml())
-    hand = load_hand(name)
+@pytest.mark.parametrize("hand_name", ["jamia", "jamia11"])
+def test_every_number_comes_from_the_file(hand_name: str) -> None:
+    raw = tomllib.loads(described(hand_name).to_toml())
+    hand = load_hand(hand_name)
     assert [tendon.arms for tendon in hand.tendons] == [
         tendon["moment_arm_m"] for tendon in raw["tendon"]
     ]
@@ -68,7 +68,7 @@ def test_every_number_comes_from_the_file(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "expected"),
+    ("original_text", "replacement_text", "expected_message"),
     [
         ("spool_radius_m = 0.005", "", "spool_radius_m"),
         ("[[motor]]", "[[motor", "not TOML"),
@@ -79,10 +79,10 @@ def test_every_number_comes_from_the_file(name: str) -> None:
     ],
 )
 def test_incomplete_hands_are_refused_in_one_line(
-    old: str, new: str, expected: str, tmp_path: Path
+    original_text: str, replacement_text: str, expected_message: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(SimulatorError, match=expected) as caught:
-        LockstepHand(write_edited_jamia(tmp_path, old, new))
+    with pytest.raises(SimulatorError, match=expected_message) as caught:
+        LockstepHand(write_edited_jamia(tmp_path, original_text, replacement_text))
     assert "\n" not in str(caught.value)
 
 
@@ -105,17 +105,17 @@ def test_motors_on_two_buses(tmp_path: Path) -> None:
     assert [(answer.can_id, answer.bus) for answer in answers] == [(0x11, 1), (0x12, 0)]
 
 
-def changed_fields(before: Any, after: Any) -> set[str]:
+def changed_fields(first_object: Any, second_object: Any) -> set[str]:
     """Return the names of those fields that differ between two objects."""
     return {
         field.name
-        for field in fields(before)
-        if getattr(before, field.name) != getattr(after, field.name)
+        for field in fields(first_object)
+        if getattr(first_object, field.name) != getattr(second_object, field.name)
     }
 
 
 @pytest.mark.parametrize(
-    ("key", "digit", "tendon", "motor", "sensors"),
+    ("factor_name", "digit_fields", "tendon_fields", "motor_fields", "sensor_fields"),
     [
         ("stiffness", set(), {"stiffness"}, set(), set()),
         ("damping", {"damping"}, {"damping"}, {"viscous"}, set()),
@@ -130,14 +130,18 @@ def changed_fields(before: Any, after: Any) -> set[str]:
     ],
 )
 def test_each_factor_changes_only_its_parameters(
-    key: str, digit: set[str], tendon: set[str], motor: set[str], sensors: set[str]
+    factor_name: str,
+    digit_fields: set[str],
+    tendon_fields: set[str],
+    motor_fields: set[str],
+    sensor_fields: set[str],
 ) -> None:
     hand = load_hand("jamia11")
-    other = perturbed_hand(hand, {key: 1.2})
-    assert changed_fields(hand.digits[0], other.digits[0]) == digit
-    assert changed_fields(hand.tendons[0], other.tendons[0]) == tendon
-    assert changed_fields(hand.motors[0], other.motors[0]) == motor
-    assert changed_fields(hand.sensors, other.sensors) == sensors
+    other = perturbed_hand(hand, {factor_name: 1.2})
+    assert changed_fields(hand.digits[0], other.digits[0]) == digit_fields
+    assert changed_fields(hand.tendons[0], other.tendons[0]) == tendon_fields
+    assert changed_fields(hand.motors[0], other.motors[0]) == motor_fields
+    assert changed_fields(hand.sensors, other.sensors) == sensor_fields
 
 
 def test_every_perturbation_key_is_tested() -> None:
@@ -155,8 +159,10 @@ def test_no_factors_no_change() -> None:
     st.sampled_from([0, EXTENDED_FLAG]),
     st.sampled_from([FDF, FDF | BRS, FDF | BRS | ESI]),
 )
-def test_a_record_is_a_canfd_frame(number: int, data: bytes, extended: int, flags: int) -> None:
-    frame = Frame(number | extended, data, flags if len(data) > 8 else 0)
+def test_a_record_is_a_canfd_frame(
+    can_id: int, data: bytes, extended_flag: int, flags: int
+) -> None:
+    frame = Frame(can_id | extended_flag, data, flags if len(data) > 8 else 0)
     record = pack_record(frame)
     assert len(record) == RECORD_SIZE == 72
     assert struct.unpack_from("<I", record)[0] == frame.can_id

@@ -17,14 +17,14 @@ from firmware_sim.simulated_world import SimulatedWorld
 from firmware_sim.truth_file import TruthWriter, read_truth, truth_columns
 
 
-def closing_hand(hand: str, native: bool = True, compiled: bool = True) -> Plant:
+def closing_hand(hand_name: str, with_mj_step: bool = True, with_kernel: bool = True) -> Plant:
     """Build a simulated hand that closes on a cylinder.
 
     At the start, the tendons are slack. The tendons become taut while the hand closes. Each motor
     follows a torque, a position, or a moving position.
     """
-    plant = Plant(load_hand(hand), load_scene("cylinder"), seed=3, compiled=compiled)
-    if not native:
+    plant = Plant(load_hand(hand_name), load_scene("cylinder"), seed=3, compiled=with_kernel)
+    if not with_mj_step:
         plant._addresses = None
     for i, motor in enumerate(plant.motors.values()):
         motor.servo.limit, motor.servo.torque, motor.omega = 0.8, 0.05 + 0.02 * i, 3.0 * (-1) ** i
@@ -58,7 +58,7 @@ def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
     Python.
     """
     block, single = closing_hand(hand), closing_hand(hand)
-    bindings, plain = closing_hand(hand, native=False), closing_hand(hand, compiled=False)
+    bindings, plain = closing_hand(hand, with_mj_step=False), closing_hand(hand, with_kernel=False)
     block.advance(401)
     for _ in range(401):
         for plant in (single, bindings, plain):
@@ -95,10 +95,11 @@ def test_compiled_and_python_worlds_send_equal_frames() -> None:
 
 
 @pytest.mark.parametrize(
-    "module", ["bus_server", "lockstep_hand", "programs.hand", "programs.drive", "programs.bus"]
+    "module_name",
+    ["bus_server", "lockstep_hand", "programs.hand", "programs.drive", "programs.bus"],
 )
-def test_real_time_programs_do_not_import_the_compiler(module: str) -> None:
-    code = f"import sys, firmware_sim.{module}; print('numba' in sys.modules)"
+def test_real_time_programs_do_not_import_the_compiler(module_name: str) -> None:
+    code = f"import sys, firmware_sim.{module_name}; print('numba' in sys.modules)"
     result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
@@ -208,17 +209,17 @@ def test_a_motor_fault_acts_in_every_step() -> None:
     assert rig.world.plant.motors["index_motor"].torque == 0.0
 
 
-@pytest.mark.parametrize("reason", ["size", "disk"])
+@pytest.mark.parametrize("stop_reason", ["size", "disk"])
 def test_a_full_truth_file_ends_and_the_simulation_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reason: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop_reason: str
 ) -> None:
     rig = LockstepHand("jamia")
     plant = rig.world.plant
     path = tmp_path / "truth"
     limit = 8192 + 1000 * 8 * (1 + len(truth_columns(plant)))
-    writer = TruthWriter(path, plant, {}, limit if reason == "size" else sys.maxsize)
+    writer = TruthWriter(path, plant, {}, limit if stop_reason == "size" else sys.maxsize)
     for t_ms in range(3000):
-        if reason == "disk" and t_ms == 1000:
+        if stop_reason == "disk" and t_ms == 1000:
             monkeypatch.setattr("firmware_sim.truth_file.MIN_FREE_DISK_BYTES", 1 << 62)
         writer.write(t_ms * 1_000_000, plant)
     writer.close({"frames": 7})

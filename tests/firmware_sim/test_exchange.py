@@ -32,10 +32,10 @@ OPTIONS_BY_PROTOCOL = {
 }
 
 
-def hand_file(folder: Path, protocols: tuple[str, ...], buses: int = 1) -> str:
+def hand_file(hand_folder: Path, protocols: tuple[str, ...], bus_count: int = 1) -> str:
     """Write the file of a packaged hand with drives of other protocols, and return its path.
 
-    If ``buses`` is 2, two drives are on the second bus.
+    If ``bus_count`` is 2, two drives are on the second bus.
     """
     text = described("jamia").to_toml()
     head, *motors = text.split("[[motor]]")
@@ -45,15 +45,15 @@ def hand_file(folder: Path, protocols: tuple[str, ...], buses: int = 1) -> str:
             r"node_id = \d+", f"node_id = {FIRST_NODE + i}", motor.replace('"mit"', f'"{protocol}"')
         )
         motors[i] = (
-            (motor if buses == 1 or i < 2 else motor.replace('"main"', '"second"'))
+            (motor if bus_count == 1 or i < 2 else motor.replace('"main"', '"second"'))
             + OPTIONS_BY_PROTOCOL[protocol]
             + "\n"
         )
-    if buses == 2:
+    if bus_count == 2:
         head = head.replace(
             "[sensor_node]", '[[bus]]\nname = "second"\nbitrate = 1_000_000\n\n[sensor_node]'
         )
-    path = folder / "hand.toml"
+    path = hand_folder / "hand.toml"
     path.write_text("[[motor]]".join([head, *motors]))
     return str(path)
 
@@ -96,9 +96,9 @@ def enable_frames(protocol: str, node: int) -> list[tuple[int, bytes]]:
     ]
 
 
-def frames_of_tick(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
+def frames_of_tick(protocol: str, node: int, tick_index: int) -> list[tuple[int, bytes]]:
     """Return the frames that a host sends to an enabled drive in tick k."""
-    fraction = 0.2 + 0.1 * ((k // 20) % 3)
+    fraction = 0.2 + 0.1 * ((tick_index // 20) % 3)
     if protocol == "mit":
         code = round((0.8 * fraction + 0.8) * 4095 / 1.6)
         return [(node, (0x7FFF << 48 | 0x7FF << 36 | 0x010 << 12 | code).to_bytes(8, "big"))]
@@ -109,7 +109,7 @@ def frames_of_tick(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
         ]
     return [
         (0x200 + node, struct.pack("<Hh", 0x0F, round(1000 * fraction))),
-        *([(0x77F, b"\5")] if k % 5 == 0 else []),
+        *([(0x77F, b"\5")] if tick_index % 5 == 0 else []),
     ]
 
 
@@ -161,7 +161,7 @@ def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
 
 
 def frames_of_ticks(
-    protocols: tuple[str, ...], ticks: int, seed: int, buses: int = 1
+    protocols: tuple[str, ...], tick_count: int, seed: int, bus_count: int = 1
 ) -> Iterator[list[Frame]]:
     """Yield the frames of each tick: first the set-up of the drives, and then commands.
 
@@ -169,10 +169,10 @@ def frames_of_ticks(
     """
     rng = random.Random(seed)
     drives = [
-        (protocols[i % len(protocols)], FIRST_NODE + i, int(buses == 2 and i >= 2))
+        (protocols[i % len(protocols)], FIRST_NODE + i, int(bus_count == 2 and i >= 2))
         for i in range(4)
     ]
-    for k in range(ticks):
+    for k in range(tick_count):
         frames = [Frame(0x080, bytes((k & 0xFF,)))]
         for protocol, node, bus in drives:
             sent = (
@@ -193,17 +193,17 @@ EXCHANGE_CASES = [
 ]
 
 
-@pytest.mark.parametrize(("protocols", "buses", "seed"), EXCHANGE_CASES)
+@pytest.mark.parametrize(("protocols", "bus_count", "seed"), EXCHANGE_CASES)
 def test_the_kernel_answers_as_the_nodes_do(
-    protocols: tuple[str, ...], buses: int, seed: int, tmp_path: Path
+    protocols: tuple[str, ...], bus_count: int, seed: int, tmp_path: Path
 ) -> None:
-    hand = hand_file(tmp_path, protocols, buses)
+    hand = hand_file(tmp_path, protocols, bus_count)
     rigs = [
         LockstepHand(hand, seed=3, truth_path=str(tmp_path / name)) for name in ("kernel", "nodes")
     ]
     rigs[1].world.faults.in_frames = True  # use the Python nodes for every frame
     count = 0
-    for k, frames in enumerate(frames_of_ticks(protocols, 400, seed, buses)):
+    for k, frames in enumerate(frames_of_ticks(protocols, 400, seed, bus_count)):
         answers, nodes = (rig.step(k * TICK_NS, frames) for rig in rigs)
         assert answers == nodes, f"tick {k}"
         count += len(answers)

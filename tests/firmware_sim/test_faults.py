@@ -28,12 +28,16 @@ def make_rig(seed=0):
     return LockstepHand("jamia", seed=seed, homed=True)
 
 
-def answers_of_ticks(world, ticks, frames=(REFRESH_FRAME,)):
+def answers_of_ticks(simulated_hand, tick_count, frames=(REFRESH_FRAME,)):
     """Run ticks, each with a SYNC and the given frames, and return the replies of each tick."""
     answers = []
-    for _ in range(ticks):
-        k = world.world.t_ns // 2_000_000
-        answers.append(world.step(world.world.t_ns, [Frame(SYNC_ID, bytes((k & 0xFF,))), *frames]))
+    for _ in range(tick_count):
+        k = simulated_hand.world.t_ns // 2_000_000
+        answers.append(
+            simulated_hand.step(
+                simulated_hand.world.t_ns, [Frame(SYNC_ID, bytes((k & 0xFF,))), *frames]
+            )
+        )
     return answers
 
 
@@ -53,7 +57,7 @@ def test_a_fault_is_parsed_from_a_line():
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("fault_text", "expected_message"),
     [
         ("", "no such kind"), ("explode node=1", "expected one of drop, deaf"),
         ("drop", "drop needs node=NAME or bus"),
@@ -65,19 +69,19 @@ def test_a_fault_is_parsed_from_a_line():
         ("drop node=1 bus=main", "drop needs"), ("stuck joint=index_j1", "no joint"), ("drop node=1 p=", "KEY=VALUE"),
     ],
 )  # fmt: skip
-def test_wrong_faults_are_refused_in_one_line(text, words):
+def test_wrong_faults_are_refused_in_one_line(fault_text, expected_message):
     with pytest.raises(SimulatorError) as caught:
-        parse_fault(text, JAMIA_HAND)
-    assert words in str(caught.value)
+        parse_fault(fault_text, JAMIA_HAND)
+    assert expected_message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def second_motor_text(kind: str, index: int) -> str:
+def second_motor_text(fault_kind: str, index: int) -> str:
     """Return the option that names the second motor of a fault.
 
     If the fault acts on a single motor, the option is empty.
     """
-    return f" with={JAMIA_HAND.motors[index].name}" if kind in TWO_MOTOR_KINDS else ""
+    return f" with={JAMIA_HAND.motors[index].name}" if fault_kind in TWO_MOTOR_KINDS else ""
 
 
 FIRST_INSTANCES = [
@@ -94,13 +98,13 @@ LAST_INSTANCES = [
 ]
 
 
-@pytest.mark.parametrize("text", FIRST_INSTANCES)
-def test_every_fault_has_an_effect_and_ends(text):
+@pytest.mark.parametrize("fault_text", FIRST_INSTANCES)
+def test_every_fault_has_an_effect_and_ends(fault_text):
     run = make_rig()
     run.world.plant.motors["index_motor"].servo.torque = 0.1
     run.world.plant.motors["index_motor"].servo.limit = 0.8
     answers_of_ticks(run, 5)
-    run.inject(f"{text} at=4ms for=40ms")
+    run.inject(f"{fault_text} at=4ms for=40ms")
     assert run.fault_states()[0]["state"] == "waiting"
     answers_of_ticks(run, 10)
     assert run.fault_states()[0]["state"] == "acting"
@@ -115,8 +119,8 @@ def test_every_fault_has_an_effect_and_ends(text):
     assert run.fault_states()[0]["felt"] == before
 
 
-@pytest.mark.parametrize("text", LAST_INSTANCES)
-def test_no_size_of_any_fault_ends_the_simulator(text):
+@pytest.mark.parametrize("fault_text", LAST_INSTANCES)
+def test_no_size_of_any_fault_ends_the_simulator(fault_text):
     """The test tries each kind of fault with sizes from small to absurd.
 
     Each fault acts on the last motor, tendon or node of the hand that can have this fault.
@@ -124,15 +128,15 @@ def test_no_size_of_any_fault_ends_the_simulator(text):
     run = make_rig()
     for i, size in enumerate(("-1e12", "-1e6", "0", "1", "2", "1000", "1e6", "1e12")):
         with contextlib.suppress(SimulatorError):
-            run.inject(f"{text} size={size} for=6ms seed={i}")
+            run.inject(f"{fault_text} size={size} for=6ms seed={i}")
         answers_of_ticks(run, 4)
     assert 1 <= len(run.fault_states()) < 7
 
 
-@pytest.mark.parametrize("kind", DRIVE_KINDS)
-def test_the_sensor_node_is_no_drive(kind):
+@pytest.mark.parametrize("fault_kind", DRIVE_KINDS)
+def test_the_sensor_node_is_no_drive(fault_kind):
     with pytest.raises(SimulatorError, match="no node 'sensors'; expected one of index_motor"):
-        parse_fault(f"{kind} node=sensors", JAMIA_HAND)
+        parse_fault(f"{fault_kind} node=sensors", JAMIA_HAND)
 
 
 def test_equal_seeds_lose_equal_frames():

@@ -24,9 +24,15 @@ RECORD_BYTES = 72
 CLASSICAL_FLAGS, FD_FLAGS = 0, 4
 
 
-def frame_record(can_id: int, data: bytes, flags: int = CLASSICAL_FLAGS, dropped: int = 0) -> bytes:
+def frame_record(
+    can_id: int, data: bytes, flags: int = CLASSICAL_FLAGS, dropped_frames: int = 0
+) -> bytes:
     """Build the bytes of the kernel's ``struct canfd_frame``, without the code of the hub."""
-    head = can_id.to_bytes(4, "little") + bytes((len(data), flags)) + dropped.to_bytes(2, "little")
+    head = (
+        can_id.to_bytes(4, "little")
+        + bytes((len(data), flags))
+        + dropped_frames.to_bytes(2, "little")
+    )
     return head + data + bytes(64 - len(data))
 
 
@@ -70,10 +76,10 @@ def connect_client(hub: BusHub) -> Iterator[Callable[[], socket.socket]]:
         link.close()
 
 
-def read_all(link: socket.socket) -> bytes:
+def read_all(client_socket: socket.socket) -> bytes:
     data = b""
     try:
-        while piece := link.recv(1 << 20):
+        while piece := client_socket.recv(1 << 20):
             data += piece
     except BlockingIOError:
         pass
@@ -102,33 +108,33 @@ def test_the_owners_records_reach_every_client(
     assert read_all(a) == read_all(b) == frame_record(0x11, b"answer")
 
 
-@pytest.mark.parametrize("cut", [1, 71, 73, 100, 143])
+@pytest.mark.parametrize("cut_position", [1, 71, 73, 100, 143])
 def test_a_record_cut_in_two_arrives_whole(
-    hub: BusHub, connect_client: Callable[[], socket.socket], cut: int
+    hub: BusHub, connect_client: Callable[[], socket.socket], cut_position: int
 ) -> None:
     a, b = connect_client(), connect_client()
     batch = frame_record(1, b"one") + frame_record(2, b"two")
-    a.sendall(batch[:cut])
+    a.sendall(batch[:cut_position])
     serve_until_idle(hub)
-    assert read_all(b) == batch[: cut - cut % RECORD_BYTES]
-    a.sendall(batch[cut:])
+    assert read_all(b) == batch[: cut_position - cut_position % RECORD_BYTES]
+    a.sendall(batch[cut_position:])
     serve_until_idle(hub)
-    assert read_all(b) == batch[cut - cut % RECORD_BYTES :]
+    assert read_all(b) == batch[cut_position - cut_position % RECORD_BYTES :]
 
 
 def test_the_senders_reserved_bytes_do_not_look_like_drops(
     hub: BusHub, connect_client: Callable[[], socket.socket]
 ) -> None:
     a, b = connect_client(), connect_client()
-    a.sendall(frame_record(1, b"x", dropped=0x1234))
+    a.sendall(frame_record(1, b"x", dropped_frames=0x1234))
     serve_until_idle(hub)
-    assert read_all(b) == frame_record(1, b"x", dropped=0)
+    assert read_all(b) == frame_record(1, b"x", dropped_frames=0)
 
 
-def record_numbers(data: bytes) -> list[tuple[int, int]]:
+def record_numbers(record_bytes: bytes) -> list[tuple[int, int]]:
     """Return the sequence number of each record in the data, and its number of dropped records."""
-    assert len(data) % RECORD_BYTES == 0
-    rows = struct.iter_unpack("<4xBBHI60x", data)
+    assert len(record_bytes) % RECORD_BYTES == 0
+    rows = struct.iter_unpack("<4xBBHI60x", record_bytes)
     return [(number, dropped) for _, _, dropped, number in rows]
 
 
@@ -180,7 +186,7 @@ def test_an_incomplete_record_is_completed_before_the_next(
     hub.send(frame_record(0x7FF, b"next"))
     data = first_part + read_all(idle)
     assert len(data) % RECORD_BYTES == 0
-    assert data[-RECORD_BYTES:] == frame_record(0x7FF, b"next", dropped=hub.dropped % 65536)
+    assert data[-RECORD_BYTES:] == frame_record(0x7FF, b"next", dropped_frames=hub.dropped % 65536)
 
 
 def test_drops_of_a_disconnected_client_still_count(
@@ -247,10 +253,10 @@ def test_the_run_directory_is_closed_to_others(
     assert stat.S_IMODE(run_dir().parent.stat().st_mode) == 0o700
 
 
-@pytest.mark.parametrize("name", ["", "a/b", ".hidden", "x" * 120])
-def test_invalid_bus_names_are_refused(name: str) -> None:
+@pytest.mark.parametrize("bus_name", ["", "a/b", ".hidden", "x" * 120])
+def test_invalid_bus_names_are_refused(bus_name: str) -> None:
     with pytest.raises(SimulatorError):
-        bus_path(name)
+        bus_path(bus_name)
 
 
 def test_the_truth_file_is_named_after_the_bus() -> None:

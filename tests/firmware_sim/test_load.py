@@ -31,19 +31,25 @@ TABLE_TEXT = '[support]\ndrop_when = "never"'
 
 
 def write_scene(
-    folder: Path,
-    x: float = 0.0195,
-    direction: str = "[0, 0, 2]",
-    start: float = 0.1,
-    support: str = "",
+    scene_folder: Path,
+    position_x_m: float = 0.0195,
+    load_direction: str = "[0, 0, 2]",
+    load_start: float = 0.1,
+    support_text: str = "",
 ) -> str:
-    path = folder / "loaded.toml"
-    path.write_text(LOAD_SCENE.format(x=x, direction=direction, start=start, support=support))
+    path = scene_folder / "loaded.toml"
+    path.write_text(
+        LOAD_SCENE.format(
+            x=position_x_m, direction=load_direction, start=load_start, support=support_text
+        )
+    )
     return str(path)
 
 
 def test_a_free_object_gains_the_impulse_of_its_load_and_weight(tmp_path: Path) -> None:
-    plant = Plant(load_hand("jamia"), load_scene(write_scene(tmp_path, x=0.5)), homed=True)
+    plant = Plant(
+        load_hand("jamia"), load_scene(write_scene(tmp_path, position_x_m=0.5)), homed=True
+    )
     for _ in range(800):
         plant.step()
     impulse = 0.5 * 10.0 * (0.4 - 0.1) ** 2 - 0.2 * 9.81 * 0.4
@@ -53,7 +59,10 @@ def test_a_free_object_gains_the_impulse_of_its_load_and_weight(tmp_path: Path) 
 def test_the_truth_file_has_the_load_from_its_start_time(tmp_path: Path) -> None:
     truth = tmp_path / "truth"
     rig = LockstepHand(
-        "jamia", scene=write_scene(tmp_path, support=TABLE_TEXT), truth_path=str(truth), homed=True
+        "jamia",
+        scene=write_scene(tmp_path, support_text=TABLE_TEXT),
+        truth_path=str(truth),
+        homed=True,
     )
     for k in range(100):
         rig.step(k * 2_000_000, [])
@@ -69,7 +78,9 @@ def test_the_truth_file_has_the_load_from_its_start_time(tmp_path: Path) -> None
 def test_normal_forces_carry_the_object_between_fingers_and_thumb(tmp_path: Path) -> None:
     hand = load_hand("jamia")
     plant = Plant(
-        hand, load_scene(write_scene(tmp_path, start=100.0, support=TABLE_TEXT)), homed=True
+        hand,
+        load_scene(write_scene(tmp_path, load_start=100.0, support_text=TABLE_TEXT)),
+        homed=True,
     )
     assert plant.measured_grip() == [0.0] * 5
     for motor in plant.motors.values():
@@ -88,10 +99,10 @@ def test_normal_forces_carry_the_object_between_fingers_and_thumb(tmp_path: Path
     )
 
 
-@pytest.mark.parametrize("direction", ["[0, 0, 0]", "[0, 0]", '["x", 0, 0]', "[nan, 0, 1]"])
-def test_wrong_loads_are_refused(direction: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("load_direction", ["[0, 0, 0]", "[0, 0]", '["x", 0, 0]', "[nan, 0, 1]"])
+def test_wrong_loads_are_refused(load_direction: str, tmp_path: Path) -> None:
     with pytest.raises(SimulatorError, match=r"loaded\.toml"):
-        load_scene(write_scene(tmp_path, direction=direction))
+        load_scene(write_scene(tmp_path, load_direction=load_direction))
 
 
 def test_a_load_needs_an_object(tmp_path: Path) -> None:

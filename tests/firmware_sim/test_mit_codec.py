@@ -22,12 +22,12 @@ from firmware_sim.nodes.mit.codec import (
 FRAME_RANGES = FrameRanges(12.5, 50.0, 0.8)
 
 
-def packed_bits(*fields: tuple[int, int]) -> bytes:
+def packed_bits(*values_and_widths: tuple[int, int]) -> bytes:
     """Pack fields (value, width) into bytes, using a string of binary digits.
 
     The first field is in the highest bits.
     """
-    text = "".join(format(value, f"0{width}b") for value, width in fields)
+    text = "".join(format(value, f"0{width}b") for value, width in values_and_widths)
     return bytes(int(text[i : i + 8], 2) for i in range(0, len(text), 8))
 
 
@@ -51,8 +51,8 @@ def test_each_field_lies_where_the_fact_sheet_says() -> None:
 
 
 @given(st.tuples(*[st.integers(0, 4095)] * 4), st.integers(0, 65535))
-def test_a_command_is_read_exactly(codes: tuple[int, int, int, int], position: int) -> None:
-    v, kp, kd, torque = codes
+def test_a_command_is_read_exactly(command_codes: tuple[int, int, int, int], position: int) -> None:
+    v, kp, kd, torque = command_codes
     command = decode_command(
         packed_bits((position, 16), (v, 12), (kp, 12), (kd, 12), (torque, 12)), FRAME_RANGES
     )
@@ -93,14 +93,14 @@ MOTION_VALUES = st.tuples(*[st.floats(-60.0, 60.0)] * 3)
 
 @given(st.integers(0, 255), MOTION_VALUES, st.floats(-50.0, 300.0), st.integers(0, 2**64 - 1))
 def test_compiled_kernels_equal_python(
-    head: int, motion: tuple[float, ...], degrees: float, word: int
+    first_byte: int, motion_values: tuple[float, ...], temperature_degC: float, state_word: int
 ) -> None:
     """The compiled kernels and the functions of the codec module give the same values.
 
     In this test, these functions run as Python code, unless another test has compiled them.
     """
-    kernels, signed = machine_code(mit_codec), word - (word >> 63 << 64)
-    feedback = (head, *motion, *FRAME_RANGES, degrees, degrees)
+    kernels, signed = machine_code(mit_codec), state_word - (state_word >> 63 << 64)
+    feedback = (first_byte, *motion_values, *FRAME_RANGES, temperature_degC, temperature_degC)
     word_of_python = mit_codec.write_feedback(*feedback)
     assert (
         kernels.write_feedback(*feedback)

@@ -27,15 +27,15 @@ class MotorBench:
         self.node = MitNode(MOTOR_SPEC, self.motor, 0.1)
         self.t_ns = 0
 
-    def run(self, milliseconds: float) -> None:
-        for _ in range(round(milliseconds * 2)):
+    def run(self, duration_ms: float) -> None:
+        for _ in range(round(duration_ms * 2)):
             self.motor.advance(0.0)
             self.t_ns += NS_PER_MS // 2
             if self.t_ns >= self.node.wake_ns:
                 self.node.wake(self.t_ns)
 
-    def reply_to(self, data: bytes, can_id: int = MOTOR_ID, flags: int = 0) -> bytes:
-        answers = self.node.receive(Frame(can_id, data, flags), self.t_ns)
+    def reply_to(self, payload: bytes, can_id: int = MOTOR_ID, flags: int = 0) -> bytes:
+        answers = self.node.receive(Frame(can_id, payload, flags), self.t_ns)
         assert answers is not None
         (answer,) = answers
         assert answer.can_id == MOTOR_ID + 0x10
@@ -45,12 +45,16 @@ class MotorBench:
     def state(self) -> FeedbackState:
         return self.node.state
 
-    def send_special(self, code: int) -> int:
+    def send_special(self, command_code: int) -> int:
         """Send a special command to the motor, and return the state bits of its reply."""
-        return self.reply_to(b"\xff" * 7 + bytes([code]))[0] >> 4
+        return self.reply_to(b"\xff" * 7 + bytes([command_code]))[0] >> 4
 
-    def send_register_request(self, operation: int, number: int, value: bytes = bytes(4)) -> bytes:
-        return self.reply_to(struct.pack("<HBB", MOTOR_ID, operation, number) + value, can_id=0x7FF)
+    def send_register_request(
+        self, operation: int, register_number: int, expected_value: bytes = bytes(4)
+    ) -> bytes:
+        return self.reply_to(
+            struct.pack("<HBB", MOTOR_ID, operation, register_number) + expected_value, can_id=0x7FF
+        )
 
 
 @pytest.fixture
@@ -90,13 +94,13 @@ def test_enabling_does_not_bring_back_an_old_command(bench: MotorBench) -> None:
     assert abs(bench.motor.torque) < 0.8 * 0.01
 
 
-@pytest.mark.parametrize("timeout", [100, 1000])
-def test_the_watchdog_trips_on_time_and_latches(bench: MotorBench, timeout: int) -> None:
-    bench.send_register_request(0x55, 9, struct.pack("<I", timeout))
+@pytest.mark.parametrize("timeout_ms", [100, 1000])
+def test_the_watchdog_trips_on_time_and_latches(bench: MotorBench, timeout_ms: int) -> None:
+    bench.send_register_request(0x55, 9, struct.pack("<I", timeout_ms))
     bench.run(1)
     bench.send_special(0xFC)
     bench.reply_to(FULL_TORQUE)
-    limit_ms = timeout * 0.05
+    limit_ms = timeout_ms * 0.05
     bench.run(limit_ms - 0.5)
     assert bench.state() == FeedbackState.ENABLED
     bench.run(0.5)
@@ -128,11 +132,13 @@ def test_the_watchdog_is_off_by_default(bench: MotorBench) -> None:
     assert bench.state() == FeedbackState.ENABLED
 
 
-@pytest.mark.parametrize(("number", "value"), [(21, 12.5), (22, 50.0), (23, 0.8)])
-def test_ranges_are_read_as_floats(bench: MotorBench, number: int, value: float) -> None:
-    reply = bench.send_register_request(0x33, number)
-    assert reply[:4] == struct.pack("<HBB", MOTOR_ID, 0x33, number)
-    assert struct.unpack("<f", reply[4:])[0] == pytest.approx(value)
+@pytest.mark.parametrize(("register_number", "expected_value"), [(21, 12.5), (22, 50.0), (23, 0.8)])
+def test_ranges_are_read_as_floats(
+    bench: MotorBench, register_number: int, expected_value: float
+) -> None:
+    reply = bench.send_register_request(0x33, register_number)
+    assert reply[:4] == struct.pack("<HBB", MOTOR_ID, 0x33, register_number)
+    assert struct.unpack("<f", reply[4:])[0] == pytest.approx(expected_value)
 
 
 def test_writing_tmax_limits_the_torque_and_scales_the_answer(bench: MotorBench) -> None:

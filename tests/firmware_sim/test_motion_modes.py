@@ -19,16 +19,16 @@ TURN_RAD = math.tau
 
 
 def sample_each_ms(
-    bench: SimulatedDriveBench, for_s: float, value: Callable[[], float]
+    bench: SimulatedDriveBench, for_s: float, read_value: Callable[[], float]
 ) -> list[float]:
     """Advance a bench by some time.
 
-    Return the value of the function ``value`` in each millisecond of this time.
+    Return the value of the function ``read_value`` in each millisecond of this time.
     """
     values = []
     for _ in range(round(for_s * 1000)):
         bench.advance(bench.t_ns + NS_PER_MS)
-        values.append(value())
+        values.append(read_value())
     return values
 
 
@@ -78,36 +78,36 @@ def test_a_trapezoid_turns_round_for_a_new_target() -> None:
 # Tests of the modes of a Damiao motor.
 
 
-def damiao_bench(mode: int) -> SimulatedDriveBench:
+def damiao_bench(operation_mode: int) -> SimulatedDriveBench:
     """Return a bench with an enabled Damiao motor in a control mode."""
     bench = SimulatedDriveBench([drive_spec("mit", 2)])
-    write_register(bench, 10, struct.pack("<I", mode))
+    write_register(bench, 10, struct.pack("<I", operation_mode))
     bench.receive(Frame(2, b"\xff" * 7 + b"\xfc"))
     return bench
 
 
-def write_register(bench: SimulatedDriveBench, register: int, raw: bytes) -> None:
-    bench.receive(Frame(0x7FF, b"\2\0\x55" + bytes((register,)) + raw))
+def write_register(bench: SimulatedDriveBench, register: int, raw_bytes: bytes) -> None:
+    bench.receive(Frame(0x7FF, b"\2\0\x55" + bytes((register,)) + raw_bytes))
 
 
 def read_register(bench: SimulatedDriveBench, register: int) -> bytes:
     return bench.receive(Frame(0x7FF, b"\2\0\x33" + bytes((register,)) + bytes(4)))[-1].data[4:]
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-def test_the_ramps_of_a_damiao_motor_act_in_position_velocity_mode(sign: int) -> None:
+@pytest.mark.parametrize("motion_sign", [1, -1])
+def test_the_ramps_of_a_damiao_motor_act_in_position_velocity_mode(motion_sign: int) -> None:
     bench = damiao_bench(2)
     write_register(bench, 4, struct.pack("<f", 4.0))
     write_register(bench, 5, struct.pack("<f", -2.0))
-    bench.receive(Frame(0x102, struct.pack("<ff", sign * 6.0, 3.0)))
+    bench.receive(Frame(0x102, struct.pack("<ff", motion_sign * 6.0, 3.0)))
     motor = bench.motors[0]
-    speeds = sample_each_ms(bench, 5.0, lambda: sign * motor.omega)
+    speeds = sample_each_ms(bench, 5.0, lambda: motion_sign * motor.omega)
     assert speeds[500] == pytest.approx(4.0 * 0.5, rel=0.1)
     assert max(speeds) <= 1.02 * 3.0
     assert min(speeds) > -0.1
     # The motor reaches 3 rad/s after 0.75 s, when it has turned by 1.125 rad. From this speed, it
     # brakes for 1.5 s and turns by 2.25 rad.
-    assert sample_each_ms(bench, 1.0, lambda: sign * motor.theta)[-1] == pytest.approx(
+    assert sample_each_ms(bench, 1.0, lambda: motion_sign * motor.theta)[-1] == pytest.approx(
         6.0, abs=0.01
     )
 
@@ -149,10 +149,12 @@ def test_a_deceleration_is_negative() -> None:
             assert read_register(bench, register) == before
 
 
-@pytest.mark.parametrize(("speed", "current"), [(10_001, 500), (1000, 10_001), (65_535, 65_535)])
-def test_force_position_codes_end_at_10000(speed: int, current: int) -> None:
+@pytest.mark.parametrize(
+    ("speed_code", "current_code"), [(10_001, 500), (1000, 10_001), (65_535, 65_535)]
+)
+def test_force_position_codes_end_at_10000(speed_code: int, current_code: int) -> None:
     bench = damiao_bench(4)
-    assert bench.receive(Frame(0x302, struct.pack("<fHH", 3.0, speed, current))) == []
+    assert bench.receive(Frame(0x302, struct.pack("<fHH", 3.0, speed_code, current_code))) == []
     assert bench.malformed == 1
     bench.advance(100 * NS_PER_MS)
     assert bench.motors[0].theta == 0.0
@@ -206,7 +208,7 @@ def test_the_watchdog_of_a_damiao_motor_ends_a_motion() -> None:
 
 
 def odrive_bench(
-    control: int, input_mode: int, *messages: tuple[int, bytes], inertia: float | None = None
+    control_mode: int, input_mode: int, *messages: tuple[int, bytes], inertia: float | None = None
 ) -> SimulatedDriveBench:
     """Return a bench with an ODrive (node 3) in closed-loop control.
 
@@ -215,7 +217,7 @@ def odrive_bench(
     bench = SimulatedDriveBench([drive_spec("odrive", 3, inertia=inertia)])
     send_messages(
         bench,
-        (0x0B, struct.pack("<II", control, input_mode)),
+        (0x0B, struct.pack("<II", control_mode, input_mode)),
         *messages,
         (0x07, struct.pack("<I", 8)),
     )
@@ -317,14 +319,16 @@ def test_an_odrive_ignores_a_change_of_the_mode_in_closed_loop() -> None:
     assert bench.motors[0].omega == pytest.approx(TURN_RAD, rel=0.02)
 
 
-@pytest.mark.parametrize("control", [1, 2, 3])
+@pytest.mark.parametrize("control_mode", [1, 2, 3])
 @pytest.mark.parametrize(
-    "message",
+    "setpoint_message",
     [(0x0C, struct.pack("<fhh", math.nan, 0, 0)), (0x0D, struct.pack("<ff", 0, math.inf))],
 )
-def test_a_setpoint_that_is_not_finite_disarms(control: int, message: tuple[int, bytes]) -> None:
-    bench = odrive_bench(control, 1)
-    send_messages(bench, message)
+def test_a_setpoint_that_is_not_finite_disarms(
+    control_mode: int, setpoint_message: tuple[int, bytes]
+) -> None:
+    bench = odrive_bench(control_mode, 1)
+    send_messages(bench, setpoint_message)
     assert next_heartbeat(bench)[:2] == (1 << 6, 1)
     assert bench.motors[0].command == 0.0
 
@@ -349,48 +353,52 @@ COUNTS_PER_TURN = 1 << 16
 
 
 def cia402_bench(
-    mode: int, *objects: tuple[int, int, int, int], **options: object
+    operation_mode: int, *object_values: tuple[int, int, int, int], **drive_options: object
 ) -> SimulatedDriveBench:
     """Return a bench with an enabled CiA 402 drive (node 33) in a mode.
 
-    Before the drive is enabled, each entry of ``objects`` (index, sub-index, value, size) is
+    Before the drive is enabled, each entry of ``object_values`` (index, sub-index, value, size) is
     written to its object dictionary.
     """
     spec = drive_spec("cia402", 33)
-    bench = SimulatedDriveBench([replace(spec, options={**spec.options, **options})])
-    write_object(bench, 0x6060, 0, mode, 1)
-    for one in objects:
+    bench = SimulatedDriveBench([replace(spec, options={**spec.options, **drive_options})])
+    write_object(bench, 0x6060, 0, operation_mode, 1)
+    for one in object_values:
         write_object(bench, *one)
     for word in (0x06, 0x07, 0x0F):
         write_object(bench, 0x6040, 0, word, 2)
     return bench
 
 
-def send_sdo(bench: SimulatedDriveBench, data: bytes) -> bytes:
+def send_sdo(bench: SimulatedDriveBench, request_data: bytes) -> bytes:
     return [
-        frame.data for frame in bench.receive(Frame(0x600 + 33, data)) if frame.can_id == 0x580 + 33
+        frame.data
+        for frame in bench.receive(Frame(0x600 + 33, request_data))
+        if frame.can_id == 0x580 + 33
     ][-1]
 
 
-def write_object(bench: SimulatedDriveBench, index: int, sub: int, value: int, size: int) -> int:
+def write_object(
+    bench: SimulatedDriveBench, index: int, subindex: int, value: int, size: int
+) -> int:
     """Write an object of the drive by SDO. Return the abort code, or 0 if there is none."""
     raw = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little").ljust(4, b"\0")
-    reply = send_sdo(bench, struct.pack("<BHB", 0x23 | (4 - size) << 2, index, sub) + raw)
+    reply = send_sdo(bench, struct.pack("<BHB", 0x23 | (4 - size) << 2, index, subindex) + raw)
     return int.from_bytes(reply[4:], "little") if reply[0] == 0x80 else 0
 
 
-def read_object(bench: SimulatedDriveBench, index: int, sub: int = 0) -> int:
-    reply = send_sdo(bench, struct.pack("<BHB4x", 0x40, index, sub))
+def read_object(bench: SimulatedDriveBench, index: int, subindex: int = 0) -> int:
+    reply = send_sdo(bench, struct.pack("<BHB4x", 0x40, index, subindex))
     size = 4 - (reply[0] >> 2 & 3)
     return int.from_bytes(reply[4 : 4 + size], "little", signed=True)
 
 
-def send_controlword(bench: SimulatedDriveBench, word: int) -> int:
+def send_controlword(bench: SimulatedDriveBench, control_word: int) -> int:
     """Write a control word to the drive.
 
     Return the status word of the drive ten milliseconds later.
     """
-    write_object(bench, 0x6040, 0, word, 2)
+    write_object(bench, 0x6040, 0, control_word, 2)
     bench.advance(bench.t_ns + 10 * NS_PER_MS)
     return read_object(bench, 0x6041)
 
@@ -477,18 +485,18 @@ def test_a_profile_position_has_ramps_and_says_when_it_is_reached() -> None:
     assert read_object(bench, 0x6064) == pytest.approx(3 * COUNTS_PER_TURN, abs=100)
 
 
-@pytest.mark.parametrize("immediately", [False, True])
-def test_a_second_set_point_waits_unless_it_is_immediate(immediately: bool) -> None:
+@pytest.mark.parametrize("is_immediate", [False, True])
+def test_a_second_set_point_waits_unless_it_is_immediate(is_immediate: bool) -> None:
     bench = cia402_bench(1, (0x6083, 0, 6000, 4), (0x6084, 0, 6000, 4))
     motor = bench.motors[0]
     write_object(bench, 0x607A, 0, COUNTS_PER_TURN, 4)
     send_controlword(bench, 0x1F)
     send_controlword(bench, 0x0F)
     write_object(bench, 0x607A, 0, 0, 4)
-    send_controlword(bench, 0x1F | immediately << 5)
-    assert bool(send_controlword(bench, 0x0F) & 1 << 12) != immediately, "the buffer is full"
+    send_controlword(bench, 0x1F | is_immediate << 5)
+    assert bool(send_controlword(bench, 0x0F) & 1 << 12) != is_immediate, "the buffer is full"
     furthest = max(sample_each_ms(bench, 3.0, lambda: motor.theta / TURN_RAD))
-    assert furthest == pytest.approx(0.0 if immediately else 1.0, abs=0.1)
+    assert furthest == pytest.approx(0.0 if is_immediate else 1.0, abs=0.1)
     assert motor.theta == pytest.approx(0.0, abs=0.02)
 
 
@@ -551,9 +559,9 @@ def test_homing_here_sets_the_position() -> None:
     assert bench.motors[0].theta == pytest.approx(0.0, abs=1e-3), "the motor did not move"
 
 
-@pytest.mark.parametrize(("method", "end"), [(33, 0.0), (34, TURN_RAD)])
-def test_homing_finds_the_next_index_pulse(method: int, end: float) -> None:
-    bench = cia402_bench(6, (0x6098, 0, method, 1), (0x6099, 2, 30, 4))
+@pytest.mark.parametrize(("homing_method", "expected_end_rad"), [(33, 0.0), (34, TURN_RAD)])
+def test_homing_finds_the_next_index_pulse(homing_method: int, expected_end_rad: float) -> None:
+    bench = cia402_bench(6, (0x6098, 0, homing_method, 1), (0x6099, 2, 30, 4))
     motor = bench.motors[0]
     motor.theta = 2.0
     write_object(bench, 0x6060, 0, 10, 1)
@@ -561,7 +569,7 @@ def test_homing_finds_the_next_index_pulse(method: int, end: float) -> None:
     send_controlword(bench, 0x1F)
     speeds = sample_each_ms(bench, 4.0, lambda: abs(motor.omega))
     assert max(speeds) < 1.15 * 30 / 60 * TURN_RAD
-    assert motor.theta == pytest.approx(end, abs=0.02)
+    assert motor.theta == pytest.approx(expected_end_rad, abs=0.02)
     assert read_object(bench, 0x6041) & 1 << 12
     assert read_object(bench, 0x6064) == pytest.approx(0, abs=110)
 
@@ -573,14 +581,14 @@ def test_a_homing_method_without_its_switch_is_refused() -> None:
     assert read_object(bench, 0x6098) == 37
 
 
-@pytest.mark.parametrize("mode", [1, 8])
-def test_a_mode_change_while_enabled_holds_the_position(mode: int) -> None:
+@pytest.mark.parametrize("operation_mode", [1, 8])
+def test_a_mode_change_while_enabled_holds_the_position(operation_mode: int) -> None:
     bench = cia402_bench(9, (0x60FF, 0, 60, 4))
     motor = bench.motors[0]
     write_object(bench, 0x607A, 0, 50 * COUNTS_PER_TURN, 4)
     bench.advance(2000 * NS_PER_MS)
     angle = motor.theta
-    write_object(bench, 0x6060, 0, mode, 1)
+    write_object(bench, 0x6060, 0, operation_mode, 1)
     bench.advance(bench.t_ns + 2000 * NS_PER_MS)
     assert motor.theta == pytest.approx(angle, abs=0.2)
     assert motor.omega == pytest.approx(0.0, abs=0.05)

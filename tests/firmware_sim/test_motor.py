@@ -15,9 +15,9 @@ FRICTIONLESS_SPEC = replace(MOTOR_SPEC, coulomb=0.0, viscous=0.0)
 STEP_S = 0.5e-3
 
 
-def spin_motor(motor: Motor, seconds: float, load: float = 0.0) -> None:
-    for _ in range(round(seconds / STEP_S)):
-        motor.advance(load)
+def spin_motor(motor: Motor, duration_s: float, load_torque: float = 0.0) -> None:
+    for _ in range(round(duration_s / STEP_S)):
+        motor.advance(load_torque)
 
 
 def test_constant_torque_gives_constant_acceleration_after_the_current_lag() -> None:
@@ -36,17 +36,17 @@ def test_viscous_friction_sets_the_final_speed() -> None:
     assert motor.omega == pytest.approx(0.02 / MOTOR_SPEC.viscous, rel=1e-5)
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_rotor_creeps_below_coulomb_friction_and_accelerates_above(sign: float) -> None:
+@pytest.mark.parametrize("torque_sign", [1.0, -1.0])
+def test_a_rotor_creeps_below_coulomb_friction_and_accelerates_above(torque_sign: float) -> None:
     motor = Motor(replace(MOTOR_SPEC, viscous=0.0), STEP_S)
-    motor.servo.torque, motor.servo.limit = sign * 0.5 * MOTOR_SPEC.coulomb, 1.0
+    motor.servo.torque, motor.servo.limit = torque_sign * 0.5 * MOTOR_SPEC.coulomb, 1.0
     spin_motor(motor, 0.5)
-    assert motor.omega == pytest.approx(sign * COULOMB_SPEED * math.atanh(0.5), rel=1e-6)
+    assert motor.omega == pytest.approx(torque_sign * COULOMB_SPEED * math.atanh(0.5), rel=1e-6)
     motor = Motor(replace(MOTOR_SPEC, viscous=0.0), STEP_S)
-    motor.servo.torque, motor.servo.limit = sign * 2.0 * MOTOR_SPEC.coulomb, 1.0
+    motor.servo.torque, motor.servo.limit = torque_sign * 2.0 * MOTOR_SPEC.coulomb, 1.0
     spin_motor(motor, 0.5)
     assert motor.omega == pytest.approx(
-        sign * MOTOR_SPEC.coulomb / MOTOR_SPEC.inertia * 0.5, rel=0.01
+        torque_sign * MOTOR_SPEC.coulomb / MOTOR_SPEC.inertia * 0.5, rel=0.01
     )
 
 
@@ -100,8 +100,8 @@ def test_gains_of_the_whole_range_are_stable(kp: float, kd: float) -> None:
     assert abs(motor.theta - before) < 0.02
 
 
-@pytest.mark.parametrize("speed", [4.0, -15.0])
-def test_a_moving_target_is_followed_as_a_mass_on_a_spring(speed: float) -> None:
+@pytest.mark.parametrize("target_speed", [4.0, -15.0])
+def test_a_moving_target_is_followed_as_a_mass_on_a_spring(target_speed: float) -> None:
     """In this test, a rotor starts at rest and follows a target that moves with constant speed.
 
     The position error e of the rotor obeys J e'' + kd e' + kp e = 0.
@@ -112,8 +112,8 @@ def test_a_moving_target_is_followed_as_a_mass_on_a_spring(speed: float) -> None
     servo.kp, servo.kd, servo.velocity, servo.target_speed, servo.limit = (
         kp,
         kd,
-        speed,
-        speed,
+        target_speed,
+        target_speed,
         100.0,
     )
     decay = 0.5 * kd / MOTOR_SPEC.inertia
@@ -123,13 +123,13 @@ def test_a_moving_target_is_followed_as_a_mass_on_a_spring(speed: float) -> None
         motor.advance(0.0)
         # The motor current follows the command with a lag.
         t = k * step_s - CURRENT_LAG_S
-        exact = speed / omega * math.exp(-decay * t) * math.sin(omega * t)
-        error = speed * k * step_s - motor.theta
-        assert servo.position == pytest.approx(speed * k * step_s, rel=1e-9)
+        exact = target_speed / omega * math.exp(-decay * t) * math.sin(omega * t)
+        error = target_speed * k * step_s - motor.theta
+        assert servo.position == pytest.approx(target_speed * k * step_s, rel=1e-9)
         if k > 500:
             largest = max(largest, abs(error - exact))
-    assert largest < 0.05 * abs(speed) / omega + ENCODER_STEP
-    assert abs(speed) / omega > 10.0 * ENCODER_STEP
+    assert largest < 0.05 * abs(target_speed) / omega + ENCODER_STEP
+    assert abs(target_speed) / omega > 10.0 * ENCODER_STEP
 
 
 def test_a_fixed_target_does_not_move() -> None:
@@ -169,7 +169,7 @@ def test_the_torque_gain_changes_the_true_torque_only() -> None:
 def test_heat_is_torque_squared_over_time() -> None:
     motor = Motor(MOTOR_SPEC, STEP_S)
     motor.servo.torque, motor.servo.limit = 0.5, 1.0
-    spin_motor(motor, 1.0, load=0.5)
+    spin_motor(motor, 1.0, load_torque=0.5)
     assert motor.heat == pytest.approx(0.25, rel=2e-3)
 
 

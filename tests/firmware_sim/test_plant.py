@@ -20,9 +20,11 @@ JAMIA_HAND = load_hand("jamia")
 
 
 def free_hand(
-    factors: dict[str, float] | None = None, hand: Hand = JAMIA_HAND, homed: bool = True
+    parameter_factors: dict[str, float] | None = None, hand: Hand = JAMIA_HAND, homed: bool = True
 ) -> Plant:
-    plant = Plant(perturbed_hand(hand, factors or {}), load_scene(None), seed=1, homed=homed)
+    plant = Plant(
+        perturbed_hand(hand, parameter_factors or {}), load_scene(None), seed=1, homed=homed
+    )
     for motor in plant.motors.values():
         motor.servo.limit = 1.25
     return plant
@@ -36,12 +38,12 @@ def lock_joints() -> Hand:
     return replace(JAMIA_HAND, digits=digits)
 
 
-def pull_tendons(plant: Plant, torque: float, seconds: float, ramp: float = 0.3) -> None:
+def pull_tendons(plant: Plant, torque: float, duration_s: float, ramp_s: float = 0.3) -> None:
     """Raise the torque of all motors in a ramp to ``torque`` [N m], and keep this torque."""
     start = [motor.servo.torque for motor in plant.motors.values()]
-    steps = round(seconds * 2000)
+    steps = round(duration_s * 2000)
     for i in range(steps):
-        fraction = min(1.0, (i + 1) / (ramp * 2000))
+        fraction = min(1.0, (i + 1) / (ramp_s * 2000))
         for motor, first in zip(plant.motors.values(), start, strict=True):
             motor.servo.torque = first + fraction * (torque - first)
         plant.step()
@@ -247,34 +249,34 @@ Each of these digits has three joints and three spool pairs.
 """
 
 
-def hand_with_coupled_fingers(coupling: list[list[float]], path: Path) -> Hand:
+def hand_with_coupled_fingers(joint_coupling: list[list[float]], path: Path) -> Hand:
     """Return ``orca_like`` with coupled joints in each finger.
 
     In each finger, one spool pair flexes both outer joints.
 
     Args:
-        coupling: value of the key ``coupling`` for each finger, with one row for each of the three
+        joint_coupling: value of the key ``joint_coupling`` for each finger, with one row for each of the three
             joints. With one column, a single spool pair turns all three joints.
         path: path at which the hand file is written.
     """
     content = json.loads(json.dumps(hand_content("orca_like")))
-    missing_tendons = ("pip",) if len(coupling[0]) == 2 else ("pip", "abd")
+    missing_tendons = ("pip",) if len(joint_coupling[0]) == 2 else ("pip", "abd")
     missing = {f"{finger}_{name}" for finger in COUPLED_FINGERS for name in missing_tendons}
     content["tendon"] = [one for one in content["tendon"] if one["name"] not in missing]
     content["motor"] = [one for one in content["motor"] if one["name"] not in missing]
     for finger in COUPLED_FINGERS:
         digit = next(one for one in content["digit"] if one["name"] == finger)
-        digit["coupling"] = coupling
+        digit["coupling"] = joint_coupling
         flexor = next(one for one in content["tendon"] if one["name"] == f"{finger}_mcp")
         flexor["moment_arm_m"] = {f"{finger}_j2": 0.0075, f"{finger}_j3": 0.0075}
-        if len(coupling[0]) == 1:
+        if len(joint_coupling[0]) == 1:
             flexor["moment_arm_m"][f"{finger}_j1"] = 0.002
     path.write_text(hand_from_content(content, "orca_like with coupled fingers").to_toml())
     return load_hand(str(path))
 
 
 @pytest.mark.parametrize(
-    "coupling",
+    "joint_coupling",
     [
         [[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]],
         [[1.0, 0.0], [0.0, 1.0], [0.0, 0.6]],
@@ -283,7 +285,7 @@ def hand_with_coupled_fingers(coupling: list[list[float]], path: Path) -> Hand:
     ids=["equal", "with a ratio", "one coordinate"],
 )
 def test_coupled_joints_of_spool_pairs_keep_their_coupling(
-    coupling: list[list[float]], tmp_path: Path
+    joint_coupling: list[list[float]], tmp_path: Path
 ) -> None:
     """Reproduce a defect: the joints of a digit with spool pairs could turn freely against each other.
 
@@ -291,14 +293,14 @@ def test_coupled_joints_of_spool_pairs_keep_their_coupling(
     coupling by 49 to 74 deg. Since the simulator has tendons that couple the joints, the angles
     deviate by at most 1.4 deg.
     """
-    hand = hand_with_coupled_fingers(coupling, tmp_path / "coupled.toml")
+    hand = hand_with_coupled_fingers(joint_coupling, tmp_path / "coupled.toml")
     plant = free_hand(hand=hand)
     joints = [joint for digit in hand.digits for joint in digit.joints]
     fingers = [[joints.index(f"{name}_j{i}") for i in (1, 2, 3)] for name in COUPLED_FINGERS]
-    off_coupling = np.eye(3) - np.array(coupling) @ np.linalg.pinv(coupling)
+    off_coupling = np.eye(3) - np.array(joint_coupling) @ np.linalg.pinv(joint_coupling)
     deviations = []
     for _ in range(15):
-        pull_tendons(plant, 0.1, 0.04, ramp=0.2)
+        pull_tendons(plant, 0.1, 0.04, ramp_s=0.2)
         angles = np.degrees(np.array(plant.engine.q)[fingers])
         deviations.append(np.abs(angles @ off_coupling).max())
     assert angles[:, 1].min() > 60.0, "the fingers closed"

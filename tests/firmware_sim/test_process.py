@@ -37,9 +37,9 @@ def start_simulator(run_folder: Path) -> Iterator[StartFunction]:
     """Yield a function that starts ``python -m firmware_sim`` and waits for its ready line."""
     processes = []
 
-    def launch(*words: str) -> "subprocess.Popen[str]":
+    def launch(*simulator_options: str) -> "subprocess.Popen[str]":
         process = subprocess.Popen(
-            [sys.executable, "-m", "firmware_sim", *words],
+            [sys.executable, "-m", "firmware_sim", *simulator_options],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -77,33 +77,33 @@ def test_ready_is_json_for_a_program(run_folder: Path) -> None:
     assert (ready["hand"], ready["bus"]) == ("jamia", "local:json")
 
 
-def frame_record(can_id: int, data: bytes, flags: int = 0) -> bytes:
+def frame_record(can_id: int, data: bytes, frame_flags: int = 0) -> bytes:
     return (
         can_id.to_bytes(4, "little")
-        + bytes((len(data), flags, 0, 0))
+        + bytes((len(data), frame_flags, 0, 0))
         + data
         + bytes(64 - len(data))
     )
 
 
-def connect_to_bus(path: Path) -> socket.socket:
+def connect_to_bus(socket_path: Path) -> socket.socket:
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     link.settimeout(20.0)
-    link.connect(str(path))
+    link.connect(str(socket_path))
     return link
 
 
-def reply_to(link: socket.socket, can_id: int, data: bytes, flags: int = 0) -> bytes:
+def reply_to(bus_socket: socket.socket, can_id: int, data: bytes, flags: int = 0) -> bytes:
     """Send one frame to the simulator, and return the record of its reply."""
-    link.sendall(frame_record(can_id, data, flags))
-    answer = link.recv(72, socket.MSG_WAITALL)
+    bus_socket.sendall(frame_record(can_id, data, flags))
+    answer = bus_socket.recv(72, socket.MSG_WAITALL)
     assert len(answer) == 72
     return answer
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("signal_number", [signal.SIGTERM, signal.SIGINT])
 def test_signals_end_the_simulator_with_complete_truth(
-    start_simulator: StartFunction, run_folder: Path, number: signal.Signals
+    start_simulator: StartFunction, run_folder: Path, signal_number: signal.Signals
 ) -> None:
     process = start_simulator(
         "--hand", "jamia", "--bus", "local:t", "--scene", "sphere", "--seed", "4"
@@ -116,7 +116,7 @@ def test_signals_end_the_simulator_with_complete_truth(
     )
     time.sleep(0.3)
     before_ns = time.monotonic_ns()
-    process.send_signal(number)
+    process.send_signal(signal_number)
     _, words = process.communicate(timeout=20.0)
     assert process.returncode == 0
     assert "firmware_sim: ended" in words
@@ -192,13 +192,16 @@ REFUSED_WORDS = {
 }
 
 
-@pytest.mark.parametrize("case", REFUSED_WORDS)
+@pytest.mark.parametrize("case_name", REFUSED_WORDS)
 def test_wrong_arguments_give_one_printable_line(
-    run_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], case: str
+    run_folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    case_name: str,
 ) -> None:
     monkeypatch.chdir(run_folder)
     (run_folder / "odd.toml").write_text('name = "x"\n[object]\nshape = "\\u001b[2J\\n"\n')
-    assert main(REFUSED_WORDS[case]) == 2
+    assert main(REFUSED_WORDS[case_name]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("firmware_sim: ")
@@ -216,12 +219,12 @@ ODD_HANDS = {
 }
 
 
-@pytest.mark.parametrize("case", ODD_HANDS)
+@pytest.mark.parametrize("case_name", ODD_HANDS)
 def test_impossible_hands_are_refused_by_both_simulators(
-    run_folder: Path, capsys: pytest.CaptureFixture[str], case: str
+    run_folder: Path, capsys: pytest.CaptureFixture[str], case_name: str
 ) -> None:
     path = run_folder / "odd.toml"
-    old, new = ODD_HANDS[case]
+    old, new = ODD_HANDS[case_name]
     path.write_text(find_hand("jamia").read_text().replace(old, new))
     assert main(["--hand", str(path), "--bus", "local:x", "--dry-run"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
@@ -240,7 +243,7 @@ def test_the_truth_file_never_overwrites_a_log(
 
 
 @pytest.mark.parametrize(
-    "words",
+    "simulator_options",
     [
         [],
         ["--hand", "nobody", "--bus", "local:x"],
@@ -260,9 +263,9 @@ def test_the_truth_file_never_overwrites_a_log(
     ],
 )
 def test_wrong_arguments_get_one_line_and_exit_code_2(
-    words: list[str], run_folder: Path, capsys: pytest.CaptureFixture[str]
+    simulator_options: list[str], run_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(words) == 2
+    assert main(simulator_options) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.startswith("firmware_sim: ")

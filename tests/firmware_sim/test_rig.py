@@ -33,27 +33,30 @@ def torque_payload(torque: float) -> bytes:
     return (0x7FFF << 48 | 0x7FF << 36 | round((torque + 0.8) * 4095 / 1.6)).to_bytes(8, "big")
 
 
-def sync_frame(k: int) -> FrameTuple:
-    return frame_tuple(0x080, bytes([k & 0xFF]))
+def sync_frame(tick_index: int) -> FrameTuple:
+    return frame_tuple(0x080, bytes([tick_index & 0xFF]))
 
 
-def step_with_torque(rig: LockstepHand, k: int, torque: float) -> list[Frame]:
+def step_with_torque(rig: LockstepHand, tick_index: int, torque: float) -> list[Frame]:
     return rig.step(
-        k * TICK_NS,
-        [sync_frame(k), *[frame_tuple(motor, torque_payload(torque)) for motor in MOTOR_NODES]],
+        tick_index * TICK_NS,
+        [
+            sync_frame(tick_index),
+            *[frame_tuple(motor, torque_payload(torque)) for motor in MOTOR_NODES],
+        ],
     )
 
 
 def close_hand(
-    rig: LockstepHand, tension: float, seconds: float, ramp: float = 0.8
+    rig: LockstepHand, tension: float, duration_s: float, ramp_s: float = 0.8
 ) -> list[list[Frame]]:
     """Enable all motors, raise the tension [N] in a ramp, and keep it.
 
     Constant torques command the tension, without feedback. Return the replies of each tick.
     """
     answers = [rig.step(0, [frame_tuple(motor, ENABLE_PAYLOAD) for motor in MOTOR_NODES])]
-    for k in range(1, round(seconds * 500)):
-        answers.append(step_with_torque(rig, k, 0.005 * tension * min(1.0, k / 500 / ramp)))
+    for k in range(1, round(duration_s * 500)):
+        answers.append(step_with_torque(rig, k, 0.005 * tension * min(1.0, k / 500 / ramp_s)))
     return answers
 
 
@@ -168,7 +171,7 @@ def test_an_object_too_heavy_for_friction_falls(tmp_path: Path) -> None:
 def test_content_of_the_truth_file(tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
     rig = LockstepHand("jamia", scene="cylinder:35", seed=5, truth_path=str(path))
-    close_hand(rig, 20.0, 0.5, ramp=0.2)
+    close_hand(rig, 20.0, 0.5, ramp_s=0.2)
     rig.close()
     truth = read_truth(path)
     names = truth.header["columns"]
@@ -227,7 +230,7 @@ def test_perturbations_change_the_plant_not_the_wire() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "expected"),
+    ("wrong_arguments", "expected_message"),
     [
         ({"hand_path": "nohand"}, "no such hand"),
         ({"hand_path": "jamia", "scene": "cone"}, "no such scene"),
@@ -238,8 +241,8 @@ def test_perturbations_change_the_plant_not_the_wire() -> None:
     ],
 )
 def test_wrong_arguments_are_refused_in_one_line(
-    arguments: dict[str, object], expected: str
+    wrong_arguments: dict[str, object], expected_message: str
 ) -> None:
-    with pytest.raises(SimulatorError, match=expected) as caught:
-        LockstepHand(**arguments)  # type: ignore[arg-type]
+    with pytest.raises(SimulatorError, match=expected_message) as caught:
+        LockstepHand(**wrong_arguments)  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)

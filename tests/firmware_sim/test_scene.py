@@ -36,12 +36,12 @@ def test_the_cylinder_is_the_one_of_the_demonstration() -> None:
     )
 
 
-@pytest.mark.parametrize("millimetres", [30.0, 35.0, 40.0])
-def test_shorthand_keeps_the_gap_to_the_palm(millimetres: float) -> None:
-    grasp_object = load_scene(f"cylinder:{millimetres:g}").grasp_object
+@pytest.mark.parametrize("diameter_mm", [30.0, 35.0, 40.0])
+def test_shorthand_keeps_the_gap_to_the_palm(diameter_mm: float) -> None:
+    grasp_object = load_scene(f"cylinder:{diameter_mm:g}").grasp_object
     assert grasp_object is not None
-    assert grasp_object.size == pytest.approx((millimetres * 1e-3, millimetres * 1e-3, 0.093))
-    assert grasp_object.position[0] == pytest.approx(millimetres * 0.5e-3 + 0.002)
+    assert grasp_object.size == pytest.approx((diameter_mm * 1e-3, diameter_mm * 1e-3, 0.093))
+    assert grasp_object.position[0] == pytest.approx(diameter_mm * 0.5e-3 + 0.002)
 
 
 def test_no_scene_is_a_free_hand() -> None:
@@ -49,9 +49,9 @@ def test_no_scene_is_a_free_hand() -> None:
     assert load_scene("none").grasp_object is None
 
 
-@pytest.mark.parametrize("name", packaged_scenes())
-def test_objects_rest_on_their_table_until_grasped(name: str) -> None:
-    plant = Plant(load_hand("jamia"), load_scene(name))
+@pytest.mark.parametrize("scene_name", packaged_scenes())
+def test_objects_rest_on_their_table_until_grasped(scene_name: str) -> None:
+    plant = Plant(load_hand("jamia"), load_scene(scene_name))
     before = plant.engine.object_pose()
     for _ in range(1000):
         plant.step()
@@ -61,7 +61,7 @@ def test_objects_rest_on_their_table_until_grasped(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new"),
+    ("original_text", "replacement_text"),
     [
         ('shape = "sphere"', 'shape = "cone"'),
         ("mass_kg = 0.1", "mass_kg = -0.1"),
@@ -75,9 +75,11 @@ def test_objects_rest_on_their_table_until_grasped(name: str) -> None:
         ("friction = 0.5", "friction = nan"),
     ],
 )
-def test_wrong_scenes_are_refused_in_one_line(old: str, new: str, tmp_path: Path) -> None:
+def test_wrong_scenes_are_refused_in_one_line(
+    original_text: str, replacement_text: str, tmp_path: Path
+) -> None:
     path = tmp_path / "wrong.toml"
-    path.write_text(GOOD_SCENE.replace(old, new))
+    path.write_text(GOOD_SCENE.replace(original_text, replacement_text))
     with pytest.raises(SimulatorError, match=r"wrong\.toml") as caught:
         load_scene(str(path))
     assert "\n" not in str(caught.value)

@@ -25,10 +25,12 @@ SYNC_ID = ELEVEN_CELLS.sync_id
 
 
 def make_node(
-    spec: SensorSpec = ELEVEN_CELLS, tension: float = 20.0, angle: float = 0.5, seed: int = 0
+    sensor_spec: SensorSpec = ELEVEN_CELLS, tension: float = 20.0, angle: float = 0.5, seed: int = 0
 ) -> SensorNode:
-    tendons, joints = len(spec.tendons), len(spec.joints)
-    return SensorNode(spec, lambda: np.full(tendons, tension), lambda: np.full(joints, angle), seed)
+    tendons, joints = len(sensor_spec.tendons), len(sensor_spec.joints)
+    return SensorNode(
+        sensor_spec, lambda: np.full(tendons, tension), lambda: np.full(joints, angle), seed
+    )
 
 
 def channel_counts(data: bytes) -> tuple[int, list[int]]:
@@ -45,12 +47,12 @@ def channel_counts(data: bytes) -> tuple[int, list[int]]:
 
 
 @given(st.integers(0, 255), st.lists(st.integers(0, 4095), min_size=1, max_size=5))
-def test_payloads_are_packed_as_on_the_wire(counter: int, codes: list[int]) -> None:
-    data = pack(counter, codes)
-    assert len(data) == math.ceil((4 + 12 * len(codes)) / 8)
+def test_payloads_are_packed_as_on_the_wire(sync_counter: int, channel_codes: list[int]) -> None:
+    data = pack(sync_counter, channel_codes)
+    assert len(data) == math.ceil((4 + 12 * len(channel_codes)) / 8)
     got, values = channel_counts(data)
-    assert got == counter % 16
-    assert values[: len(codes)] == codes
+    assert got == sync_counter % 16
+    assert values[: len(channel_codes)] == channel_codes
 
 
 def test_a_frame_is_packed_byte_by_byte() -> None:
@@ -60,18 +62,19 @@ def test_a_frame_is_packed_byte_by_byte() -> None:
 
 
 @pytest.mark.parametrize(
-    ("newton", "code"),
+    ("tension_N", "expected_code"),
     [(0.0, 96), (110.0, 1856), (-6.0, 0), (-50.0, 0), (249.9, 4094), (500.0, 4095)],
 )
-def test_tension_codes(newton: float, code: int) -> None:
-    assert tension_code(newton) == code
+def test_tension_codes(tension_N: float, expected_code: int) -> None:
+    assert tension_code(tension_N) == expected_code
 
 
 @pytest.mark.parametrize(
-    ("degrees", "code"), [(0.0, 2048), (90.0, 3072), (-90.0, 1024), (-400.0, 0), (400.0, 4095)]
+    ("angle_deg", "expected_code"),
+    [(0.0, 2048), (90.0, 3072), (-90.0, 1024), (-400.0, 0), (400.0, 4095)],
 )
-def test_joint_codes(degrees: float, code: int) -> None:
-    assert joint_code(math.radians(degrees)) == code
+def test_joint_codes(angle_deg: float, expected_code: int) -> None:
+    assert joint_code(math.radians(angle_deg)) == expected_code
 
 
 def test_the_node_answers_sync_alone() -> None:

@@ -59,7 +59,7 @@ class FakePort:
     def close(self) -> None: ...
 
 
-class ServerBench:
+class SimulatorServerBench:
     def __init__(self) -> None:
         self.clock, self.wire = ManualClock(START_NS), FakePort()
         self.world = SimulatedWorld(
@@ -67,31 +67,31 @@ class ServerBench:
         )
         self.server = BusServer(self.world, [self.wire], self.clock)
 
-    def turn(self, t_ms: float, *frames: Frame) -> list[Frame]:
+    def turn(self, t_ms: float, *received_frames: Frame) -> list[Frame]:
         """Set the clock, run the server's loop once with received frames, and return the frames that it sends."""
         self.clock.t_ns = START_NS + round(t_ms * NS_PER_MS)
-        self.wire.coming, self.wire.sent = list(frames), []
+        self.wire.coming, self.wire.sent = list(received_frames), []
         self.server.turn()
         return self.wire.sent
 
 
 @pytest.fixture
-def bench() -> ServerBench:
-    return ServerBench()
+def bench() -> SimulatorServerBench:
+    return SimulatorServerBench()
 
 
 def feedback_state(frame: Frame) -> int:
     return frame.data[0] >> 4
 
 
-def test_the_plant_follows_the_clock_in_whole_steps(bench: ServerBench) -> None:
+def test_the_plant_follows_the_clock_in_whole_steps(bench: SimulatorServerBench) -> None:
     bench.turn(3.7)
     assert bench.world.t_ns == START_NS + round(3.5 * NS_PER_MS)
     bench.turn(4.0)
     assert bench.world.t_ns == START_NS + 4 * NS_PER_MS
 
 
-def test_a_frame_samples_the_plant_at_its_exact_time(bench: ServerBench) -> None:
+def test_a_frame_samples_the_plant_at_its_exact_time(bench: SimulatorServerBench) -> None:
     """A received frame triggers a sensor reading of exactly its arrival time.
 
     The simulation advances in steps of 0.5 ms. The reading of a sensor between two steps does not
@@ -107,7 +107,9 @@ def test_a_frame_samples_the_plant_at_its_exact_time(bench: ServerBench) -> None
     assert (bench.world.plant.steps, bench.world.plant.part_ns) == (9, 0)
 
 
-def test_answers_go_out_in_the_same_turn_in_the_order_of_the_requests(bench: ServerBench) -> None:
+def test_answers_go_out_in_the_same_turn_in_the_order_of_the_requests(
+    bench: SimulatorServerBench,
+) -> None:
     sent = bench.turn(
         1,
         Frame(0x80, b"\x05"),
@@ -121,7 +123,7 @@ def test_answers_go_out_in_the_same_turn_in_the_order_of_the_requests(bench: Ser
     assert bench.server.summary()["foreign_frames"] == 1
 
 
-def test_a_late_turn_catches_up_in_strides_and_is_counted(bench: ServerBench) -> None:
+def test_a_late_turn_catches_up_in_strides_and_is_counted(bench: SimulatorServerBench) -> None:
     for turn in range(1, 9):
         bench.turn(30)
         assert bench.world.t_ns == START_NS + min(turn * MAX_CATCH_UP_NS, 30 * NS_PER_MS)
@@ -131,7 +133,9 @@ def test_a_late_turn_catches_up_in_strides_and_is_counted(bench: ServerBench) ->
     assert bench.world.slip_ns == 0
 
 
-def test_progress_is_reported_to_a_controller_on_the_same_clock(bench: ServerBench) -> None:
+def test_progress_is_reported_to_a_controller_on_the_same_clock(
+    bench: SimulatorServerBench,
+) -> None:
     bench.clock.sent = 5
     bench.turn(3.7, Frame(1, ENABLE_PAYLOAD))
     assert bench.clock.reached_ns == bench.world.t_ns == START_NS + round(3.7 * NS_PER_MS)
@@ -172,7 +176,7 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
     port.close()
 
 
-def test_an_answer_waits_for_one_stride_at_most(bench: ServerBench) -> None:
+def test_an_answer_waits_for_one_stride_at_most(bench: SimulatorServerBench) -> None:
     """Reproduce a defect: a server that was 10 ms behind simulated all of this time before it replied.
 
     The simulation took 2 ms, so the reply came after the next SYNC frame.
@@ -248,7 +252,7 @@ def test_one_stall_gives_no_advice() -> None:
 
 
 def test_slips_without_a_host_are_counted_but_not_reported(
-    bench: ServerBench, capsys: pytest.CaptureFixture[str]
+    bench: SimulatorServerBench, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bench.turn(1 + MAX_DELAY_NS // NS_PER_MS + 200)
     assert bench.server.slips == 1
@@ -256,14 +260,15 @@ def test_slips_without_a_host_are_counted_but_not_reported(
 
 
 @pytest.mark.parametrize(
-    ("pace", "rounded"), [(0.37, 0.3), (1.0, 1.0), (0.0299, 0.02), (1e-6, 0.001), (0.3, 0.3)]
+    ("measured_pace", "rounded_pace"),
+    [(0.37, 0.3), (1.0, 1.0), (0.0299, 0.02), (1e-6, 0.001), (0.3, 0.3)],
 )
-def test_a_pace_is_rounded_down_to_one_digit(pace: float, rounded: float) -> None:
-    assert rounded_down(pace) == rounded
+def test_a_pace_is_rounded_down_to_one_digit(measured_pace: float, rounded_pace: float) -> None:
+    assert rounded_down(measured_pace) == rounded_pace
 
 
 def test_a_late_simulation_skips_time_and_reports_it(
-    bench: ServerBench, capsys: pytest.CaptureFixture[str]
+    bench: SimulatorServerBench, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bench.turn(1, Frame(1, ENABLE_PAYLOAD))
     lost_ms = MAX_DELAY_NS // NS_PER_MS + 200
@@ -276,15 +281,15 @@ def test_a_late_simulation_skips_time_and_reports_it(
     assert (bench.server.slips, bench.server.overruns) == (1, 0)
 
 
-def write_timeout(milliseconds: int) -> Frame:
+def write_timeout(timeout_ms: int) -> Frame:
     """Return the frame that writes a watchdog time into register 9 of motor 1.
 
     The unit of this register is 50 us.
     """
-    return Frame(0x7FF, bytes((1, 0, 0x55, 9)) + (milliseconds * 20).to_bytes(4, "little"))
+    return Frame(0x7FF, bytes((1, 0, 0x55, 9)) + (timeout_ms * 20).to_bytes(4, "little"))
 
 
-def test_a_slip_does_not_trip_a_watchdog_but_real_silence_does(bench: ServerBench) -> None:
+def test_a_slip_does_not_trip_a_watchdog_but_real_silence_does(bench: SimulatorServerBench) -> None:
     bench.turn(1, write_timeout(40), Frame(1, ENABLE_PAYLOAD))
     bench.turn(1 + 500)
     assert [feedback_state(frame) for frame in bench.turn(502, Frame(1, TORQUE_PAYLOAD))] == [
@@ -304,19 +309,21 @@ def test_the_scaled_clock_is_monotonic_time_times_scale(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(
-    ("specs", "buses", "expected"),
+    ("bus_texts", "bus_names", "expected_result"),
     [
         (["local:x"], ["main"], ["local:x"]),
         (["main=local:x"], ["main"], ["local:x"]),
         (["b=socketcan:can1", "a=local:x"], ["a", "b"], ["local:x", "socketcan:can1"]),
     ],
 )
-def test_each_bus_gets_its_spec(specs: list[str], buses: list[str], expected: list[str]) -> None:
-    assert assign_buses(specs, buses) == expected
+def test_each_bus_gets_its_spec(
+    bus_texts: list[str], bus_names: list[str], expected_result: list[str]
+) -> None:
+    assert assign_buses(bus_texts, bus_names) == expected_result
 
 
 @pytest.mark.parametrize(
-    ("specs", "buses", "expected"),
+    ("bus_texts", "bus_names", "expected_result"),
     [
         (["local:x"], ["a", "b"], "this hand has 2"),
         (["a=local:x"], ["a", "b"], "no --bus for b"),
@@ -325,21 +332,22 @@ def test_each_bus_gets_its_spec(specs: list[str], buses: list[str], expected: li
     ],
 )
 def test_buses_that_do_not_fit_the_hand_are_refused(
-    specs: list[str], buses: list[str], expected: str
+    bus_texts: list[str], bus_names: list[str], expected_result: str
 ) -> None:
-    with pytest.raises(SimulatorError, match=expected):
-        assign_buses(specs, buses)
+    with pytest.raises(SimulatorError, match=expected_result):
+        assign_buses(bus_texts, bus_names)
 
 
 @pytest.mark.parametrize(
-    "spec", ["", "vcan0", "serial:x", "socketcan:", "local:", "socketcan:no-such-if", "join:nobody"]
+    "bus_text",
+    ["", "vcan0", "serial:x", "socketcan:", "local:", "socketcan:no-such-if", "join:nobody"],
 )
 def test_buses_that_cannot_be_opened_are_refused(
-    spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bus_text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     with pytest.raises(SimulatorError):
-        open_port(spec, 0)
+        open_port(bus_text, 0)
 
 
 def test_a_port_joins_a_served_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -56,8 +56,8 @@ class FakeSocket:
         self.bound = None
 
 
-def os_error(number: int) -> OSError:
-    return OSError(number, os.strerror(number))
+def os_error(error_number: int) -> OSError:
+    return OSError(error_number, os.strerror(error_number))
 
 
 @pytest.fixture

@@ -94,7 +94,7 @@ def test_the_plant_applies_the_stage(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "expected"),
+    ("stage_change", "expected_message"),
     [
         ({"last_s": 0.0, "turn_s": 0.0}, "last_s"),
         ({"down": [0.0, 0.0, 0.0]}, "down"),
@@ -104,23 +104,23 @@ def test_the_plant_applies_the_stage(tmp_path: Path) -> None:
         ({"colour": 1}, "colour"),
     ],
 )
-def test_wrong_stages_are_refused(change: dict[str, object], expected: str) -> None:
-    with pytest.raises(ValueError, match=expected):
-        read_stage(SIDEWAYS_STAGE | change)
+def test_wrong_stages_are_refused(stage_change: dict[str, object], expected_message: str) -> None:
+    with pytest.raises(ValueError, match=expected_message):
+        read_stage(SIDEWAYS_STAGE | stage_change)
 
 
 @pytest.mark.parametrize(
-    "change",
+    "stage_change",
     [
         ('"grasped"', '"never"'),
         ("[[stage]]", "[load]\ndirection=[1,0,0]\nstart_s=0\nrate_N_per_s=1\n[[stage]]"),
     ],
 )
 def test_stages_need_a_table_that_sinks_and_no_load(
-    change: tuple[str, str], tmp_path: Path
+    stage_change: tuple[str, str], tmp_path: Path
 ) -> None:
     path = tmp_path / "wrong.toml"
-    path.write_text(TWO_STAGE_SCENE.replace(*change))
+    path.write_text(TWO_STAGE_SCENE.replace(*stage_change))
     with pytest.raises(SimulatorError, match="stage") as caught:
         load_scene(str(path))
     assert "\n" not in str(caught.value)

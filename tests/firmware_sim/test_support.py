@@ -11,18 +11,20 @@ TABLE_SETTINGS = SinkingTable(
 )
 
 
-def contact_forces(*digits: float) -> list[float]:
+def contact_forces(*force_by_digit: float) -> list[float]:
     """Return a contact force vector for each digit.
 
     The vector has the given size, and no axis is parallel to the vector.
     """
-    return [part for size in digits for part in (0.6 * size, 0.0, -0.8 * size)]
+    return [part for size in force_by_digit for part in (0.6 * size, 0.0, -0.8 * size)]
 
 
-def advance_table(table: SupportTable, start: float, stop: float, *digits: float) -> float:
-    steps = round((stop - start) * 1000)
+def advance_table(
+    table: SupportTable, start_s: float, stop_s: float, *force_by_digit: float
+) -> float:
+    steps = round((stop_s - start_s) * 1000)
     for i in range(steps + 1):
-        table.update(start + i / 1000, contact_forces(*digits))
+        table.update(start_s + i / 1000, contact_forces(*force_by_digit))
     return table.depth
 
 
@@ -39,9 +41,14 @@ def test_the_table_sinks_after_a_grasp_of_a_second_and_a_half() -> None:
     assert advance_table(table, 3.5, 9.0, 0, 0, 0, 0) == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize("digits", [(5, 5, 5, 0), (5, 0, 0, 5), (0.9, 0.9, 0.9, 9), (0, 0, 0, 9)])
-def test_contact_with_too_few_digits_is_no_grasp(digits: tuple[float, ...]) -> None:
-    assert advance_table(SupportTable(TABLE_SETTINGS, OPPOSED_DIGITS), 0.0, 5.0, *digits) == 0.0
+@pytest.mark.parametrize(
+    "force_by_digit", [(5, 5, 5, 0), (5, 0, 0, 5), (0.9, 0.9, 0.9, 9), (0, 0, 0, 9)]
+)
+def test_contact_with_too_few_digits_is_no_grasp(force_by_digit: tuple[float, ...]) -> None:
+    assert (
+        advance_table(SupportTable(TABLE_SETTINGS, OPPOSED_DIGITS), 0.0, 5.0, *force_by_digit)
+        == 0.0
+    )
 
 
 def test_a_released_grasp_restarts_the_wait() -> None:

@@ -104,18 +104,18 @@ def test_at_rest_every_pulley_has_the_tension_of_the_load_cell() -> None:
     assert torque == pytest.approx([0.003 * tension] * 3)
 
 
-@pytest.mark.parametrize(("speed", "sign"), [(10.0, 1.0), (-10.0, -1.0)])
-def test_capstan_ratio_from_pulley_to_pulley(speed: float, sign: float) -> None:
+@pytest.mark.parametrize(("spool_speed", "motion_sign"), [(10.0, 1.0), (-10.0, -1.0)])
+def test_capstan_ratio_from_pulley_to_pulley(spool_speed: float, motion_sign: float) -> None:
     q, torque = [0.4, 0.5, 0.6], [0.0] * 3
     tendon = make_tendon()
-    tension = tendon.pull(q, [speed, 0.0, 0.0], 1.0, 6.0 * sign, torque)
+    tension = tendon.pull(q, [spool_speed, 0.0, 0.0], 1.0, 6.0 * motion_sign, torque)
     angles = math.pi / 2 + np.cumsum(q)
     assert np.array(torque) / 0.003 / tension == pytest.approx(
-        np.exp(-sign * 0.08 * angles), rel=1e-5
+        np.exp(-motion_sign * 0.08 * angles), rel=1e-5
     )
     loads = [torque[1] / torque[0], torque[2] / torque[1]]
     assert loads == pytest.approx(
-        [math.exp(-sign * 0.08 * 0.5), math.exp(-sign * 0.08 * 0.6)], rel=1e-5
+        [math.exp(-motion_sign * 0.08 * 0.5), math.exp(-motion_sign * 0.08 * 0.6)], rel=1e-5
     )
 
 
@@ -128,20 +128,22 @@ def test_friction_grows_with_speed_as_tanh() -> None:
 
 
 @given(st.floats(-0.2, 0.2), st.lists(st.floats(0.0, 1.7), min_size=3, max_size=3))
-def test_friction_dissipates_energy_and_the_slope_matches(speed: float, q: list[float]) -> None:
+def test_friction_dissipates_energy_and_the_slope_matches(
+    spool_speed: float, q: list[float]
+) -> None:
     """The friction of a tendon never adds power to its motion.
 
     At each pulley, ``slope`` is at least the tension that is lost there, divided by the speed.
     """
-    dq = [speed / 0.009] * 3
+    dq = [spool_speed / 0.009] * 3
     torque = [0.0] * 3
     tendon = make_tendon()
     theta = (0.003 * sum(q) + 0.3e-3) / 0.005
-    tension = tendon.pull(q, dq, theta, speed / 0.005, torque)
-    power = sum(t * v for t, v in zip(torque, dq, strict=True)) - tension * speed
+    tension = tendon.pull(q, dq, theta, spool_speed / 0.005, torque)
+    power = sum(t * v for t, v in zip(torque, dq, strict=True)) - tension * spool_speed
     assert power <= 1e-9
     worst = max(abs(0.003 * tension - t) / 0.003 for t in torque)
-    assert tendon.row.slope * abs(speed) >= worst - 1e-6
+    assert tendon.row.slope * abs(spool_speed) >= worst - 1e-6
 
 
 def test_slope_is_continuous_at_zero_speed() -> None:

@@ -32,9 +32,9 @@ class TimedBus:
     The method ``frames_at`` sets the clock, and processes all events up to the new time.
     """
 
-    def __init__(self, words: list[str], hand: bool = True) -> None:
+    def __init__(self, wire_words: list[str], with_hand: bool = True) -> None:
         self.clock = ManualClock(START_NS)
-        made = timed_port_maker(words, [DEFAULT_BITRATES], self.clock.now_ns, nodes=hand)
+        made = timed_port_maker(wire_words, [DEFAULT_BITRATES], self.clock.now_ns, nodes=with_hand)
         assert made
         self.port = made("lab", 0)
         self.world = SimulatedWorld(
@@ -48,8 +48,8 @@ class TimedBus:
         while ready := select.select(self.port.read_sockets(), [], [], 0.0)[0]:
             self.port.receive(ready)
 
-    def frames_at(self, ms: float) -> list[Frame]:
-        self.clock.t_ns = START_NS + round(ms * NS_PER_MS)
+    def frames_at(self, time_ms: float) -> list[Frame]:
+        self.clock.t_ns = START_NS + round(time_ms * NS_PER_MS)
         for _ in range(30):
             self.server.turn()
             if self.port.due_ns > self.clock.t_ns:
@@ -70,8 +70,8 @@ def timed_bus() -> Iterator[TimedBus]:
     made.port.close()
 
 
-def frame_time_us(size: int) -> float:
-    return frame_time_s(size, False, 1e6) * 1e6
+def frame_time_us(payload_size: int) -> float:
+    return frame_time_s(payload_size, False, 1e6) * 1e6
 
 
 def test_an_answer_arrives_after_the_wire_time_of_request_and_answer(timed_bus: TimedBus) -> None:
@@ -85,10 +85,10 @@ def test_an_answer_arrives_after_the_wire_time_of_request_and_answer(timed_bus: 
 
 
 @pytest.mark.parametrize(
-    ("adapter", "longest_ms"), [("usb-hs", 0.25), ("usb-fs", 2.0), ("spi", 0.2)]
+    ("adapter_class", "longest_ms"), [("usb-hs", 0.25), ("usb-fs", 2.0), ("spi", 0.2)]
 )
-def test_an_answer_arrives_later_behind_an_adapter(adapter: str, longest_ms: float) -> None:
-    lab = TimedBus([f"adapter={adapter}"])
+def test_an_answer_arrives_later_behind_an_adapter(adapter_class: str, longest_ms: float) -> None:
+    lab = TimedBus([f"adapter={adapter_class}"])
     wire_ms = (frame_time_us(1) + frame_time_us(7)) * 1e-3
     lab.host.send([Frame(SYNC_ID, b"\x05")])
     passed = 0.0
@@ -172,7 +172,7 @@ def test_a_disturbed_wire_puts_the_host_into_bus_off_and_is_reported(timed_bus: 
 
 
 def test_a_client_alone_gets_no_acknowledge() -> None:
-    lab = TimedBus([], hand=False)
+    lab = TimedBus([], with_hand=False)
     lab.host.send([Frame(1, b"")])
     lab.serve_clients()
     lab.clock.t_ns += 10 * NS_PER_MS
@@ -205,7 +205,7 @@ def test_a_disconnected_client_loses_its_queue(timed_bus: TimedBus) -> None:
 
 
 @pytest.mark.parametrize(
-    "word",
+    "wire_word",
     [
         "speed=1",
         "queue=0",
@@ -216,9 +216,9 @@ def test_a_disconnected_client_loses_its_queue(timed_bus: TimedBus) -> None:
         "restart_ms=-1",
     ],
 )
-def test_invalid_wire_words_are_refused(word: str) -> None:
-    with pytest.raises(SimulatorError, match=f"--wire {word}"):
-        timed_port_maker([word], [DEFAULT_BITRATES], lambda: 0)
+def test_invalid_wire_words_are_refused(wire_word: str) -> None:
+    with pytest.raises(SimulatorError, match=f"--wire {wire_word}"):
+        timed_port_maker([wire_word], [DEFAULT_BITRATES], lambda: 0)
 
 
 def test_only_a_served_bus_can_have_a_wire() -> None:

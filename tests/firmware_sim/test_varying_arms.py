@@ -10,20 +10,20 @@ from firmware_sim.hand_description import load_hand
 from firmware_sim.plant.drivetrain import _taken_up, step_drivetrain
 from firmware_sim.plant.motor import Motor
 from firmware_sim.plant.tendon import TendonRouting
-from tests.hand.varying_arms import with_varying_arms
+from tests.hand.varying_arms import hand_with_varying_arms
 
 STEP_S = 0.5e-3
 
 
-@pytest.mark.parametrize("name", ["jamia11", "n_plus_1", "orca_like"])
-def test_the_joints_get_the_work_that_the_tendons_do(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("hand_name", ["jamia11", "n_plus_1", "orca_like"])
+def test_the_joints_get_the_work_that_the_tendons_do(hand_name: str, tmp_path: Path) -> None:
     """The power of the tendons equals that of the joints.
 
     The power of a tendon is tension times tendon speed, and that of a joint is torque times joint
     rate. The simulated hand of this test has no friction and no damping.
     """
     path = tmp_path / "hand.toml"
-    path.write_text(with_varying_arms(name, 0.3).to_toml())
+    path.write_text(hand_with_varying_arms(hand_name, 0.3).to_toml())
     hand = load_hand(str(path))
     specs = [replace(spec, friction=0.0, damping=0.0) for spec in hand.every_tendon]
     names = [motor.name for motor in hand.motors]

@@ -30,10 +30,10 @@ FRAME_STRATEGY = st.builds(
 class BusMember:
     """A CAN controller on the simulated wire, and the frames that it has received."""
 
-    def __init__(self, wire: SimulatedWire, queue: int | None = None) -> None:
+    def __init__(self, wire: SimulatedWire, queue_length: int | None = None) -> None:
         self.received: list[Frame] = []
         self.errors: list[Frame] = []
-        self.controller = wire.add(self._receive, queue)
+        self.controller = wire.add(self._receive, queue_length)
 
     def _receive(self, frame: Frame, t_ns: int) -> None:
         (self.errors if frame.can_id & ERROR_FLAG else self.received).append(
@@ -53,8 +53,8 @@ class BusMember:
         return [frame.can_id & 0x1FF for frame in self.errors]
 
 
-def add_controllers(wire: SimulatedWire, count: int) -> list[BusMember]:
-    return [BusMember(wire) for _ in range(count)]
+def add_controllers(wire: SimulatedWire, controller_count: int) -> list[BusMember]:
+    return [BusMember(wire) for _ in range(controller_count)]
 
 
 @given(FRAME_STRATEGY)
@@ -96,7 +96,7 @@ def test_the_lowest_identifier_goes_first_without_interruption() -> None:
 
 
 @pytest.mark.parametrize(
-    ("first", "second"),
+    ("first_id", "second_id"),
     [
         (0x100, 0x101),
         (0x100, 0x100 | REMOTE_FLAG),
@@ -104,8 +104,8 @@ def test_the_lowest_identifier_goes_first_without_interruption() -> None:
         (5 | EXTENDED_FLAG, 6 | EXTENDED_FLAG),
     ],
 )
-def test_arbitration_is_bit_by_bit(first: int, second: int) -> None:
-    assert arbitration_number(first) < arbitration_number(second)
+def test_arbitration_is_bit_by_bit(first_id: int, second_id: int) -> None:
+    assert arbitration_number(first_id) < arbitration_number(second_id)
 
 
 def test_the_wire_is_never_idle_while_a_frame_waits() -> None:
@@ -152,8 +152,8 @@ def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None
     assert lonely.controller.tx_errors == 127
 
 
-def destroy_frames(wire: SimulatedWire, sender: CanController, count: int, t_ns: int) -> None:
-    wire.disturbed = count
+def destroy_frames(wire: SimulatedWire, sender: CanController, frame_count: int, t_ns: int) -> None:
+    wire.disturbed = frame_count
     sender.offer(Frame(1, b"x"), t_ns)
     wire.advance(t_ns + 10**8)
 
@@ -243,14 +243,14 @@ def test_removing_a_controller_during_its_frame_is_harmless() -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("kind", sorted(ADAPTER_CLASSES))
-def test_an_adapter_delays_by_at_most_a_usb_frame(kind: str, seed: int) -> None:
-    adapter, latency = ADAPTER_CLASSES[kind], AdapterLatency(kind, seed)
+@pytest.mark.parametrize("adapter_class", sorted(ADAPTER_CLASSES))
+def test_an_adapter_delays_by_at_most_a_usb_frame(adapter_class: str, seed: int) -> None:
+    adapter, latency = ADAPTER_CLASSES[adapter_class], AdapterLatency(adapter_class, seed)
     sent = [latency.send(t_ns) - t_ns for t_ns in range(0, 200_000_000, 3_000_000)]
     received = [latency.receive(t_ns) - t_ns for t_ns in range(0, 200_000_000, 3_000_000)]
     for delays, period in ((sent, adapter.send_period_ns), (received, adapter.receive_ns)):
         assert 0 <= min(delays) <= max(delays) <= period * 1.001 + adapter.frame_ns
-    if kind == "none":
+    if adapter_class == "none":
         assert set(sent + received) == {0}
 
 

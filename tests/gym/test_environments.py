@@ -40,40 +40,40 @@ The two fingers of this hand would squeeze out a smaller object.
 """
 
 
-def make_env(name: str, **options: Any) -> Any:
+def make_env(environment_id: str, **environment_options: Any) -> Any:
     """Return an environment without wrappers."""
-    return gymnasium.make(name, **options).unwrapped
+    return gymnasium.make(environment_id, **environment_options).unwrapped
 
 
-def following_action(env: Any, seen: Any) -> Any:
-    """Return the action that makes the hand follow the reference in the observation ``seen``.
+def action_towards_reference(environment: Any, observation: Any) -> Any:
+    """Return the action that makes the hand follow the reference in the observation ``observation``.
 
     The targets of the action are the reference angles at the time at which the hand will reach
     them.
     """
-    first = env.layout.names.index(f"reference_ahead_rad[{env.names[0]}]")
-    return env.action_for(np.degrees(seen[first : first + len(env.names)]))
+    first = environment.layout.names.index(f"reference_ahead_rad[{environment.names[0]}]")
+    return environment.action_for(np.degrees(observation[first : first + len(environment.names)]))
 
 
-def closing_action(env: Any, step: int) -> Any:
+def closing_action(environment: Any, step_index: int) -> Any:
     """Return the action of a scripted grasp in a given step.
 
     The scripted grasp first closes the hand, and then holds the object.
     """
-    action = np.full(env.action_space.shape, min(1.0, -1.0 + step / 60), np.float32)
-    begin, tension = GRASP_PARAMETERS[env.hand.name]
-    action[len(env.names) :] = tension if step > begin else -1.0
+    action = np.full(environment.action_space.shape, min(1.0, -1.0 + step_index / 60), np.float32)
+    begin, tension = GRASP_PARAMETERS[environment.hand.name]
+    action[len(environment.names) :] = tension if step_index > begin else -1.0
     return action
 
 
-def run_episode(env: Any, seed: int, steps: int) -> bytes:
+def run_episode(environment: Any, seed: int, step_count: int) -> bytes:
     """Run an episode with random actions, and return its observations and rewards as bytes."""
     rng = np.random.default_rng(seed)
-    seen, _ = env.reset(seed=seed)
+    seen, _ = environment.reset(seed=seed)
     rows = [seen.tobytes()]
-    for _ in range(steps):
-        seen, reward, ended, *_ = env.step(
-            rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32)
+    for _ in range(step_count):
+        seen, reward, ended, *_ = environment.step(
+            rng.uniform(-1.0, 1.0, environment.action_space.shape).astype(np.float32)
         )
         rows += [seen.tobytes(), np.float64(reward).tobytes()]
         if ended:
@@ -81,35 +81,42 @@ def run_episode(env: Any, seed: int, steps: int) -> bytes:
     return b"".join(rows)
 
 
-@pytest.mark.parametrize("name", [TRACK_ENV, GRASP_ENV])
-@pytest.mark.parametrize("hand", ["jamia", "t42"])
-@pytest.mark.parametrize("space", ["digit", "joint"])
-def test_environments_pass_the_gymnasium_checker(name: str, hand: str, space: str) -> None:
+@pytest.mark.parametrize("environment_id", [TRACK_ENV, GRASP_ENV])
+@pytest.mark.parametrize("hand_name", ["jamia", "t42"])
+@pytest.mark.parametrize("control_space", ["digit", "joint"])
+def test_environments_pass_the_gymnasium_checker(
+    environment_id: str, hand_name: str, control_space: str
+) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        env = make_env(name, hand=hand, space=space, duration_s=0.4)
+        env = make_env(environment_id, hand=hand_name, space=control_space, duration_s=0.4)
         check_env(env)
         env.close()
 
 
-@pytest.mark.parametrize("name", [TRACK_ENV, GRASP_ENV])
-def test_equal_seeds_and_actions_give_equal_episodes(name: str) -> None:
-    env = make_env(name)
+@pytest.mark.parametrize("environment_id", [TRACK_ENV, GRASP_ENV])
+def test_equal_seeds_and_actions_give_equal_episodes(environment_id: str) -> None:
+    env = make_env(environment_id)
     first = [run_episode(env, seed, 12) for seed in range(20)]
-    assert [run_episode(make_env(name), seed, 12) for seed in range(20)] == first
+    assert [run_episode(make_env(environment_id), seed, 12) for seed in range(20)] == first
     assert len(set(first)) == 20
 
 
 @pytest.mark.parametrize(
-    ("hand", "span"), [("jamia", None), ("jamia11", None), ("jamia_bench", None), ("t42", 0.05)]
+    ("hand_name", "reference_span"),
+    [("jamia", None), ("jamia11", None), ("jamia_bench", None), ("t42", 0.05)],
 )
-def test_the_reference_can_be_tracked(hand: str, span: float | None) -> None:
+def test_the_reference_can_be_tracked(hand_name: str, reference_span: float | None) -> None:
     """The reference angles of the hand t42 are small, because its fingers touch each other at 9 degrees."""
-    env = make_env(TRACK_ENV, hand=hand, **({} if span is None else {"span": (0.0, span)}))
+    env = make_env(
+        TRACK_ENV,
+        hand=hand_name,
+        **({} if reference_span is None else {"span": (0.0, reference_span)}),
+    )
     seen, _ = env.reset(seed=3)
     rewards, ended, truncated = [], False, False
     while not (ended or truncated):
-        seen, reward, ended, truncated, info = env.step(following_action(env, seen))
+        seen, reward, ended, truncated, info = env.step(action_towards_reference(env, seen))
         rewards.append(reward)
     assert truncated, info
     assert len(rewards) == env.max_steps == 250
@@ -117,9 +124,9 @@ def test_the_reference_can_be_tracked(hand: str, span: float | None) -> None:
     assert info["error_deg"] < 3.0
 
 
-@pytest.mark.parametrize("hand", GRASP_PARAMETERS)
-def test_the_object_can_be_grasped(hand: str) -> None:
-    env = make_env(GRASP_ENV, hand=hand, **DIAMETER_OPTIONS.get(hand, {}))
+@pytest.mark.parametrize("hand_name", GRASP_PARAMETERS)
+def test_the_object_can_be_grasped(hand_name: str) -> None:
+    env = make_env(GRASP_ENV, hand=hand_name, **DIAMETER_OPTIONS.get(hand_name, {}))
     for seed in range(3):
         env.reset(seed=seed)
         total, step, ended, truncated = 0.0, 0, False, False
@@ -154,7 +161,7 @@ def test_a_fault_ends_an_episode() -> None:
     env.simulated_run.simulated_hand.inject("snap tendon=index_tendon at=1s")
     ended = False
     while not ended:
-        seen, _, ended, truncated, info = env.step(following_action(env, seen))
+        seen, _, ended, truncated, info = env.step(action_towards_reference(env, seen))
         assert not truncated
     assert re.match("fault T0(1|2b) index_tendon", info["failure"])
     assert info["mode"] == "RELAX"
@@ -206,7 +213,7 @@ def test_several_processes_give_the_episodes_of_one_process() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "options", "line"),
+    ("environment_id", "environment_options", "expected_message"),
     [
         (TRACK_ENV, {"hand": "jamja"}, "no such hand or file"),
         (TRACK_ENV, {"space": "tip"}, "space: 'tip'; expected joint or digit"),
@@ -216,11 +223,13 @@ def test_several_processes_give_the_episodes_of_one_process() -> None:
         (GRASP_ENV, {"diameter_mm": (40.0, 30.0)}, "diameter_mm: "),
     ],
 )
-def test_a_wrong_option_is_one_line(name: str, options: dict[str, Any], line: str) -> None:
+def test_a_wrong_option_is_one_line(
+    environment_id: str, environment_options: dict[str, Any], expected_message: str
+) -> None:
     kinds = {TRACK_ENV: handctl.gym.TrackEnv, GRASP_ENV: handctl.gym.GraspEnv}
     with pytest.raises(ConfigError) as error:
-        kinds[name](**options)
-    assert line in str(error.value)
+        kinds[environment_id](**environment_options)
+    assert expected_message in str(error.value)
     assert "\n" not in str(error.value)
 
 

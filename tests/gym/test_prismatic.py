@@ -7,13 +7,13 @@ import pytest
 
 from handctl.gym.track import TrackEnv
 
-FOLDER = Path(__file__).parents[1] / "hand"
+HAND_FILE_FOLDER = Path(__file__).parents[1] / "hand"
 
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("hand", ["parallel_gripper", "mixed_gripper"])
 def test_streamed_prismatic_joints_follow_their_reference(hand: str, seed: int) -> None:
-    env = TrackEnv(hand=FOLDER / f"{hand}.toml", space="joint", speed_deg_s=200.0)
+    env = TrackEnv(hand=HAND_FILE_FOLDER / f"{hand}.toml", space="joint", speed_deg_s=200.0)
     try:
         env.reset(seed=seed)
         errors = []

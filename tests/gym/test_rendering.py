@@ -14,25 +14,25 @@ from handctl.errors import ConfigError
 TRACK_ENV, GRASP_ENV = "handctl/Track-v0", "handctl/Grasp-v0"
 
 
-def make_env(name: str, **options: Any) -> Any:
+def make_env(environment_id: str, **environment_options: Any) -> Any:
     """Return an environment that draws pictures, without wrappers."""
-    return gymnasium.make(name, render_mode="rgb_array", **options).unwrapped
+    return gymnasium.make(environment_id, render_mode="rgb_array", **environment_options).unwrapped
 
 
-def closed_picture(env: Any, seed: int, steps: int = 40) -> Any:
+def closed_picture(environment: Any, seed: int, step_count: int = 40) -> Any:
     """Return the picture of an episode whose digits have closed for some steps."""
-    env.reset(seed=seed)
-    action = np.full(env.action_space.shape, -1.0, np.float32)
-    action[: len(env.names)] = -0.3
-    for _ in range(steps):
-        env.step(action)
-    return env.render()
+    environment.reset(seed=seed)
+    action = np.full(environment.action_space.shape, -1.0, np.float32)
+    action[: len(environment.names)] = -0.3
+    for _ in range(step_count):
+        environment.step(action)
+    return environment.render()
 
 
-@pytest.mark.parametrize("name", [TRACK_ENV, GRASP_ENV])
-@pytest.mark.parametrize("hand", ["jamia", "t42"])
-def test_a_picture_shows_the_moving_hand(name: str, hand: str) -> None:
-    env = make_env(name, hand=hand, picture_size_px=(160, 120))
+@pytest.mark.parametrize("environment_id", [TRACK_ENV, GRASP_ENV])
+@pytest.mark.parametrize("hand_name", ["jamia", "t42"])
+def test_a_picture_shows_the_moving_hand(environment_id: str, hand_name: str) -> None:
+    env = make_env(environment_id, hand=hand_name, picture_size_px=(160, 120))
     for seed in range(3):
         env.reset(seed=seed)
         first = env.render()
@@ -58,11 +58,11 @@ def test_the_object_is_drawn() -> None:
         assert (first != second).any(axis=2).mean() > 0.05
 
 
-@pytest.mark.parametrize("name", [TRACK_ENV, GRASP_ENV])
-def test_the_gymnasium_checker_accepts_the_pictures(name: str) -> None:
+@pytest.mark.parametrize("environment_id", [TRACK_ENV, GRASP_ENV])
+def test_the_gymnasium_checker_accepts_the_pictures(environment_id: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        env = make_env(name, duration_s=0.4)
+        env = make_env(environment_id, duration_s=0.4)
         check_env(env)
         env.close()
 
@@ -78,16 +78,18 @@ def test_pictures_of_an_episode_are_collected() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "reason"),
+    ("environment_options", "expected_reason"),
     [
         ({"render_mode": "human"}, "render_mode: 'human'; expected rgb_array or None"),
         ({"picture_size_px": (0, 480)}, "picture_size_px"),
         ({"picture_size_px": (480, 5000)}, "picture_size_px"),
     ],
 )
-def test_wrong_options_are_refused(options: dict[str, Any], reason: str) -> None:
-    with pytest.raises(ConfigError, match=reason):
-        handctl.gym.TrackEnv(**options)
+def test_wrong_options_are_refused(
+    environment_options: dict[str, Any], expected_reason: str
+) -> None:
+    with pytest.raises(ConfigError, match=expected_reason):
+        handctl.gym.TrackEnv(**environment_options)
 
 
 def test_without_a_render_mode_there_is_no_picture() -> None:

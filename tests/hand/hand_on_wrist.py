@@ -13,18 +13,18 @@ The tendon that moves the wrist has a larger distance from this axis.
 """
 
 
-def mount_on_wrist(name: str, arm: float = WRIST_MOMENT_ARM_M) -> Hand:
+def mount_on_wrist(hand_name: str, moment_arm_m: float = WRIST_MOMENT_ARM_M) -> Hand:
     """Return a packaged hand with all its digits on a wrist of one joint.
 
     Two antagonistic tendons on one motor turn the wrist.
 
     Args:
-        name: name of a packaged hand.
-        arm: moment arm of every digit tendon about the wrist [m]. With 0, the tendons pass through
+        hand_name: name of a packaged hand.
+        moment_arm_m: moment arm of every digit tendon about the wrist [m]. With 0, the tendons pass through
             the axis of the wrist. Tendons of digits that close towards -y flex the wrist, and
             tendons of other digits extend the wrist.
     """
-    hand = load_hand(name)
+    hand = load_hand(hand_name)
     content: dict[str, Any] = json.loads(json.dumps(hand.content))
     node = content["sensor_node"]
     node["joints"] = ["wrist_j1", *node["joints"]]
@@ -34,8 +34,8 @@ def mount_on_wrist(name: str, arm: float = WRIST_MOMENT_ARM_M) -> Hand:
         side = 1.0 if abs(digit["mount_rpy_deg"][0]) > 90.0 else -1.0
         for tendon in content["tendon"]:
             moved = {joint.rpartition("_j")[0] for joint in tendon["moment_arm_m"]}
-            if arm and digit["name"] in moved:
-                tendon["moment_arm_m"]["wrist_j1"] = side * arm
+            if moment_arm_m and digit["name"] in moved:
+                tendon["moment_arm_m"]["wrist_j1"] = side * moment_arm_m
     wrist = {
         "name": "wrist",
         "mount_position_m": [-0.05, 0.0, 0.0],
@@ -58,4 +58,4 @@ def mount_on_wrist(name: str, arm: float = WRIST_MOMENT_ARM_M) -> Hand:
     content["digit"] = [wrist, *content["digit"]]
     content["tendon"] = [flexor, *content["tendon"]]
     content["motor"] = [motor, *content["motor"]]
-    return hand_from_content(content | {"name": f"{name}_wrist"}, name)
+    return hand_from_content(content | {"name": f"{hand_name}_wrist"}, hand_name)

@@ -8,7 +8,7 @@ from typing import Any
 from handctl.hand.hand_loading import hand_content
 
 
-def fifteen_motors() -> dict[str, Any]:
+def fifteen_motor_hand() -> dict[str, Any]:
     """Return the description of a hand with five fingers of three joints, with a motor per joint.
 
     The hand is jamia11 without its thumb and with two more fingers.
@@ -31,13 +31,13 @@ def fifteen_motors() -> dict[str, Any]:
     return raw | parts | {"name": "fifteen", "sensor_node": node}
 
 
-def _renamed_section(one: Any, finger: str) -> Any:
+def _renamed_section(section: Any, finger_name: str) -> Any:
     """Copy a section of a hand file, with the name of another finger in place of index."""
-    if isinstance(one, dict):
+    if isinstance(section, dict):
         return {
-            _renamed_section(key, finger): _renamed_section(value, finger)
-            for key, value in one.items()
+            _renamed_section(key, finger_name): _renamed_section(value, finger_name)
+            for key, value in section.items()
         }
-    if isinstance(one, list):
-        return [_renamed_section(value, finger) for value in one]
-    return one.replace("index", finger) if isinstance(one, str) else one
+    if isinstance(section, list):
+        return [_renamed_section(value, finger_name) for value in section]
+    return section.replace("index", finger_name) if isinstance(section, str) else section

@@ -52,22 +52,22 @@ def tetrahedron_obj(scale: float = 1.0, mixed_face_forms: bool = False) -> bytes
     return "\n".join(lines).encode()
 
 
-def write_meshes(folder: Path) -> None:
+def write_meshes(mesh_folder: Path) -> None:
     """Write the tetrahedron as ``m.stl`` in metres, and in millimetres as ``sub/mm.stl`` and ``sub/mm.obj``."""
-    (folder / "sub").mkdir()
-    (folder / "m.stl").write_bytes(stl(tetrahedron_triangles()))
-    (folder / "sub" / "mm.stl").write_bytes(stl(1e3 * tetrahedron_triangles()))
-    (folder / "sub" / "mm.obj").write_bytes(tetrahedron_obj(1e3))
+    (mesh_folder / "sub").mkdir()
+    (mesh_folder / "m.stl").write_bytes(stl(tetrahedron_triangles()))
+    (mesh_folder / "sub" / "mm.stl").write_bytes(stl(1e3 * tetrahedron_triangles()))
+    (mesh_folder / "sub" / "mm.obj").write_bytes(tetrahedron_obj(1e3))
 
 
-def hand_with_meshes(name: str) -> Hand:
+def hand_with_meshes(hand_name: str) -> Hand:
     """Return a packaged hand with the meshes of ``write_meshes`` on its palm and links.
 
     The first link of a digit with several links has no mesh.
 
     The mesh on the last link of each digit has a scale and a pose.
     """
-    content = hand_without_meshes(name).content
+    content = hand_without_meshes(hand_name).content
     content["mount"] = content["mount"] | {
         "palm_mesh": "m.stl",
         "palm_mesh_position_m": [-0.01, 0.0, 0.0],
@@ -81,17 +81,17 @@ def hand_with_meshes(name: str) -> Hand:
         digit["link_mesh_scale"] = [1.0] * (count - 1) + [list(MESH_SCALE)]
         digit["link_mesh_position_m"] = [[0.0, 0.0, 0.0]] * (count - 1) + [list(MESH_POSITION_M)]
         digit["link_mesh_rpy_deg"] = [[0.0, 0.0, 0.0]] * (count - 1) + [list(MESH_RPY_DEG)]
-    return hand_from_content(content, name)
+    return hand_from_content(content, hand_name)
 
 
-def hand_without_meshes(name: str) -> Hand:
+def hand_without_meshes(hand_name: str) -> Hand:
     """Return a packaged hand without meshes."""
-    content = load_hand(name).content
+    content = load_hand(hand_name).content
     content["mount"] = {key: value for key, value in content["mount"].items() if "mesh" not in key}
     content["digit"] = [
         {key: value for key, value in one.items() if "mesh" not in key} for one in content["digit"]
     ]
-    return hand_from_content(content, name)
+    return hand_from_content(content, hand_name)
 
 
 def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarray]:
@@ -110,7 +110,7 @@ def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarra
     return found
 
 
-def corners_of_hand(hand, folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
+def corners_of_hand(hand, mesh_folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
     """Return the corners of the mesh of each link in the palm frame [m], as the kinematics of handctl places them."""
     poses = {PALM_LINK: (np.zeros(3), np.eye(3))}
     tree = HandTree.from_hand(hand)
@@ -122,20 +122,22 @@ def corners_of_hand(hand, folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
     found = {}
     for mesh in meshes_of_hand(hand):
         position, rotation = poses[mesh.link]
-        content = (folder / mesh.file).read_bytes()
+        content = (mesh_folder / mesh.file).read_bytes()
         found[mesh.link] = mesh.place(mesh_triangles(content, mesh.suffix)) @ rotation.T + position
     return found
 
 
-def assert_same_places(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
+def assert_same_corners(
+    computed_corners: dict[str, np.ndarray], expected_corners: dict[str, np.ndarray]
+) -> None:
     """Assert that two sets of mesh corners agree for each link.
 
     Each corner is at most a micrometre away from a corner of the other set.
     """
-    assert found.keys() == expected.keys()
-    for link, corners in expected.items():
+    assert computed_corners.keys() == expected_corners.keys()
+    for link, corners in expected_corners.items():
         distance = np.linalg.norm(
-            corners.reshape(-1, 1, 3) - found[link].reshape(1, -1, 3), axis=-1
+            corners.reshape(-1, 1, 3) - computed_corners[link].reshape(1, -1, 3), axis=-1
         )
         assert distance.min(axis=1).max() < 1e-6, link
         assert distance.min(axis=0).max() < 1e-6, link

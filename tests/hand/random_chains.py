@@ -15,7 +15,7 @@ MIXED_SEEDS = range(20, 40)
 """Seeds of hands in which about half of the joints are prismatic."""
 
 
-def random_tree(seed: int) -> Hand:
+def random_hand_tree_of(seed: int) -> Hand:
     """Return a hand of five random digits of 1 to 3 links.
 
     Each digit is mounted on the palm or on an earlier digit.
@@ -24,18 +24,18 @@ def random_tree(seed: int) -> Hand:
     return random_hand(seed, *rng.integers(1, 4, 5).tolist(), rng=rng)
 
 
-def random_hand(seed: int, *counts: int, rng: np.random.Generator | None = None) -> Hand:
+def random_hand(seed: int, *joint_counts: int, rng: np.random.Generator | None = None) -> Hand:
     """Return a hand of random digits that have one tendon per joint.
 
-    ``counts`` has the number of links of each digit. Without ``counts``, the hand has a digit of 1
+    ``joint_counts`` has the number of links of each digit. Without ``joint_counts``, the hand has a digit of 1
     to 8 links and a digit of 1 to 7 links. If ``rng`` is given, some digits are mounted on other
     digits.
     """
     mounted = rng
     rng = np.random.default_rng(seed)
-    counts = counts or (seed % 8 + 1, int(rng.integers(1, 8)))
+    joint_counts = joint_counts or (seed % 8 + 1, int(rng.integers(1, 8)))
     content = load_hand("jamia11").content
-    digits = [random_digit(rng, f"d{number}", count) for number, count in enumerate(counts)]
+    digits = [random_digit(rng, f"d{number}", count) for number, count in enumerate(joint_counts)]
     for number, digit in enumerate(digits) if seed in MIXED_SEEDS else ():
         mix_in_prismatic_joints(np.random.default_rng((seed, number)), digit)
     line: list[str] = []
@@ -71,20 +71,20 @@ def random_hand(seed: int, *counts: int, rng: np.random.Generator | None = None)
     )
 
 
-def random_digit(rng: np.random.Generator, name: str, count: int) -> dict[str, Any]:
+def random_digit(rng: np.random.Generator, digit_name: str, joint_count: int) -> dict[str, Any]:
     """Return a digit of random links.
 
     Some links have length zero. For some links, the hand file gives the centre of mass and the
     inertia as single numbers instead of vectors.
     """
-    length = rng.uniform(0.01, 0.05, count)
-    length[:-1] *= rng.random(count - 1) > 0.2
+    length = rng.uniform(0.01, 0.05, joint_count)
+    length[:-1] *= rng.random(joint_count - 1) > 0.2
     radius = 0.006
-    axes = rng.normal(size=(count, 3))
-    mass = rng.uniform(1e-3, 2e-2, count)
-    com: list[Any] = rng.uniform(-0.004, 0.004, (count, 3)).tolist()
+    axes = rng.normal(size=(joint_count, 3))
+    mass = rng.uniform(1e-3, 2e-2, joint_count)
+    com: list[Any] = rng.uniform(-0.004, 0.004, (joint_count, 3)).tolist()
     inertia: list[Any] = []
-    for i in range(count):
+    for i in range(joint_count):
         # Compute the inertia from a body of random mass points, so that it satisfies the
         # inequalities of a real inertia tensor.
         points = rng.normal(size=(6, 3)) * 0.3 * np.maximum(length[i] / 3, radius / 2)
@@ -93,32 +93,32 @@ def random_digit(rng: np.random.Generator, name: str, count: int) -> dict[str, A
         if i % 3 == 1:
             com[i], inertia[i] = float(length[i] / 2), float(moments[2, 2])
     return {
-        "name": name,
+        "name": digit_name,
         "mount_position_m": rng.uniform(-0.05, 0.05, 3).tolist(),
         "mount_rpy_deg": rng.uniform(-180, 180, 3).tolist(),
         "link_length_m": length.tolist(),
         "joint_axis": (axes / np.linalg.norm(axes, axis=1, keepdims=True)).tolist(),
-        "joint_rpy_deg": rng.uniform(-180, 180, (count, 3)).tolist(),
+        "joint_rpy_deg": rng.uniform(-180, 180, (joint_count, 3)).tolist(),
         "link_com_m": com,
         "link_mass_kg": mass.tolist(),
         "link_inertia_kg_m2": inertia,
         "link_radius_m": radius,
-        "joint_min_deg": [-100.0] * count,
-        "joint_max_deg": [100.0] * count,
-        "joint_damping_N_m_s_per_rad": [5e-4] * count,
-        "joint_armature_kg_m2": rng.uniform(0.0, 1e-6, count).tolist(),
-        "spring_stiffness_N_m_per_rad": rng.uniform(0.03, 0.1, count).tolist(),
-        "spring_preload_rad": [0.6] * count,
+        "joint_min_deg": [-100.0] * joint_count,
+        "joint_max_deg": [100.0] * joint_count,
+        "joint_damping_N_m_s_per_rad": [5e-4] * joint_count,
+        "joint_armature_kg_m2": rng.uniform(0.0, 1e-6, joint_count).tolist(),
+        "spring_stiffness_N_m_per_rad": rng.uniform(0.03, 0.1, joint_count).tolist(),
+        "spring_preload_rad": [0.6] * joint_count,
     }
 
 
-def mix_in_prismatic_joints(chance: np.random.Generator, digit: dict[str, Any]) -> None:
+def mix_in_prismatic_joints(random_source: np.random.Generator, digit: dict[str, Any]) -> None:
     """Make some joints of a digit prismatic.
 
     In some hands, the first digits have only prismatic joints.
     """
     count = len(digit["link_length_m"])
-    slides = chance.random(count) < (1.0 if chance.random() < 0.2 else 0.5)
+    slides = random_source.random(count) < (1.0 if random_source.random() < 0.2 else 0.5)
     digit["joint_type"] = ["prismatic" if slide else "revolute" for slide in slides]
     values = {
         "joint_min_deg": ("joint_min_m", -0.05, -0.02),
@@ -130,7 +130,7 @@ def mix_in_prismatic_joints(chance: np.random.Generator, digit: dict[str, Any]) 
     }
     for key, (sliding, low, high) in values.items():
         digit[key] = [value for value, slide in zip(digit[key], slides, strict=True) if not slide]
-        digit[sliding] = chance.uniform(low, high, int(slides.sum())).tolist()
+        digit[sliding] = random_source.uniform(low, high, int(slides.sum())).tolist()
         for name in (key, sliding):
             if not digit[name]:
                 del digit[name]

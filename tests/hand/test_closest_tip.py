@@ -16,9 +16,9 @@ TESTED_HANDS = ("jamia", "jamia11", "t42", "n_plus_1")
 SEED_COUNT = 20
 
 
-def palm_digits(hand: str) -> list[DigitModel]:
+def palm_digits(hand_name: str) -> list[DigitModel]:
     """Return the digits of a hand that are mounted on its palm."""
-    description = load_hand(hand)
+    description = load_hand(hand_name)
     return [
         DigitModel.from_hand(description, digit.name)
         for digit in description.digit
@@ -26,9 +26,9 @@ def palm_digits(hand: str) -> list[DigitModel]:
     ]
 
 
-def tip_position(digit: DigitModel, theta: np.ndarray) -> np.ndarray:
-    """Return the position of the tip of a digit at the joint coordinates ``theta`` [m]."""
-    return joint_points(digit, digit.coupling @ theta)[-1]
+def tip_position(digit: DigitModel, joint_angles: np.ndarray) -> np.ndarray:
+    """Return the position of the tip of a digit at the joint coordinates ``joint_angles`` [m]."""
+    return joint_points(digit, digit.coupling @ joint_angles)[-1]
 
 
 @pytest.mark.parametrize("hand", TESTED_HANDS)

@@ -12,7 +12,7 @@ from handctl.hand.hand_loading import load_hand
 from tests.docs.command_blocks import REPOSITORY_ROOT
 
 SHADOW_LIKE = load_hand(REPOSITORY_ROOT / "examples" / "hands" / "shadow_like.toml")
-COUPLED = {
+DRIVER_BY_COUPLED_JOINT = {
     "index_j4": "index_j3", "middle_j4": "middle_j3", "ring_j4": "ring_j3", "little_j5": "little_j4",
 }  # fmt: skip
 """For each coupled joint of ``shadow_like``, the joint that it follows with the ratio 1."""
@@ -25,13 +25,13 @@ def test_the_urdf_has_a_mimic_for_each_rigidly_coupled_joint() -> None:
         for joint in robot.iter("joint")
         if (mimic := joint.find("mimic")) is not None
     }
-    assert {name: mimic["joint"] for name, mimic in mimics.items()} == COUPLED
+    assert {name: mimic["joint"] for name, mimic in mimics.items()} == DRIVER_BY_COUPLED_JOINT
     assert {float(mimic["multiplier"]) for mimic in mimics.values()} == {1.0}
 
 
 def test_mujoco_keeps_rigidly_coupled_joints_together() -> None:
     model = mujoco.MjModel.from_xml_string(mjcf_text(SHADOW_LIKE))
-    assert model.neq == len(COUPLED)
+    assert model.neq == len(DRIVER_BY_COUPLED_JOINT)
     data = mujoco.MjData(model)
     outer = model.actuator("index_outer").id
     data.ctrl[outer] = 2.0
@@ -44,8 +44,8 @@ def test_mujoco_keeps_rigidly_coupled_joints_together() -> None:
     assert np.array_equal(model.actuator_ctrlrange[:, 0], -model.actuator_ctrlrange[:, 1])
 
 
-@pytest.mark.parametrize("name", ["jamia", "t42"])
-def test_the_coupling_by_springs_is_no_constraint(name: str) -> None:
-    hand = load_hand(name)
+@pytest.mark.parametrize("hand_name", ["jamia", "t42"])
+def test_the_coupling_by_springs_is_no_constraint(hand_name: str) -> None:
+    hand = load_hand(hand_name)
     assert "<mimic" not in urdf_text(hand)
     assert "<equality" not in mjcf_text(hand)

@@ -18,19 +18,19 @@ JAMIA_CONTENT = hand_content("jamia")
 def refusal_of_edit(refusal):
     """Return a function that edits the packaged hand, and returns the error line without the file name."""
 
-    def refuse(edit):
+    def refuse(content_edit):
         content = copy.deepcopy(JAMIA_CONTENT)
-        edit(content)
+        content_edit(content)
         return refusal(content).removeprefix("my/hand.toml: ")
 
     return refuse
 
 
-def set_values(section, index, **values):
+def section_edit(section_name, section_index, **field_values):
     """Return an edit that sets values in one section of a hand's content."""
-    return lambda content: (content[section] if index is None else content[section][index]).update(
-        values
-    )
+    return lambda content: (
+        content[section_name] if section_index is None else content[section_name][section_index]
+    ).update(field_values)
 
 
 WRONG_UNITS = [
@@ -53,10 +53,12 @@ WRONG_UNITS = [
 ]
 
 
-@pytest.mark.parametrize(("section", "values", "start"), WRONG_UNITS)
-def test_the_message_about_a_wrong_unit_suggests_a_unit(refusal_of_edit, section, values, start):
-    line = refusal_of_edit(set_values(section, 0, **values))
-    assert line.startswith(start)
+@pytest.mark.parametrize(("section_name", "field_values", "expected_start"), WRONG_UNITS)
+def test_the_message_about_a_wrong_unit_suggests_a_unit(
+    refusal_of_edit, section_name, field_values, expected_start
+):
+    line = refusal_of_edit(section_edit(section_name, 0, **field_values))
+    assert line.startswith(expected_start)
     assert re.search(r"\(in .*\?\)$", line)
 
 
@@ -69,102 +71,102 @@ def test_entries_that_are_refused_cause_no_further_message():
     assert all("expected 0 or a number from 0.001 to 0.2 m" in line for line in lines)
 
 
-def set_tendon_values(**values):
-    return set_values("tendon", 0, **values)
+def tendon_edit(**tendon_fields):
+    return section_edit("tendon", 0, **tendon_fields)
 
 
-CONTRADICTIONS = {
+EDIT_BY_CONTRADICTION = {
     "tension limit above the wire's strength": (
-        set_tendon_values(tension_max_N=700.0, tension_trip_N=800.0),
+        tendon_edit(tension_max_N=700.0, tension_trip_N=800.0),
         "tendon[index_tendon].tension_max_N: 700, and the tendon breaks at 620 N; expected "
         "more than tension_floor_N = 3 N and at most rated_breaking_force_N = 620 N",
     ),
     "tension limit above the wire's strength and the trip": (
-        set_tendon_values(tension_max_N=700.0),
+        tendon_edit(tension_max_N=700.0),
         "tendon[index_tendon].tension_max_N: 700, and the tendon breaks at 620 N; expected "
         "more than tension_floor_N = 3 N and less than tension_trip_N = 140 N",
     ),
     "drive limit above the wire's strength": (
-        set_tendon_values(drive_limit_N=650.0),
+        tendon_edit(drive_limit_N=650.0),
         "tendon[index_tendon].drive_limit_N: 650, and the tendon breaks at 620 N; expected "
         "more than tension_trip_N = 140 N and at most rated_breaking_force_N = 620 N",
     ),
     "trip above drive limit": (
-        set_tendon_values(tension_trip_N=160.0),
+        tendon_edit(tension_trip_N=160.0),
         "tendon[index_tendon].tension_trip_N: 160; expected more than tension_max_N = 110 N and "
         "less than drive_limit_N = 160 N",
     ),
     "floor above maximum": (
-        set_tendon_values(tension_floor_N=120.0),
+        tendon_edit(tension_floor_N=120.0),
         "tendon[index_tendon].tension_floor_N: 120; expected less than tension_max_N = 110 N",
     ),
     "drive torque is not the drive limit": (
-        set_values("motor", 0, torque_max_N_m=1.0),
+        section_edit("motor", 0, torque_max_N_m=1.0),
         "motor[index_motor].torque_max_N_m: 1; expected drive_limit_N x spool_radius_m = 0.8 N m",
     ),
     "drive torque beyond the motor": (
-        set_values("motor", 0, torque_peak_N_m=0.7),
+        section_edit("motor", 0, torque_peak_N_m=0.7),
         "motor[index_motor].torque_max_N_m: 0.8; expected at most torque_peak_N_m = 0.7 N m",
     ),
     "stiffness of a position loop without the loop": (
-        set_values("motor", 0, kp_N_m_per_rad=1.0),
+        section_edit("motor", 0, kp_N_m_per_rad=1.0),
         'motor[index_motor].kp_N_m_per_rad: 1; expected no such key without control = "position"',
     ),
     "position loop stiffer than the tendon": (
-        set_values("motor", 0, control="position", kp_N_m_per_rad=3.0),
+        section_edit("motor", 0, control="position", kp_N_m_per_rad=3.0),
         "motor[index_motor].kp_N_m_per_rad: 3; expected at most stiffness_N_per_m x spool_radius_m^2 = 2.5 N m/rad",
     ),
     "unknown control": (
-        set_values("motor", 0, control="velocity"),
+        section_edit("motor", 0, control="velocity"),
         'motor[index_motor].control: "velocity"; expected "torque" or "position"',
     ),
     "same node id": (
-        set_values("motor", 1, node_id=1),
+        section_edit("motor", 1, node_id=1),
         'motor[middle_motor].node_id: 0x1 on bus "main" is taken; expected an identifier that is not in use; '
         "motor[index_motor].node_id has it",
     ),
     "node id is another's reply": (
-        set_values("motor", 1, node_id=0x11),
+        section_edit("motor", 1, node_id=0x11),
         'motor[middle_motor].node_id: 0x11 on bus "main"',
     ),
     "reply id is another's node id": (
-        set_values("motor", 3, options={"reply_id": 2}),
+        section_edit("motor", 3, options={"reply_id": 2}),
         'motor[thumb_motor].options.reply_id: 0x2 on bus "main" is taken',
     ),
     "reply id is its own node id": (
-        set_values("motor", 3, options={"reply_id": 4}),
+        section_edit("motor", 3, options={"reply_id": 4}),
         "motor[thumb_motor].options.reply_id: 0x4",
     ),
     "reply id is no number": (
-        set_values("motor", 3, options={"reply_id": "4"}),
+        section_edit("motor", 3, options={"reply_id": "4"}),
         "motor[thumb_motor].options.reply_id: 4; expected a whole number from 1 to 2047",
     ),
     "reply id is too small": (
-        set_values("motor", 3, options={"reply_id": 0}),
+        section_edit("motor", 3, options={"reply_id": 0}),
         "motor[thumb_motor].options.reply_id: 0; expected",
     ),
     "reply id is just large enough": (
-        set_values("motor", 3, options={"reply_id": 1}),
+        section_edit("motor", 3, options={"reply_id": 1}),
         'motor[thumb_motor].options.reply_id: 0x1 on bus "main" is taken',
     ),
     "reply id is just small enough": (
-        set_values("motor", 3, options={"reply_id": 0x7FF}),
+        section_edit("motor", 3, options={"reply_id": 0x7FF}),
         'motor[thumb_motor].options.reply_id: 0x7FF on bus "main" is taken',
     ),
     "reply id is too large": (
-        set_values("motor", 3, options={"reply_id": 0x800}),
+        section_edit("motor", 3, options={"reply_id": 0x800}),
         "motor[thumb_motor].options.reply_id: 2048; expected a whole number",
     ),
     "sensor frames on a drive's reply": (
-        set_values("sensor_node", None, base_id=0x12),
+        section_edit("sensor_node", None, base_id=0x12),
         "motor[middle_motor].node_id: 0x12",
     ),
     "sensor frames on the sync": (
-        set_values("sensor_node", None, base_id=0x80),
+        section_edit("sensor_node", None, base_id=0x80),
         "sensor_node.base_id: 0x80",
     ),
     "sync on the drives' register frames": (
-        set_values("sensor_node", None, sync_id=0x7FF),
+        section_edit("sensor_node", None, sync_id=0x7FF),
         "sensor_node.sync_id: 0x7FF",
     ),
     "two nodes of another protocol": (
@@ -172,63 +174,63 @@ CONTRADICTIONS = {
         'motor[middle_motor].node_id: 0x120 on bus "main" is taken',
     ),
     "too few values": (
-        set_values("digit", 0, link_com_m=[0.015, 0.0075]),
+        section_edit("digit", 0, link_com_m=[0.015, 0.0075]),
         "digit[index].link_com_m: 2 values; expected 3",
     ),
     "centre of mass beyond the link": (
-        set_values("digit", 0, link_com_m=[0.015, 0.0075, 0.02]),
+        section_edit("digit", 0, link_com_m=[0.015, 0.0075, 0.02]),
         "digit[index].link_com_m[2]: 0.02",
     ),
     "inertia beyond the link's mass": (
-        set_values("digit", 0, link_inertia_kg_m2=[5e-4, 7e-8, 2e-8]),
+        section_edit("digit", 0, link_inertia_kg_m2=[5e-4, 7e-8, 2e-8]),
         "digit[index].link_inertia_kg_m2[0]: 0.0005",
     ),
     "joint limits the wrong way round": (
-        set_values("digit", 3, joint_min_deg=[0.0, 100.0]),
+        section_edit("digit", 3, joint_min_deg=[0.0, 100.0]),
         "digit[thumb].joint_max_deg[1]: 100; expected more than joint_min_deg[1] = 100",
     ),
     "nine links": (
-        set_values("digit", 0, link_length_m=[0.01] * 9),
+        section_edit("digit", 0, link_length_m=[0.01] * 9),
         "digit[index].link_length_m: [0.01, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01]; expected at most 8 values",
     ),
     "a last link without length": (
-        set_values("digit", 0, link_length_m=[0.03, 0.015, 0.0], link_com_m=[0.015, 0.0075, 0.0]),
+        section_edit("digit", 0, link_length_m=[0.03, 0.015, 0.0], link_com_m=[0.015, 0.0075, 0.0]),
         "digit[index].link_length_m[2]: 0; expected more than 0",
     ),
     "an axis for every joint": (
-        set_values("digit", 0, joint_axis=[[0.0, 0.0, 1.0]]),
+        section_edit("digit", 0, joint_axis=[[0.0, 0.0, 1.0]]),
         "digit[index].joint_axis: 1 values; expected 3, one per link_length_m",
     ),
     "an axis of wrong length": (
-        set_values("digit", 0, joint_axis=[[0.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
+        section_edit("digit", 0, joint_axis=[[0.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
         "digit[index].joint_axis[1]: a vector of length 1.41; expected a unit vector, of length 1",
     ),
     "an axis of two numbers": (
-        set_values("digit", 0, joint_axis=[[0.0, 1.0]] * 3),
+        section_edit("digit", 0, joint_axis=[[0.0, 1.0]] * 3),
         "digit[index].joint_axis[0][2]: missing; expected a value",
     ),
     "an orientation for every joint": (
-        set_values("digit", 0, joint_rpy_deg=[[0.0, 0.0, 90.0]] * 2),
+        section_edit("digit", 0, joint_rpy_deg=[[0.0, 0.0, 90.0]] * 2),
         "digit[index].joint_rpy_deg: 2 values; expected 3",
     ),
     "centre of mass of two numbers": (
-        set_values("digit", 0, link_com_m=[[0.015, 0.0], 0.0075, 0.005]),
+        section_edit("digit", 0, link_com_m=[[0.015, 0.0], 0.0075, 0.005]),
         "digit[index].link_com_m[0]: [0.015, 0.0]; expected a number, or a list of 3 numbers",
     ),
     "centre of mass far from the link": (
-        set_values("digit", 0, link_com_m=[0.015, [0.0, 0.02, 0.0], 0.005]),
+        section_edit("digit", 0, link_com_m=[0.015, [0.0, 0.02, 0.0], 0.005]),
         "digit[index].link_com_m[1]: 0.02 m; expected at most 0.015 m from the joint",
     ),
     "mounted on nothing": (
-        set_values("digit", 1, mount_on="wrist"),
+        section_edit("digit", 1, mount_on="wrist"),
         'digit[middle].mount_on: "wrist" is not in this file',
     ),
     "mounted on itself": (
-        set_values("digit", 1, mount_on="middle"),
+        section_edit("digit", 1, mount_on="middle"),
         "digit[middle].mount_on: middle does not follow middle",
     ),
     "mounted on a later digit": (
-        set_values("digit", 0, mount_on="middle"),
+        section_edit("digit", 0, mount_on="middle"),
         "digit[index].mount_on: index does not follow middle; expected each digit right after the one that carries it",
     ),
     "mounted on a digit before others": (
@@ -236,61 +238,63 @@ CONTRADICTIONS = {
         "digit[thumb].mount_on: thumb does not follow middle",
     ),
     "inertia of two numbers": (
-        set_values("digit", 0, link_inertia_kg_m2=[[5e-7, 5e-7], 7e-8, 2e-8]),
+        section_edit("digit", 0, link_inertia_kg_m2=[[5e-7, 5e-7], 7e-8, 2e-8]),
         "digit[index].link_inertia_kg_m2[0]: [5e-07, 5e-07]; expected a number, or a list of 3 or 6 numbers",
     ),
     "inertia that is not positive definite": (
-        set_values("digit", 0, link_inertia_kg_m2=[[5e-7, 5e-7, 5e-7, 6e-7, 0.0, 0.0], 7e-8, 2e-8]),
+        section_edit(
+            "digit", 0, link_inertia_kg_m2=[[5e-7, 5e-7, 5e-7, 6e-7, 0.0, 0.0], 7e-8, 2e-8]
+        ),
         "digit[index].link_inertia_kg_m2[0]: a principal moment of -1e-07 kg m2; expected a positive definite inertia",
     ),
     "inertia of no real body": (
-        set_values("digit", 0, link_inertia_kg_m2=[[1e-7, 2e-7, 5e-7], 7e-8, 2e-8]),
+        section_edit("digit", 0, link_inertia_kg_m2=[[1e-7, 2e-7, 5e-7], 7e-8, 2e-8]),
         "digit[index].link_inertia_kg_m2[0]: principal moments 1e-07, 2e-07, 5e-07; "
         "expected none larger than the sum of the other two",
     ),
     "coupling of the wrong shape": (
-        set_values("digit", 0, coupling=[[1.0], [1.0]]),
+        section_edit("digit", 0, coupling=[[1.0], [1.0]]),
         "digit[index].coupling: 2 rows; expected 3",
     ),
     "ragged coupling": (
-        set_values("digit", 0, coupling=[[1.0], [1.0, 0.0], [1.0]]),
+        section_edit("digit", 0, coupling=[[1.0], [1.0, 0.0], [1.0]]),
         "digit[index].coupling: rows of [1, 2]",
     ),
     "coupling that the tendon cannot move": (
-        set_values("digit", 0, coupling=[[1.0], [-1.0], [0.0]]),
+        section_edit("digit", 0, coupling=[[1.0], [-1.0], [0.0]]),
         "digit[index].coupling: its tendons (moment_arm_m) can move only 0 of 1 coordinates; "
         "expected a tendon for every coordinate, or a coupling that leaves 1",
     ),
     "more coordinates than tendons": (
-        set_values("digit", 0, coupling=[[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]]),
+        section_edit("digit", 0, coupling=[[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]]),
         "digit[index].coupling: its tendons (moment_arm_m) can move only 1 of 2 coordinates",
     ),
     "unknown motor": (
-        set_tendon_values(motor="index_moter"),
+        tendon_edit(motor="index_moter"),
         'tendon[index_tendon].motor: "index_moter" is not in this file',
     ),
     "unknown joint": (
-        set_tendon_values(moment_arm_m={"index_j4": 0.003}),
+        tendon_edit(moment_arm_m={"index_j4": 0.003}),
         "tendon[index_tendon].moment_arm_m.index_j4: ",
     ),
     "unknown bus": (
-        set_values("motor", 0, bus="can0"),
+        section_edit("motor", 0, bus="can0"),
         'motor[index_motor].bus: "can0" is not in this file; expected one of main',
     ),
     "unknown sensor bus": (
-        set_values("sensor_node", None, bus="x"),
+        section_edit("sensor_node", None, bus="x"),
         'sensor_node.bus: "x" is not in this file',
     ),
     "unknown load cell": (
-        set_values("sensor_node", None, tendons=["x"]),
+        section_edit("sensor_node", None, tendons=["x"]),
         'sensor_node.tendons[0]: "x" is not in this file',
     ),
     "unknown joint encoder": (
-        set_values("sensor_node", None, joints=["index_j1", "x"]),
+        section_edit("sensor_node", None, joints=["index_j1", "x"]),
         'sensor_node.joints[1]: "x" is not in this file; expected one of index_j1, index_j2, index_j3, middle_j1, ',
     ),
     "joint encoder twice": (
-        set_values("sensor_node", None, joints=["index_j1"] * 2),
+        section_edit("sensor_node", None, joints=["index_j1"] * 2),
         'sensor_node.joints: "index_j1" twice',
     ),
     "two CANopen nodes with one number": (
@@ -303,11 +307,11 @@ CONTRADICTIONS = {
         'motor[middle_motor].node_id: cubemars node 9 on bus "main" is taken',
     ),
     "load cell twice": (
-        set_values("sensor_node", None, tendons=["index_tendon"] * 2),
+        section_edit("sensor_node", None, tendons=["index_tendon"] * 2),
         'sensor_node.tendons: "index_tendon" twice',
     ),
     "motor shared": (
-        set_values("tendon", 1, motor="index_motor"),
+        section_edit("tendon", 1, motor="index_motor"),
         'tendon[middle_tendon].motor: "index_motor" drives index_tendon already; expected a motor of its own',
     ),
     "motor without tendon": (
@@ -315,24 +319,24 @@ CONTRADICTIONS = {
         "motor[spare].name: drives no tendon; expected to be the motor of one tendon",
     ),
     "tendon of two digits": (
-        set_tendon_values(moment_arm_m={"index_j1": 0.003, "ring_j1": 0.003}),
+        tendon_edit(moment_arm_m={"index_j1": 0.003, "ring_j1": 0.003}),
         "tendon[index_tendon].moment_arm_m: moves index and ring; expected joints of one digit, ",
     ),
     "tendon of no digit": (
-        set_tendon_values(moment_arm_m={}),
+        tendon_edit(moment_arm_m={}),
         "tendon[index_tendon].moment_arm_m: moves no digit",
     ),
     "moment arm as a polynomial": (
-        set_tendon_values(moment_arm_m={"index_j1": [0.003, 1e-4]}),
+        tendon_edit(moment_arm_m={"index_j1": [0.003, 1e-4]}),
         "tendon[index_tendon].moment_arm_m.index_j1: [0.003, 0.0001]; expected a number from -0.05 to 0.05 m, "
         "{ polynomial_m = [r0, r1, ..] } of the joint angle in rad, or { angle_deg = [..], arm_m = [..] }",
     ),
     "tendon without lever": (
-        set_tendon_values(moment_arm_m={"index_j1": 0.003, "index_j2": 0.0}),
+        tendon_edit(moment_arm_m={"index_j1": 0.003, "index_j2": 0.0}),
         "tendon[index_tendon].moment_arm_m.index_j2: 0; expected 0.0001 to 0.05 m either way, or no such key",
     ),
     "joint that no tendon crosses": (
-        set_tendon_values(moment_arm_m={"index_j1": 0.003, "index_j2": 0.003}),
+        tendon_edit(moment_arm_m={"index_j1": 0.003, "index_j2": 0.003}),
         "digit[index]: no tendon crosses index_j3; expected a tendon with moment_arm_m.index_j3",
     ),
     "tendons out of order": (
@@ -341,34 +345,41 @@ CONTRADICTIONS = {
         "expected tendons digit by digit, in the order of the digits",
     ),
     "digit twice": (
-        set_values("digit", 1, name="index"),
+        section_edit("digit", 1, name="index"),
         'digit[index].name: "index" twice; expected every name once',
     ),
     "no digit": (lambda c: c.update(digit=[]), "digit: []; expected at least 1 values"),
     "a name with a blank": (
-        set_values("digit", 0, name="index finger"),
+        section_edit("digit", 0, name="index finger"),
         "digit[index finger].name: ",
     ),
     "direction": (
-        set_values("motor", 0, direction=0),
+        section_edit("motor", 0, direction=0),
         "motor[index_motor].direction: 0; expected 1 or -1",
     ),
     "schema of tomorrow": (lambda c: c.update(schema=3, novelty=1), "schema: 3; expected 1 or 2"),
     "negative mass": (
-        set_values("digit", 0, link_mass_kg=[-6.384e-3, 3.192e-3, 2.128e-3]),
+        section_edit("digit", 0, link_mass_kg=[-6.384e-3, 3.192e-3, 2.128e-3]),
         "digit[index].link_mass_kg[0]: -0.006384; expected a number from 1e-05 to 0.5 kg",
     ),
     "NaN in options": (
-        set_values("motor", 0, options={"x": math.nan}),
+        section_edit("motor", 0, options={"x": math.nan}),
         "motor[index_motor].options: ",
     ),
-    "list in options": (set_values("motor", 0, options={"x": [1]}), "motor[index_motor].options: "),
+    "list in options": (
+        section_edit("motor", 0, options={"x": [1]}),
+        "motor[index_motor].options: ",
+    ),
 }
 
 
-@pytest.mark.parametrize(("edit", "start"), CONTRADICTIONS.values(), ids=CONTRADICTIONS.keys())
-def test_contradicting_keys_are_refused(refusal_of_edit, edit, start):
-    assert refusal_of_edit(edit).startswith(start)
+@pytest.mark.parametrize(
+    ("content_edit", "expected_start"),
+    EDIT_BY_CONTRADICTION.values(),
+    ids=EDIT_BY_CONTRADICTION.keys(),
+)
+def test_contradicting_keys_are_refused(refusal_of_edit, content_edit, expected_start):
+    assert refusal_of_edit(content_edit).startswith(expected_start)
 
 
 def test_a_coupling_has_as_many_coordinates_as_joints_at_most():
@@ -399,18 +410,18 @@ def test_value_at_its_limit_is_accepted():
         hand_from_content(content, "own.toml")
 
 
-def edit_on_a_wrist(edit):
+def edit_on_a_wrist(content_edit):
     """Return an edit that first puts jamia on a wrist, and then applies another edit."""
 
     def change(content):
         content.update(copy.deepcopy(mount_on_wrist("jamia").content))
-        edit(content)
+        content_edit(content)
 
     return change
 
 
 @pytest.mark.parametrize(
-    ("arms", "line"),
+    ("moment_arms", "expected_message"),
     [
         (
             {"index_j1": 0.003, "middle_j1": 0.003},
@@ -424,7 +435,7 @@ def edit_on_a_wrist(edit):
         ),
     ],
 )
-def test_a_tendon_passes_only_carriers_of_its_digit(refusal_of_edit, arms, line):
-    index = {"moment_arm_m": arms}
+def test_a_tendon_passes_only_carriers_of_its_digit(refusal_of_edit, moment_arms, expected_message):
+    index = {"moment_arm_m": moment_arms}
     found = refusal_of_edit(edit_on_a_wrist(lambda content: content["tendon"][1].update(index)))
-    assert line in found
+    assert expected_message in found

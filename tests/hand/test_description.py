@@ -25,14 +25,14 @@ def hand(request):
     return load_hand(request.param)
 
 
-def with_value(content, path, value):
+def content_with_value(hand_content_tree, key_path, new_value):
     """Return a copy of a hand's content with one value replaced."""
-    content = copy.deepcopy(content)
-    node = content
-    for key in path[:-1]:
+    hand_content_tree = copy.deepcopy(hand_content_tree)
+    node = hand_content_tree
+    for key in key_path[:-1]:
         node = node[key]
-    node[path[-1]] = value
-    return content
+    node[key_path[-1]] = new_value
+    return hand_content_tree
 
 
 PACKAGED_NAMES = "jamia, jamia11, jamia_bench, n_plus_1, orca_like, t42"
@@ -65,11 +65,11 @@ def test_options_and_awkward_text_survive(tmp_path):
 def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
     plain = CONTENT_BY_HAND[hand.name]
     assert hand_from_content(dict(reversed(plain.items())), "x").identity == hand.identity
-    whole = with_value(plain, ("tendon", 0, "knee_N"), int(plain["tendon"][0]["knee_N"]))
+    whole = content_with_value(plain, ("tendon", 0, "knee_N"), int(plain["tendon"][0]["knee_N"]))
     assert hand_from_content(whole, "x").identity == hand.identity
     assert re.fullmatch(r"[0-9a-f]{64}", hand.identity)
     identities = {
-        hand_from_content(with_value(plain, path, value * 1.0001), "x").identity
+        hand_from_content(content_with_value(plain, path, value * 1.0001), "x").identity
         for path, value in changeable_values(plain)
     }
     assert len(identities | {hand.identity}) == 1 + len(list(changeable_values(plain)))
@@ -158,7 +158,7 @@ def test_several_buses_may_use_the_same_node_ids():
 
 
 @pytest.mark.parametrize(
-    ("name", "message"),
+    ("hand_name", "expected_message"),
     [
         (
             "jamai",
@@ -170,14 +170,14 @@ def test_several_buses_may_use_the_same_node_ids():
         ),
     ],
 )
-def test_missing_hand_file_is_refused(name, message):
+def test_missing_hand_file_is_refused(hand_name, expected_message):
     with pytest.raises(ConfigError) as caught:
-        load_hand(name)
-    assert str(caught.value) == message
+        load_hand(hand_name)
+    assert str(caught.value) == expected_message
 
 
 @pytest.mark.parametrize(
-    ("data", "message"),
+    ("file_bytes", "expected_message"),
     [
         (b"schema = ", "not TOML: "),
         (b"schema = 1\nschema = 1", "not TOML: "),
@@ -186,12 +186,12 @@ def test_missing_hand_file_is_refused(name, message):
         (b"", "schema: the file is empty; expected schema = 2 and the sections of a hand"),
     ],
 )
-def test_invalid_hand_file_is_refused(tmp_path, data, message):
+def test_invalid_hand_file_is_refused(tmp_path, file_bytes, expected_message):
     path = tmp_path / "hand.toml"
-    path.write_bytes(data)
+    path.write_bytes(file_bytes)
     with pytest.raises(ConfigError) as caught:
         load_hand(path)
-    assert message in str(caught.value)
+    assert expected_message in str(caught.value)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
 

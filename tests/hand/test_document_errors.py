@@ -13,44 +13,44 @@ from handctl.document import Document, validate_content
 from handctl.errors import ConfigError
 
 
-class MoveStep(Document):
+class ExampleMoveStep(Document):
     """Step of a plan that has a speed."""
 
     kind: Literal["move"]
     speed_deg_s: float = Field(gt=0)
 
 
-class HoldStep(Document):
+class ExampleHoldStep(Document):
     """Step of a plan with a tension and an optional step."""
 
     kind: Literal["hold"]
     tension_N: float
-    spare: MoveStep | None = None
+    spare: ExampleMoveStep | None = None
 
 
-class PlanPart(Document):
+class ExamplePlanPart(Document):
     """Part of a plan."""
 
     name: str
     size_m: float = 1.0
 
 
-class PlanDocument(Document):
+class ExamplePlanDocument(Document):
     """Document that has a field of each kind."""
 
     name: str
-    part: tuple[PlanPart, ...] = ()
+    part: tuple[ExamplePlanPart, ...] = ()
     made: str = ""
-    step: tuple[Annotated[MoveStep | HoldStep, Field(discriminator="kind")], ...] = ()
+    step: tuple[Annotated[ExampleMoveStep | ExampleHoldStep, Field(discriminator="kind")], ...] = ()
     point: dict[str, float] = Field(default_factory=dict)
-    either: MoveStep | float = 1.0
+    either: ExampleMoveStep | float = 1.0
 
     @field_validator("name")
     @classmethod
-    def _check_name(cls, name: str) -> str:
-        if name == "none":
+    def _check_name(cls, plan_name: str) -> str:
+        if plan_name == "none":
             raise ValueError("a better name")
-        return name
+        return plan_name
 
 
 MOVE_CONTENT = {"kind": "move", "speed_deg_s": 1.0}
@@ -110,22 +110,24 @@ LINE_BY_MISTAKE: dict[str, tuple[dict[str, Any], str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("content", "line"), LINE_BY_MISTAKE.values(), ids=LINE_BY_MISTAKE.keys())
-def test_a_mistake_is_a_line(content: dict[str, Any], line: str) -> None:
+@pytest.mark.parametrize(
+    ("document_content", "expected_message"), LINE_BY_MISTAKE.values(), ids=LINE_BY_MISTAKE.keys()
+)
+def test_a_mistake_is_a_line(document_content: dict[str, Any], expected_message: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        validate_content(content, PlanDocument, "plan.toml")
-    assert str(caught.value) == f"plan.toml: {line}"
+        validate_content(document_content, ExamplePlanDocument, "plan.toml")
+    assert str(caught.value) == f"plan.toml: {expected_message}"
 
 
 def test_document_without_a_table_is_refused() -> None:
     with pytest.raises(ConfigError) as caught:
-        validate_content([], PlanDocument, "plan.toml")  # type: ignore[arg-type]
+        validate_content([], ExamplePlanDocument, "plan.toml")  # type: ignore[arg-type]
     assert str(caught.value).startswith("plan.toml: []; expected ")
 
 
 def test_a_date_of_toml_is_taken_as_it_is_written() -> None:
     made = datetime.datetime(2026, 1, 2, 3, 4, 5, tzinfo=datetime.UTC)
     assert (
-        validate_content({"name": "a", "made": made}, PlanDocument, "plan.toml").made
+        validate_content({"name": "a", "made": made}, ExamplePlanDocument, "plan.toml").made
         == "2026-01-02 03:04:05+00:00"
     )

@@ -20,38 +20,43 @@ from handctl.hand.tendon_strength import (
 def hand_with_ratings(
     hand: Hand,
     *,
-    rated: float | None = None,
-    peak: float | None = None,
-    strength: float | None = None,
+    rated_torque: float | None = None,
+    peak_torque: float | None = None,
+    breaking_strength: float | None = None,
 ) -> Hand:
-    """Return a hand whose joints all have the rating ``rated`` [N m].
+    """Return a hand whose joints all have the rating ``rated_torque`` [N m].
 
-    All its motors have the torque ``peak`` [N m], and all its tendons the breaking force
-    ``strength`` [N].
+    All its motors have the torque ``peak_torque`` [N m], and all its tendons the breaking force
+    ``breaking_strength`` [N].
     """
     digits, motors, tendons = hand.digit, hand.motor, hand.tendon
-    if rated is not None:
+    if rated_torque is not None:
         digits = tuple(
-            d.model_copy(update={"joint_rated_torque_N_m": (rated,) * len(d.joints)})
+            d.model_copy(update={"joint_rated_torque_N_m": (rated_torque,) * len(d.joints)})
             for d in digits
         )
-    if peak is not None:
-        motors = tuple(motor.model_copy(update={"torque_peak_N_m": peak}) for motor in motors)
-    if strength is not None:
+    if peak_torque is not None:
+        motors = tuple(
+            motor.model_copy(update={"torque_peak_N_m": peak_torque}) for motor in motors
+        )
+    if breaking_strength is not None:
         tendons = tuple(
-            tendon.model_copy(update={"rated_breaking_force_N": strength}) for tendon in tendons
+            tendon.model_copy(update={"rated_breaking_force_N": breaking_strength})
+            for tendon in tendons
         )
     return hand.model_copy(update={"digit": digits, "motor": motors, "tendon": tendons})
 
 
-@pytest.mark.parametrize("name", [name for name in packaged_hands() if name.startswith("jamia")])
-def test_check_warns_of_each_jamia_and_accepts_it(name, capsys):
+@pytest.mark.parametrize(
+    "hand_name", [name for name in packaged_hands() if name.startswith("jamia")]
+)
+def test_check_warns_of_each_jamia_and_accepts_it(hand_name, capsys):
     """`config check` warns that a runaway drive of a jamia hand could break its tendon.
 
     A motor of these hands pulls with at least 250 N. If its drive runs away, the tension reaches
     500 N. The breaking force of 620 N is less than 1.5 times this tension.
     """
-    assert main(["config", "check", "--hand", name]) == 0
+    assert main(["config", "check", "--hand", hand_name]) == 0
     warned = [
         line for line in capsys.readouterr().out.splitlines() if line.startswith("# warning: ")
     ]
@@ -59,26 +64,28 @@ def test_check_warns_of_each_jamia_and_accepts_it(name, capsys):
         "torque_peak_N_m" in line and "limit the drive to 207 N = 1.03 N m" in line
         for line in warned
     )
-    assert main(["config", "check", "--hand", name, "--json"]) == 0
+    assert main(["config", "check", "--hand", hand_name, "--json"]) == 0
     assert [
         f"# warning: {text}" for text in json.loads(capsys.readouterr().out)["warnings"]
     ] == warned
 
 
-@pytest.mark.parametrize("name", packaged_hands())
-def test_the_bound_is_exact(name):
-    hand = load_hand(name)
+@pytest.mark.parametrize("hand_name", packaged_hands())
+def test_the_bound_is_exact(hand_name):
+    hand = load_hand(hand_name)
     spool = hand.motor[0].spool_radius_m
     for strength in (400.0, 900.0):
         most = largest_safe_force(strength)
         assert strength == pytest.approx(STRENGTH_MARGIN * runaway_tension(most))
         for factor, warned in ((0.999, False), (1.001, True)):
-            other = hand_with_ratings(hand, peak=factor * most * spool, strength=strength)
+            other = hand_with_ratings(
+                hand, peak_torque=factor * most * spool, breaking_strength=strength
+            )
             assert any("torque_peak_N_m" in line for line in strength_warnings(other)) == warned
 
 
 def test_a_drive_limit_too_high_is_reported_with_the_right_one():
-    hand = hand_with_ratings(load_hand("jamia"), strength=470.0)
+    hand = hand_with_ratings(load_hand("jamia"), breaking_strength=470.0)
     (line,) = [line for line in strength_warnings(hand) if "drive_limit_N" in line]
     assert line.startswith(
         "index_tendon, middle_tendon and 2 more: drive_limit_N (160 N at the tendon) makes 320 N"
@@ -91,8 +98,8 @@ def test_joints_without_rating_are_reported_and_weak_ones_by_name():
     hand = load_hand("jamia")
     assert any("joint_rated_torque_N_m is missing" in line for line in strength_warnings(hand))
     strong, weak = (
-        hand_with_ratings(hand, rated=2.26),
-        hand_with_ratings(hand, rated=2.24),
+        hand_with_ratings(hand, rated_torque=2.26),
+        hand_with_ratings(hand, rated_torque=2.24),
     )  # 1.5 times the torque of 500 N at a moment arm of 3 mm is 2.25 N m
     assert not any(
         "joint_rated" in line or "its rating" in line for line in strength_warnings(strong)

@@ -16,24 +16,26 @@ GRAVITIES_M_S2 = [(0.0, 0.0, -9.81), (0.0, -9.81, 0.0), (9.81, 0.0, 0.0), (3.1, 
 RELATIVE_TOLERANCE = 1e-9
 
 
-def random_motions(rng, n, samples=SAMPLE_COUNT):
+def random_motions(rng, joint_count, sample_count=SAMPLE_COUNT):
     """Return random angles, rates and accelerations (q, dq, ddq).
 
     The motions are so fast that every term of the dynamics has a measurable effect.
     """
     return zip(
-        *(scale * rng.normal(size=(samples, n)) for scale in (1.5, 15.0, 400.0)), strict=True
+        *(scale * rng.normal(size=(sample_count, joint_count)) for scale in (1.5, 15.0, 400.0)),
+        strict=True,
     )
 
 
-def arrays_agree(mine, reference):
+def arrays_agree(computed, reference):
     """Return True if two arrays agree within a tolerance that is relative to the largest entry."""
     return (
-        np.abs(np.asarray(mine) - reference).max() <= RELATIVE_TOLERANCE * np.abs(reference).max()
+        np.abs(np.asarray(computed) - reference).max()
+        <= RELATIVE_TOLERANCE * np.abs(reference).max()
     )
 
 
-def pinocchio_by_hand(digit: DigitModel, gravity) -> pinocchio.Model:
+def pinocchio_by_hand(digit: DigitModel, gravity_m_s2) -> pinocchio.Model:
     """Build a digit in pinocchio as a chain of hinges and prismatic joints, without using its URDF."""
     model, parent = pinocchio.Model(), 0
     place = pinocchio.SE3(np.array(digit.mount_rotation), np.array(digit.mount_position))
@@ -47,26 +49,26 @@ def pinocchio_by_hand(digit: DigitModel, gravity) -> pinocchio.Model:
         )
         model.appendBodyToJoint(parent, body, pinocchio.SE3.Identity())
         place = pinocchio.SE3(np.eye(3), np.array([digit.lengths[i], 0.0, 0.0]))
-    model.gravity.linear = np.array(gravity)
+    model.gravity.linear = np.array(gravity_m_s2)
     model.armature = np.array(digit.armature)
     return model
 
 
-def joint_rotation(digit: DigitModel, i: int) -> np.ndarray:
+def joint_rotation(digit: DigitModel, link_index: int) -> np.ndarray:
     """Return the orientation of link i at angle zero, relative to the frame of the link before it."""
     at_zero = (
-        digit.table[rigid_body.FIXED_ROTATION_ROW : rigid_body.COSINE_ROTATION_ROW, i]
-        + digit.table[rigid_body.COSINE_ROTATION_ROW : rigid_body.SINE_ROTATION_ROW, i]
+        digit.table[rigid_body.FIXED_ROTATION_ROW : rigid_body.COSINE_ROTATION_ROW, link_index]
+        + digit.table[rigid_body.COSINE_ROTATION_ROW : rigid_body.SINE_ROTATION_ROW, link_index]
     )
     rotation = at_zero.reshape(3, 3)
-    return rotation if i else digit.mount_rotation.T @ rotation
+    return rotation if link_index else digit.mount_rotation.T @ rotation
 
 
-@pytest.mark.parametrize("gravity", GRAVITIES_M_S2)
-def test_agrees_with_pinocchio_built_by_hand(digits, rng, gravity):
+@pytest.mark.parametrize("gravity_m_s2", GRAVITIES_M_S2)
+def test_agrees_with_pinocchio_built_by_hand(digits, rng, gravity_m_s2):
     for digit in digits:
-        digit = digit.with_gravity(gravity)
-        model = pinocchio_by_hand(digit, gravity)
+        digit = digit.with_gravity(gravity_m_s2)
+        model = pinocchio_by_hand(digit, gravity_m_s2)
         data = model.createData()
         for q, dq, ddq in random_motions(rng, digit.joint_count):
             tau = pinocchio.rnea(model, data, q, dq, ddq)
@@ -80,16 +82,16 @@ def test_agrees_with_pinocchio_built_by_hand(digits, rng, gravity):
             assert arrays_agree(dynamics.forward_dynamics(digit, q, dq, tau), ddq)
 
 
-@pytest.mark.parametrize("gravity", GRAVITIES_M_S2)
-def test_agrees_with_pinocchio_reading_our_urdf(hand, digits, rng, gravity):
+@pytest.mark.parametrize("gravity_m_s2", GRAVITIES_M_S2)
+def test_agrees_with_pinocchio_reading_our_urdf(hand, digits, rng, gravity_m_s2):
     model = pinocchio.buildModelFromXML(urdf_text(hand))
-    model.gravity.linear = np.array(gravity)
+    model.gravity.linear = np.array(gravity_m_s2)
     order = [model.joints[model.getJointId(joint)].idx_v for joint in hand.joints]
     armature = np.zeros(model.nv)
     armature[order] = np.concatenate([digit.armature for digit in digits])
     model.armature = armature
     data = model.createData()
-    digits = [digit.with_gravity(gravity) for digit in digits]
+    digits = [digit.with_gravity(gravity_m_s2) for digit in digits]
     for q, dq, ddq in random_motions(rng, len(hand.joints)):
         theirs = [np.zeros(model.nv) for _ in range(3)]
         for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
@@ -100,16 +102,16 @@ def test_agrees_with_pinocchio_reading_our_urdf(hand, digits, rng, gravity):
         )
 
 
-@pytest.mark.parametrize("gravity", GRAVITIES_M_S2)
-def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity):
+@pytest.mark.parametrize("gravity_m_s2", GRAVITIES_M_S2)
+def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity_m_s2):
     model = mujoco.MjModel.from_xml_string(urdf_text(hand))
     assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)
-    model.opt.gravity[:] = gravity
+    model.opt.gravity[:] = gravity_m_s2
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     model.dof_damping[:] = 0.0
     model.dof_armature[:] = np.concatenate([digit.armature for digit in digits])
     data = mujoco.MjData(model)
-    digits = [digit.with_gravity(gravity) for digit in digits]
+    digits = [digit.with_gravity(gravity_m_s2) for digit in digits]
     full = np.zeros((model.nv, model.nv))
     for q, dq, ddq in random_motions(rng, model.nv):
         data.qpos[:], data.qvel[:], data.qacc[:] = q, dq, ddq

@@ -20,49 +20,51 @@ SIGNED_KEYS = re.compile(
 OPTIONAL_KEYS = {"coupling"}
 
 
-def content_leaves(node, path=()):
+def content_leaves(content_node, node_path=()):
     """Yield the path and the value of each entry in a hand's content that is neither a table nor a list."""
     entries = (
-        node.items()
-        if isinstance(node, dict)
-        else enumerate(node)
-        if isinstance(node, list)
+        content_node.items()
+        if isinstance(content_node, dict)
+        else enumerate(content_node)
+        if isinstance(content_node, list)
         else None
     )
     if entries is None:
-        yield path, node
+        yield node_path, content_node
         return
     for key, value in entries:
-        yield from content_leaves(value, (*path, key))
+        yield from content_leaves(value, (*node_path, key))
 
 
-def content_tables(node, path=()):
+def content_tables(content_node, node_path=()):
     """Yield the path and the content of each table whose keys the schema defines."""
-    if isinstance(node, dict):
-        yield path, node
-    for key, value in node.items() if isinstance(node, dict) else enumerate(node):
+    if isinstance(content_node, dict):
+        yield node_path, content_node
+    for key, value in (
+        content_node.items() if isinstance(content_node, dict) else enumerate(content_node)
+    ):
         if isinstance(value, dict | list) and key != "moment_arm_m":
-            yield from content_tables(value, (*path, key))
+            yield from content_tables(value, (*node_path, key))
 
 
-def is_number(value):
-    return isinstance(value, int | float) and not isinstance(value, bool)
+def is_number(leaf_value):
+    return isinstance(leaf_value, int | float) and not isinstance(leaf_value, bool)
 
 
-def with_value(content, path, value):
+def content_with_value(original_content, key_path, new_value):
     """Return a copy of a hand's content with one value replaced."""
-    content = copy.deepcopy(content)
-    node = content
-    for key in path[:-1]:
+    original_content = copy.deepcopy(original_content)
+    node = original_content
+    for key in key_path[:-1]:
         node = node[key]
-    node[path[-1]] = value
-    return content
+    node[key_path[-1]] = new_value
+    return original_content
 
 
-def key_path_text(content, path):
+def key_path_text(hand_content_tree, key_path):
     """Return a key path as an error message would write it."""
-    text, node = "", content
-    for key in path:
+    text, node = "", hand_content_tree
+    for key in key_path:
         node = node[key]
         if isinstance(key, int):
             text += f"[{node.get('name', key) if isinstance(node, dict) else key}]"
@@ -107,8 +109,8 @@ The entries of middle and ring finger are left out, because they repeat entries 
 SAMPLED_NUMBER_CASES = one_per_key(NUMBER_CASES)
 
 
-@pytest.mark.parametrize(("content", "path", "value"), SAMPLED_NUMBER_CASES)
-def test_invalid_number_in_a_hand_file_is_refused(refusal, content, path, value):
+@pytest.mark.parametrize(("content", "key_path", "wrong_number"), SAMPLED_NUMBER_CASES)
+def test_invalid_number_in_a_hand_file_is_refused(refusal, content, key_path, wrong_number):
     wrong = [
         (math.nan, "nan"),
         (math.inf, "inf"),
@@ -117,28 +119,28 @@ def test_invalid_number_in_a_hand_file_is_refused(refusal, content, path, value)
         ("12", '"12"'),
         ([1.0], "[1.0]"),
     ]
-    if value != 0 and not SIGNED_KEYS.search(str(path)):
-        wrong.append((-value, str(-value)))
+    if wrong_number != 0 and not SIGNED_KEYS.search(str(key_path)):
+        wrong.append((-wrong_number, str(-wrong_number)))
     for bad, shown in wrong:
-        line = refusal(with_value(content, path, bad))
-        assert line.startswith(f"my/hand.toml: {key_path_text(content, path)}: {shown};")
+        line = refusal(content_with_value(content, key_path, bad))
+        assert line.startswith(f"my/hand.toml: {key_path_text(content, key_path)}: {shown};")
 
 
-@pytest.mark.parametrize(("content", "path", "value"), SAMPLED_NUMBER_CASES)
-def test_no_number_may_be_absurdly_large(refusal, content, path, value):
+@pytest.mark.parametrize(("content", "key_path", "wrong_number"), SAMPLED_NUMBER_CASES)
+def test_no_number_may_be_absurdly_large(refusal, content, key_path, wrong_number):
     for absurd in (1e9, 10**400):
-        assert f"my/hand.toml: {key_path_text(content, path)}: " in refusal(
-            with_value(content, path, absurd)
+        assert f"my/hand.toml: {key_path_text(content, key_path)}: " in refusal(
+            content_with_value(content, key_path, absurd)
         )
 
 
-@pytest.mark.parametrize("name", HANDS_WITH_PLANAR_DIGITS)
-def test_a_missing_key_is_refused(refusal, name):
-    for path, table in content_tables(CONTENT_BY_HAND[name]):
+@pytest.mark.parametrize("hand_name", HANDS_WITH_PLANAR_DIGITS)
+def test_a_missing_key_is_refused(refusal, hand_name):
+    for path, table in content_tables(CONTENT_BY_HAND[hand_name]):
         for key in table:
             if key in ("schema", "sensor_node") or "mesh" in key:  # these keys are optional
                 continue
-            content = with_value(CONTENT_BY_HAND[name], (*path, key), None)
+            content = content_with_value(CONTENT_BY_HAND[hand_name], (*path, key), None)
             node = content
             for part in path:
                 node = node[part]
@@ -153,23 +155,23 @@ def test_a_missing_key_is_refused(refusal, name):
                 )
 
 
-@pytest.mark.parametrize("name", packaged_hands())
-def test_an_unknown_key_is_refused(refusal, name):
-    for path, _ in content_tables(CONTENT_BY_HAND[name]):
-        line = refusal(with_value(CONTENT_BY_HAND[name], (*path, "colour"), 1.0))
-        place = key_path_text(CONTENT_BY_HAND[name], path)
+@pytest.mark.parametrize("hand_name", packaged_hands())
+def test_an_unknown_key_is_refused(refusal, hand_name):
+    for path, _ in content_tables(CONTENT_BY_HAND[hand_name]):
+        line = refusal(content_with_value(CONTENT_BY_HAND[hand_name], (*path, "colour"), 1.0))
+        place = key_path_text(CONTENT_BY_HAND[hand_name], path)
         assert line.startswith(
             f"my/hand.toml: {place}{'.' if place else ''}colour: unknown key; expected one of "
         )
 
 
-@pytest.mark.parametrize("name", packaged_hands())
-def test_a_misspelt_key_is_reported_with_the_right_one(refusal, name):
-    for path, table in content_tables(CONTENT_BY_HAND[name]):
+@pytest.mark.parametrize("hand_name", packaged_hands())
+def test_a_misspelt_key_is_reported_with_the_right_one(refusal, hand_name):
+    for path, table in content_tables(CONTENT_BY_HAND[hand_name]):
         for key in table:
             if key == "schema" and path == ():
                 continue
-            content = with_value(CONTENT_BY_HAND[name], (*path, key + "s"), table[key])
+            content = content_with_value(CONTENT_BY_HAND[hand_name], (*path, key + "s"), table[key])
             node = content
             for part in path:
                 node = node[part]
@@ -186,7 +188,7 @@ def test_random_change_is_read_or_refused_in_one_line():
             continue
         for odd in ("", "x\ny", 0, -1, 1.5, False, [], {}, [[]], [{}], {"name": 3}, [None], 2**70):
             for depth in range(1, len(path) + 1):
-                assert usable_or_refused(with_value(content, path[:depth], odd))
+                assert usable_or_refused(content_with_value(content, path[:depth], odd))
 
 
 def usable_or_refused(content):

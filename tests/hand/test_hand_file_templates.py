@@ -50,27 +50,27 @@ def hand_of_content(content: dict[str, Any]) -> Hand:
     return hand
 
 
-@pytest.mark.parametrize("name", IDENTITY_BY_HAND)
-def test_the_packaged_hands_keep_their_identity(name: str) -> None:
-    assert load_hand(name).identity == IDENTITY_BY_HAND[name]
+@pytest.mark.parametrize("hand_name", IDENTITY_BY_HAND)
+def test_the_packaged_hands_keep_their_identity(hand_name: str) -> None:
+    assert load_hand(hand_name).identity == IDENTITY_BY_HAND[hand_name]
 
 
-@pytest.mark.parametrize("name", packaged_hands())
-def test_a_packaged_file_is_short(name: str) -> None:
+@pytest.mark.parametrize("hand_name", packaged_hands())
+def test_a_packaged_file_is_short(hand_name: str) -> None:
     assert len(
-        (PACKAGED_HANDS_FOLDER / f"{name}.toml").read_text("utf-8").splitlines()
-    ) < MAX_LINES_BY_HAND.get(name, MAX_LINES)
+        (PACKAGED_HANDS_FOLDER / f"{hand_name}.toml").read_text("utf-8").splitlines()
+    ) < MAX_LINES_BY_HAND.get(hand_name, MAX_LINES)
 
 
-@pytest.mark.parametrize("name", packaged_hands())
+@pytest.mark.parametrize("hand_name", packaged_hands())
 def test_the_resolved_hand_is_a_file_of_schema_1_for_controller_and_simulator(
-    name: str, tmp_path: Any
+    hand_name: str, tmp_path: Any
 ) -> None:
     path = tmp_path / "flat.toml"
-    path.write_text(load_hand(name).to_toml())
+    path.write_text(load_hand(hand_name).to_toml())
     assert read_toml(path)["schema"] == 1
-    assert load_hand(path).identity == load_hand(name).identity
-    assert simulated(str(path)) == simulated(name)
+    assert load_hand(path).identity == load_hand(hand_name).identity
+    assert simulated(str(path)) == simulated(hand_name)
 
 
 def test_a_section_replaces_its_template_and_the_template_the_default() -> None:

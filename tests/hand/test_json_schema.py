@@ -32,13 +32,13 @@ def content_with_lists(content: dict[str, Any]) -> Any:
     return json.loads(json.dumps(content))
 
 
-def with_value(path: tuple[Any, ...], value: Any) -> dict[str, Any]:
+def jamia11_content_with_value(key_path: tuple[Any, ...], new_value: Any) -> dict[str, Any]:
     """Return the content of jamia11 with one value replaced."""
     content = copy.deepcopy(read_toml(hand_path("jamia11")))
     node: Any = content
-    for key in path[:-1]:
+    for key in key_path[:-1]:
         node = node[key]
-    node[path[-1]] = value
+    node[key_path[-1]] = new_value
     return content
 
 
@@ -51,11 +51,13 @@ def test_json_schema_is_valid() -> None:
     jsonschema.Draft7Validator.check_schema(hand_schema())
 
 
-@pytest.mark.parametrize("name", packaged_hands())
-def test_good_files_of_both_schemas_suit_it(name: str) -> None:
-    path = hand_path(name)
+@pytest.mark.parametrize("hand_name", packaged_hands())
+def test_good_files_of_both_schemas_suit_it(hand_name: str) -> None:
+    path = hand_path(hand_name)
     SCHEMA_VALIDATOR.validate(read_toml(path))
-    SCHEMA_VALIDATOR.validate(content_with_lists(parse_toml(load_hand(name).to_toml(), "resolved")))
+    SCHEMA_VALIDATOR.validate(
+        content_with_lists(parse_toml(load_hand(hand_name).to_toml(), "resolved"))
+    )
     first = path.read_text("utf-8").splitlines()[0]
     assert (
         PACKAGED_HANDS_FOLDER / first.removeprefix("#:schema ")
@@ -82,9 +84,11 @@ WRONG_VALUES = {
 }
 
 
-@pytest.mark.parametrize(("path", "value"), WRONG_VALUES.values(), ids=WRONG_VALUES.keys())
-def test_json_schema_rejects_mistakes(path: tuple[Any, ...], value: Any) -> None:
-    assert not SCHEMA_VALIDATOR.is_valid(with_value(path, value))
+@pytest.mark.parametrize(
+    ("key_path", "wrong_value"), WRONG_VALUES.values(), ids=WRONG_VALUES.keys()
+)
+def test_json_schema_rejects_mistakes(key_path: tuple[Any, ...], wrong_value: Any) -> None:
+    assert not SCHEMA_VALIDATOR.is_valid(jamia11_content_with_value(key_path, wrong_value))
 
 
 def test_every_key_has_a_description() -> None:

@@ -31,10 +31,10 @@ def test_docstrings_of_fields_belong_to_the_model_and_its_bases() -> None:
     assert key_description(DerivedExampleKeys, "plain") == ""
 
 
-@pytest.mark.parametrize(("by_alias", "key"), [(True, "kind"), (False, "law")])
-def test_a_schema_has_the_descriptions_by_key(by_alias: bool, key: str) -> None:
+@pytest.mark.parametrize(("by_alias", "documented_key"), [(True, "kind"), (False, "law")])
+def test_a_schema_has_the_descriptions_by_key(by_alias: bool, documented_key: str) -> None:
     properties = DerivedExampleKeys.model_json_schema(
         by_alias=by_alias, schema_generator=DescribedSchema
     )["properties"]
-    assert properties[key]["description"] == "Law."
+    assert properties[documented_key]["description"] == "Law."
     assert "description" not in properties["plain"]

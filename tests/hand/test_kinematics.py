@@ -37,9 +37,9 @@ def planar_tip(digit, q):
     return x, y, float(np.sum(q))
 
 
-def random_angles(rng, digit, count=100):
+def random_angles(rng, digit, sample_count=100):
     """Return random joint angles (count, joints) [rad], from below the lower limits to above the upper limits."""
-    return rng.uniform(-2.5, 2.5, (count, digit.joint_count))
+    return rng.uniform(-2.5, 2.5, (sample_count, digit.joint_count))
 
 
 def hand_with_general_mounts() -> Hand:

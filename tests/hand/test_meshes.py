@@ -34,7 +34,7 @@ from handctl.hand.hand_loading import (
     parse_toml,
 )
 from tests.hand.mesh_files import (
-    assert_same_places,
+    assert_same_corners,
     corners_by_link,
     corners_of_hand,
     hand_with_meshes,
@@ -113,9 +113,11 @@ INVALID_MESH_FILES: dict[str, tuple[str, bytes, str]] = {
 }
 
 
-@pytest.mark.parametrize("kind", INVALID_MESH_FILES)
-def test_a_file_that_is_no_mesh_is_named_with_what_is_right(tmp_path: Path, kind: str) -> None:
-    file, content, text = INVALID_MESH_FILES[kind]
+@pytest.mark.parametrize("mistake_kind", INVALID_MESH_FILES)
+def test_a_file_that_is_no_mesh_is_named_with_what_is_right(
+    tmp_path: Path, mistake_kind: str
+) -> None:
+    file, content, text = INVALID_MESH_FILES[mistake_kind]
     (tmp_path / file).write_bytes(content)
     hand = hand_with_mesh_keys("t42", link_mesh=["", file])
     (left, _) = mesh_mistakes(hand, tmp_path)
@@ -123,11 +125,11 @@ def test_a_file_that_is_no_mesh_is_named_with_what_is_right(tmp_path: Path, kind
     assert left.where == "digit[left].link_mesh[1]"
 
 
-def hand_with_mesh_keys(name: str, **keys: object):
+def hand_with_mesh_keys(hand_name: str, **mesh_keys: object):
     """Return a packaged hand whose digits have the given keys in place of their meshes."""
-    content = hand_without_meshes(name).content
-    content["digit"] = [digit | keys for digit in content["digit"]]
-    return hand_from_content(content, name)
+    content = hand_without_meshes(hand_name).content
+    content["digit"] = [digit | mesh_keys for digit in content["digit"]]
+    return hand_from_content(content, hand_name)
 
 
 def test_a_missing_and_a_large_file_are_refused(tmp_path: Path) -> None:
@@ -146,7 +148,7 @@ def test_a_missing_and_a_large_file_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "text"),
+    ("mesh_keys", "expected_message"),
     [
         (
             {"link_mesh": ["sub/mm.stl", ""]},
@@ -170,14 +172,16 @@ def test_a_missing_and_a_large_file_are_refused(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_an_absurd_size_is_refused(mesh_folder: Path, keys: dict[str, object], text: str) -> None:
-    (left, right) = mesh_mistakes(hand_with_mesh_keys("t42", **keys), mesh_folder)
-    assert text in f"{left.what}; {left.right}"
+def test_an_absurd_size_is_refused(
+    mesh_folder: Path, mesh_keys: dict[str, object], expected_message: str
+) -> None:
+    (left, right) = mesh_mistakes(hand_with_mesh_keys("t42", **mesh_keys), mesh_folder)
+    assert expected_message in f"{left.what}; {left.right}"
     assert right.where == "digit[right].link_mesh[0]"
 
 
 @pytest.mark.parametrize(
-    ("keys", "text"),
+    ("mesh_keys", "expected_message"),
     [
         (
             {"link_mesh": ["a.stl"]},
@@ -227,13 +231,13 @@ def test_an_absurd_size_is_refused(mesh_folder: Path, keys: dict[str, object], t
         ),
     ],
 )
-def test_keys_of_meshes_are_checked(keys: dict[str, object], text: str) -> None:
-    with pytest.raises(ConfigError, match=re.escape(text)):
-        hand_with_mesh_keys("t42", **keys)
+def test_keys_of_meshes_are_checked(mesh_keys: dict[str, object], expected_message: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(expected_message)):
+        hand_with_mesh_keys("t42", **mesh_keys)
 
 
 @pytest.mark.parametrize(
-    ("keys", "text"),
+    ("mesh_keys", "expected_message"),
     [
         (
             {"palm_mesh": "palm.glb"},
@@ -249,10 +253,10 @@ def test_keys_of_meshes_are_checked(keys: dict[str, object], text: str) -> None:
         ),
     ],
 )
-def test_keys_of_the_palm_are_checked(keys: dict[str, object], text: str) -> None:
+def test_keys_of_the_palm_are_checked(mesh_keys: dict[str, object], expected_message: str) -> None:
     content = hand_without_meshes("t42").content
-    with pytest.raises(ConfigError, match=re.escape(text)):
-        hand_from_content(content | {"mount": content["mount"] | keys}, "t42")
+    with pytest.raises(ConfigError, match=re.escape(expected_message)):
+        hand_from_content(content | {"mount": content["mount"] | mesh_keys}, "t42")
 
 
 def test_one_scale_holds_for_all_links() -> None:
@@ -262,11 +266,11 @@ def test_one_scale_holds_for_all_links() -> None:
     assert [kind.get("type") for kind in scale["anyOf"]][-1] == "array"
 
 
-@pytest.mark.parametrize("name", packaged_hands())
-def test_meshes_survive_the_log_and_leave_the_identity(name: str) -> None:
-    hand = hand_with_meshes(name)
-    assert hand_from_content(parse_toml(hand.to_toml(), name), name) == hand
-    assert hand.identity == hand_without_meshes(name).identity == load_hand(name).identity
+@pytest.mark.parametrize("hand_name", packaged_hands())
+def test_meshes_survive_the_log_and_leave_the_identity(hand_name: str) -> None:
+    hand = hand_with_meshes(hand_name)
+    assert hand_from_content(parse_toml(hand.to_toml(), hand_name), hand_name) == hand
+    assert hand.identity == hand_without_meshes(hand_name).identity == load_hand(hand_name).identity
     links = {PALM_LINK} | {
         f"{digit.name}_link{i + 1}" for digit in hand.digit for i in range(len(digit.joints)) if i
     }
@@ -303,24 +307,24 @@ def exported_models(hand, mesh_folder: Path) -> dict[str, mujoco.MjModel]:
     }
 
 
-@pytest.mark.parametrize("name", packaged_hands())
+@pytest.mark.parametrize("hand_name", packaged_hands())
 def test_exports_put_each_mesh_where_its_link_is(
-    mesh_folder: Path, name: str, rng: np.random.Generator
+    mesh_folder: Path, hand_name: str, rng: np.random.Generator
 ) -> None:
-    hand = hand_with_meshes(name)
+    hand = hand_with_meshes(hand_name)
     models = exported_models(hand, mesh_folder)
     for _ in range(3):
         q = random_angles(hand, rng)
         expected = corners_of_hand(hand, mesh_folder, q)
         for model in models.values():
-            assert_same_places(corners_by_link(model, q), expected)
+            assert_same_corners(corners_by_link(model, q), expected)
 
 
-@pytest.mark.parametrize("name", packaged_hands())
+@pytest.mark.parametrize("hand_name", packaged_hands())
 def test_meshes_have_no_effect_on_the_dynamics(
-    mesh_folder: Path, name: str, rng: np.random.Generator
+    mesh_folder: Path, hand_name: str, rng: np.random.Generator
 ) -> None:
-    hand, bare = hand_with_meshes(name), hand_without_meshes(name)
+    hand, bare = hand_with_meshes(hand_name), hand_without_meshes(hand_name)
     (mesh_folder / "bare.toml").write_text(bare.to_toml())
     models = exported_models(hand, mesh_folder)
     simulated = simulated_hand(str(mesh_folder / "bare.toml"))

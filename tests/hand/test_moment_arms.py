@@ -18,16 +18,18 @@ from handctl.hand.moment_arms import arm_table_residual, polynomial_of_arm
 from handctl.hand.tendons import excursions
 from handctl.programs.default_task import grasp_warnings
 from handctl.report.hand_graph import text_graph
-from tests.hand.varying_arms import with_varying_arms
+from tests.hand.varying_arms import hand_with_varying_arms
 
 PACKAGED_HANDS = packaged_hands()
 ANGLE_SEEDS = range(3)
 
 
-@pytest.mark.parametrize("name", PACKAGED_HANDS)
-@pytest.mark.parametrize("kind", ["polynomial", "table"])
-def test_moment_arms_are_the_derivative_of_the_excursion(name: str, kind: str) -> None:
-    hand = with_varying_arms(name, 0.3, kind)
+@pytest.mark.parametrize("hand_name", PACKAGED_HANDS)
+@pytest.mark.parametrize("polynomial_kind", ["polynomial", "table"])
+def test_moment_arms_are_the_derivative_of_the_excursion(
+    hand_name: str, polynomial_kind: str
+) -> None:
+    hand = hand_with_varying_arms(hand_name, 0.3, polynomial_kind)
     for digit in (DigitModel.from_hand(hand, one) for one in hand.digit_names):
         for seed in ANGLE_SEEDS:
             # The test includes angles outside the joint limits. Beyond a joint limit, a moment arm
@@ -45,10 +47,10 @@ def test_moment_arms_are_the_derivative_of_the_excursion(name: str, kind: str) -
             np.testing.assert_allclose(found, theta, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", PACKAGED_HANDS)
-def test_a_polynomial_of_one_coefficient_is_a_constant_arm(name: str) -> None:
-    constant = load_hand(name)
-    hand = with_varying_arms(name, 0.0)
+@pytest.mark.parametrize("hand_name", PACKAGED_HANDS)
+def test_a_polynomial_of_one_coefficient_is_a_constant_arm(hand_name: str) -> None:
+    constant = load_hand(hand_name)
+    hand = hand_with_varying_arms(hand_name, 0.0)
     np.testing.assert_allclose(hand.moment_arms, constant.moment_arms, rtol=1e-12)
     q = np.random.default_rng(1).uniform(-1.0, 2.0, len(hand.joints))
     for one in hand.digit_names:
@@ -62,12 +64,12 @@ def test_a_polynomial_of_one_coefficient_is_a_constant_arm(name: str) -> None:
         )
 
 
-@pytest.mark.parametrize("name", PACKAGED_HANDS)
-@pytest.mark.parametrize("kind", ["polynomial", "table"])
+@pytest.mark.parametrize("hand_name", PACKAGED_HANDS)
+@pytest.mark.parametrize("polynomial_kind", ["polynomial", "table"])
 def test_the_simulator_has_the_same_arms_from_its_own_polynomials(
-    name: str, kind: str, tmp_path
+    hand_name: str, polynomial_kind: str, tmp_path
 ) -> None:  # type: ignore[no-untyped-def]
-    hand = with_varying_arms(name, 0.3, kind)
+    hand = hand_with_varying_arms(hand_name, 0.3, polynomial_kind)
     path = tmp_path / "hand.toml"
     path.write_text(hand.to_toml())
     described = load_simulated(str(path))
@@ -158,10 +160,10 @@ MOMENT_ARM_MISTAKES = {
 }
 
 
-@pytest.mark.parametrize("case", MOMENT_ARM_MISTAKES)
-def test_a_mistake_in_a_moment_arm_is_one_line(case: str) -> None:
-    arm, text = MOMENT_ARM_MISTAKES[case]
-    content = with_varying_arms("jamia", 0.0, "content")
+@pytest.mark.parametrize("mistake_name", MOMENT_ARM_MISTAKES)
+def test_a_mistake_in_a_moment_arm_is_one_line(mistake_name: str) -> None:
+    arm, text = MOMENT_ARM_MISTAKES[mistake_name]
+    content = hand_with_varying_arms("jamia", 0.0, "content")
     content["tendon"][0]["moment_arm_m"]["index_j1"] = arm
     with pytest.raises(ConfigError) as caught:
         hand_from_content(content, "hand.toml")
@@ -172,13 +174,13 @@ def test_a_mistake_in_a_moment_arm_is_one_line(case: str) -> None:
 
 
 def test_a_hand_with_varying_arms_is_written_and_read_back() -> None:
-    hand: Hand = with_varying_arms("jamia11", 0.3, "table")
+    hand: Hand = hand_with_varying_arms("jamia11", 0.3, "table")
     again = hand_from_content(parse_toml(hand.to_toml(), "again"), "again")
     assert again.identity == hand.identity
     assert again.content == hand.content
 
 
 def test_graph_and_warnings_include_varying_arms() -> None:
-    hand = with_varying_arms("jamia11", 0.3)
+    hand = hand_with_varying_arms("jamia11", 0.3)
     assert "index_t1: j1 +2.1..3.9 mm" in text_graph(hand)
     assert not [text for text in grasp_warnings(hand) if "no digit" in text]

@@ -31,7 +31,12 @@ from handctl.log.topics.transforms import (
     link_quaternions,
     multiply_quaternions,
 )
-from tests.hand.random_chains import MIXED_SEEDS, RANDOM_CHAIN_SEEDS, random_hand, random_tree
+from tests.hand.random_chains import (
+    MIXED_SEEDS,
+    RANDOM_CHAIN_SEEDS,
+    random_hand,
+    random_hand_tree_of,
+)
 from tests.hand.test_dynamics import (
     RELATIVE_TOLERANCE,
     arrays_agree,
@@ -206,7 +211,7 @@ def test_mixed_hands_have_joints_of_both_types_in_any_order():
     types = [
         digit.is_prismatic
         for seed in MIXED_SEEDS
-        for hand in (random_hand(seed), random_tree(seed))
+        for hand in (random_hand(seed), random_hand_tree_of(seed))
         for digit in hand.digit
     ]
     assert any(map(all, types))
@@ -252,20 +257,22 @@ def random_hand_tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
     and with the example ``shadow_like``.
     """
     hand = (
-        load_hand(request.param) if isinstance(request.param, str) else random_tree(request.param)
+        load_hand(request.param)
+        if isinstance(request.param, str)
+        else random_hand_tree_of(request.param)
     )
     return hand, HandTree.from_hand(hand)
 
 
 def test_random_trees_have_digits_on_digits_on_digits():
     carried = [
-        sum(digit.mount_on is not None for digit in random_tree(seed).digit)
+        sum(digit.mount_on is not None for digit in random_hand_tree_of(seed).digit)
         for seed in RANDOM_CHAIN_SEEDS
     ]
     assert max(carried) >= 3
     on_a_carried_one = [
         digit.mount_on is not None and hand.digit_named(digit.mount_on).mount_on is not None
-        for hand in map(random_tree, RANDOM_CHAIN_SEEDS)
+        for hand in map(random_hand_tree_of, RANDOM_CHAIN_SEEDS)
         for digit in hand.digit
     ]
     assert any(on_a_carried_one)

@@ -20,9 +20,9 @@ SCHEMA_1_FILE = Path(__file__).with_name("jamia_schema_1.toml")
 """The packaged hand file of jamia from before schema 2, with a comment at every number."""
 
 
-def hand_after_conversion(text: str) -> Hand:
+def hand_after_conversion(hand_file_text: str) -> Hand:
     """Convert the text of a hand file, and return the hand of the result."""
-    content = parse_toml(convert_to_schema_2(text, "old"), "new")
+    content = parse_toml(convert_to_schema_2(hand_file_text, "old"), "new")
     assert content["schema"] == 2
     return hand_from_content(content, "new")
 
@@ -42,9 +42,12 @@ def test_an_old_file_shrinks_and_keeps_its_comments() -> None:
         assert text in new, "numbers keep their notation"
 
 
-@pytest.mark.parametrize("name", packaged_hands())
-def test_a_packaged_hand_written_out_is_the_same_hand_again(name: str) -> None:
-    assert hand_after_conversion(load_hand(name).to_toml()).identity == load_hand(name).identity
+@pytest.mark.parametrize("hand_name", packaged_hands())
+def test_a_packaged_hand_written_out_is_the_same_hand_again(hand_name: str) -> None:
+    assert (
+        hand_after_conversion(load_hand(hand_name).to_toml()).identity
+        == load_hand(hand_name).identity
+    )
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(
 )
 GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
 LOG_NAMES = ("jamia-fault.mcap", "jamia-grasp.mcap")
-FPS = 50
+VIDEO_FRAMES_PER_S = 50
 CAMERA_HZ = 30
 IMAGE_WIDTH_PX, IMAGE_HEIGHT_PX = 64, 48
 LEVEL_PER_S = 40.0
@@ -30,7 +30,7 @@ LEVEL_PER_S = 40.0
 
 
 @pytest.fixture(autouse=True)
-def ffmpeg(tmp_path_factory, monkeypatch):
+def ffmpeg_on_path(tmp_path_factory, monkeypatch):
     """Add the program ffmpeg from the package imageio to PATH.
 
     If PATH already contains an ffmpeg, this ffmpeg has priority.
@@ -42,7 +42,7 @@ def ffmpeg(tmp_path_factory, monkeypatch):
     monkeypatch.setenv("PATH", f"{os.environ['PATH']}{os.pathsep}{folder}")
 
 
-def write_video(path, seconds, width=IMAGE_WIDTH_PX):
+def write_video(video_path, duration_s, width_px=IMAGE_WIDTH_PX):
     """Write a video whose images become brighter with time, and return its path.
 
     The brightness of an image therefore shows the time at which it was taken.
@@ -50,23 +50,23 @@ def write_video(path, seconds, width=IMAGE_WIDTH_PX):
     import imageio
 
     with imageio.get_writer(
-        path, fps=CAMERA_HZ, macro_block_size=1, output_params=["-crf", "1"]
+        video_path, fps=CAMERA_HZ, macro_block_size=1, output_params=["-crf", "1"]
     ) as writer:
-        for i in range(round(seconds * CAMERA_HZ)):
+        for i in range(round(duration_s * CAMERA_HZ)):
             image = np.full(
-                (IMAGE_HEIGHT_PX, width, 3), 20 + round(LEVEL_PER_S * i / CAMERA_HZ), np.uint8
+                (IMAGE_HEIGHT_PX, width_px, 3), 20 + round(LEVEL_PER_S * i / CAMERA_HZ), np.uint8
             )
-            image[:, : width // 2, 0] = 0  # the left half of the image contains no red
+            image[:, : width_px // 2, 0] = 0  # the left half of the image contains no red
             writer.append_data(image)
-    return path
+    return video_path
 
 
-def tick_times(log):
+def tick_times(run_log):
     """Return start and end [s] of the part of a log in which the hand is active.
 
     This part becomes an episode.
     """
-    active = log.t_ns[log.mode == int(HandMode.ACTIVE)] / 1e9
+    active = run_log.t_ns[run_log.mode == int(HandMode.ACTIVE)] / 1e9
     return active[0], active[-1]
 
 
@@ -90,9 +90,13 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
             write_video(tmp_path / f"{i}.mp4", spans[i][1] - starts[i] + 0.2) for i in range(2)
         ]
         cameras = make_cameras(["wrist"], [videos], starts, 2)
-        frames = export_lerobot([one, two], tmp_path / "data", FPS, cameras)
+        frames = export_lerobot([one, two], tmp_path / "data", VIDEO_FRAMES_PER_S, cameras)
     dataset = LeRobotDataset("me/exported", root=tmp_path / "data", video_backend="torchcodec")
-    assert (dataset.num_frames, dataset.num_episodes, dataset.fps) == (frames, 2, FPS)
+    assert (dataset.num_frames, dataset.num_episodes, dataset.fps) == (
+        frames,
+        2,
+        VIDEO_FRAMES_PER_S,
+    )
     assert dataset.meta.camera_keys == ["observation.images.wrist"]
     random = np.random.default_rng(0)
     for i in {0, frames - 1, *random.integers(0, frames, 20).tolist()}:
@@ -125,12 +129,18 @@ def test_videos_that_do_not_cover_an_episode_are_refused(tmp_path) -> None:
     with pytest.raises(
         LogError, match=r"one.mp4: the video ends 1.\d\d s before the end of the episode"
     ):
-        write_episode_video(source, tmp_path / "a.mp4", 0.0, 2 * FPS, FPS)
+        write_episode_video(
+            source, tmp_path / "a.mp4", 0.0, 2 * VIDEO_FRAMES_PER_S, VIDEO_FRAMES_PER_S
+        )
     with pytest.raises(LogError, match=r"the video begins 1.00 s after the start of the episode"):
-        write_episode_video(source, tmp_path / "a.mp4", -1.0, FPS, FPS)
+        write_episode_video(
+            source, tmp_path / "a.mp4", -1.0, VIDEO_FRAMES_PER_S, VIDEO_FRAMES_PER_S
+        )
     (tmp_path / "text.mp4").write_text("no video")
     with pytest.raises(LogError, match=r"text.mp4: ffmpeg: .*; expected a video that ffmpeg reads"):
-        write_episode_video(tmp_path / "text.mp4", tmp_path / "a.mp4", 0.0, FPS, FPS)
+        write_episode_video(
+            tmp_path / "text.mp4", tmp_path / "a.mp4", 0.0, VIDEO_FRAMES_PER_S, VIDEO_FRAMES_PER_S
+        )
 
 
 def test_videos_of_different_sizes_are_refused(tmp_path) -> None:
@@ -142,7 +152,7 @@ def test_videos_of_different_sizes_are_refused(tmp_path) -> None:
         ]
         cameras = make_cameras(["wrist"], [videos], (0.0,), 2)
         with pytest.raises(LogError, match=r"1.mp4: a video of 80 x 48 pixels; expected 64 x 48"):
-            export_lerobot([one, two], tmp_path / "data", FPS, cameras)
+            export_lerobot([one, two], tmp_path / "data", VIDEO_FRAMES_PER_S, cameras)
 
 
 def test_the_description_is_that_of_lerobot(tmp_path) -> None:
@@ -150,7 +160,12 @@ def test_the_description_is_that_of_lerobot(tmp_path) -> None:
 
     with RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as one:
         video = write_video(tmp_path / "one.mp4", tick_times(one)[1] + 0.2)
-        export_lerobot([one], tmp_path / "data", FPS, make_cameras(["wrist"], [[video]], (0.0,), 1))
+        export_lerobot(
+            [one],
+            tmp_path / "data",
+            VIDEO_FRAMES_PER_S,
+            make_cameras(["wrist"], [[video]], (0.0,), 1),
+        )
     info = json.loads((tmp_path / "data" / "meta" / "info.json").read_text())
     key = "observation.images.wrist"
     path = tmp_path / "data" / info["video_path"].format(video_key=key, chunk_index=0, file_index=0)

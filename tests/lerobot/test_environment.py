@@ -24,7 +24,7 @@ MIN_PASSED_TESTS = 13
 """Smallest number of tests that must pass, so that skipped tests are noticed."""
 
 
-def run_pip(lerobot_python: str, *words: str) -> None:
+def run_pip(lerobot_python: str, *pip_arguments: str) -> None:
     """Install packages into the environment that has the given Python."""
     command = [
         lerobot_python,
@@ -33,7 +33,7 @@ def run_pip(lerobot_python: str, *words: str) -> None:
         "--disable-pip-version-check",
         "install",
         "--quiet",
-        *words,
+        *pip_arguments,
     ]
     ran = subprocess.run(
         command, capture_output=True, text=True, timeout=INSTALL_TIMEOUT_S, check=False
@@ -41,7 +41,7 @@ def run_pip(lerobot_python: str, *words: str) -> None:
     assert ran.returncode == 0, ran.stderr[-2000:]
 
 
-def link_ffmpeg(lerobot_python: str, folder: Path) -> str:
+def link_ffmpeg(lerobot_python: str, link_folder: Path) -> str:
     """Create links to the FFmpeg libraries of PyAV, with the names under which torchcodec looks for them.
 
     Returns: The folders that ``LD_LIBRARY_PATH`` must contain.
@@ -49,11 +49,11 @@ def link_ffmpeg(lerobot_python: str, folder: Path) -> str:
     code = "import av, pathlib; print(pathlib.Path(av.__file__).parent.with_name('av.libs'))"
     found = subprocess.run([lerobot_python, "-c", code], capture_output=True, text=True, check=True)
     libraries = Path(found.stdout.strip())
-    folder.mkdir()
+    link_folder.mkdir()
     for path in libraries.glob("lib*.so.*"):
         if name := re.fullmatch(r"(lib(?:av|sw)\w+)-[0-9a-f]+\.so\.(\d+)\..*", path.name):
-            (folder / f"{name[1]}.so.{name[2]}").symlink_to(path)
-    return f"{folder}{os.pathsep}{libraries}"
+            (link_folder / f"{name[1]}.so.{name[2]}").symlink_to(path)
+    return f"{link_folder}{os.pathsep}{libraries}"
 
 
 @pytest.fixture

@@ -23,20 +23,20 @@ pytestmark = pytest.mark.skipif(
     find_spec("lerobot") is None, reason="needs LeRobot, see tests/lerobot/test_environment.py"
 )
 GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
-FPS = round(50 * TIME_SCALE)
+DATASET_FRAMES_PER_S = round(50 * TIME_SCALE)
 EPISODE_S = 4.0
 EPISODE_COUNT = 2
 
 
-def run_script(name: str, *words: str) -> "subprocess.CompletedProcess[str]":
+def run_script(script_name: str, *script_arguments: str) -> "subprocess.CompletedProcess[str]":
     """Run a script of LeRobot, and return its exit code and output."""
-    command = [sys.executable, "-m", f"lerobot.scripts.lerobot_{name}", *words]
+    command = [sys.executable, "-m", f"lerobot.scripts.lerobot_{script_name}", *script_arguments]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=400, check=False)
     assert ran.returncode == 0, ran.stderr[-3000:]
     return ran
 
 
-def fault_texts(log: RunLog) -> list[str]:
+def fault_texts(run_log: RunLog) -> list[str]:
     """Return the faults that made a run relax.
 
     Other faults are ignored, because a busy machine delays frames and actions, and causes such
@@ -44,7 +44,7 @@ def fault_texts(log: RunLog) -> list[str]:
     """
     return [
         row.event.text
-        for row in log.events
+        for row in run_log.events
         if row.event.name == "fault" and row.event.level == "error"
     ]
 
@@ -59,15 +59,16 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(robot_options, work_fo
     data = ["--dataset.repo_id=me/hand", "--dataset.root=data"]
     run_script(
         "record", *robot, option, "--teleop.type=handctl_log", "--teleop.log=leader.mcap", *data,
-        "--dataset.single_task=close the hand", f"--dataset.num_episodes={EPISODE_COUNT}", f"--dataset.fps={FPS}",
+        "--dataset.single_task=close the hand", f"--dataset.num_episodes={EPISODE_COUNT}",
+        f"--dataset.fps={DATASET_FRAMES_PER_S}",
         f"--dataset.episode_time_s={EPISODE_S}", "--dataset.reset_time_s=1", "--dataset.video=false",
         "--dataset.push_to_hub=false", "--play_sounds=false",
     )  # fmt: skip
     with RunLog(Path("run.mcap")) as log:
         assert not fault_texts(log)
     dataset = LeRobotDataset("me/hand", root=work_folder / "data")
-    assert (dataset.num_episodes, dataset.fps) == (EPISODE_COUNT, FPS)
-    assert dataset.num_frames > 0.8 * EPISODE_COUNT * EPISODE_S * FPS
+    assert (dataset.num_episodes, dataset.fps) == (EPISODE_COUNT, DATASET_FRAMES_PER_S)
+    assert dataset.num_frames > 0.8 * EPISODE_COUNT * EPISODE_S * DATASET_FRAMES_PER_S
     assert dataset.features["action"]["names"][0] == "index_j1.pos_rad"
     frame = dataset[0]
     assert frame["task"] == "close the hand"

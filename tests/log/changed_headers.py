@@ -15,57 +15,60 @@ MetadataEntries = dict[str, str]
 _RECORD_HEAD_STRUCT = struct.Struct("<BQ")
 
 
-def with_metadata(raw: bytes, change: Callable[[str, MetadataEntries], MetadataEntries]) -> bytes:
+def log_with_changed_metadata(
+    log_bytes: bytes, change_metadata: Callable[[str, MetadataEntries], MetadataEntries]
+) -> bytes:
     """Return the bytes of a log whose metadata were changed.
 
     The checksums over the whole file are left out.
 
     Args:
-        raw: bytes of a complete log.
-        change: function that takes the name and the entries of a metadata record, and returns the
+        log_bytes: bytes of a complete log.
+        change_metadata: function that takes the name and the entries of a metadata record, and returns the
             new entries.
     """
     parts = [MCAP_MAGIC]
-    for code, body in _split_records(raw):
+    for code, body in _split_records(log_bytes):
         if code == Opcode.METADATA:
             name, entries = _parsed_metadata(body)
-            body = _packed_metadata(name, change(name, entries))
+            body = _packed_metadata(name, change_metadata(name, entries))
         elif code in (Opcode.DATA_END, Opcode.FOOTER):
             body = body[:-4] + bytes(4)
         parts.append(_RECORD_HEAD_STRUCT.pack(code, len(body)) + body)
     return b"".join([*parts, MCAP_MAGIC])
 
 
-def with_run_metadata(path: Path, out: Path, **values: str) -> Path:
+def write_log_with_run_metadata(log_path: Path, out: Path, **json_by_key: str) -> Path:
     """Write a copy of a log to `out`, with other JSON texts in its metadata record `handctl.run`.
 
     Return the path of the copy.
     """
     out.write_bytes(
-        with_metadata(
-            path.read_bytes(), lambda name, old: old | values if name == "handctl.run" else old
+        log_with_changed_metadata(
+            log_path.read_bytes(),
+            lambda name, old: old | json_by_key if name == "handctl.run" else old,
         )
     )
     return out
 
 
-def _split_records(raw: bytes) -> Iterator[tuple[int, bytes]]:
+def _split_records(log_bytes: bytes) -> Iterator[tuple[int, bytes]]:
     at = len(MCAP_MAGIC)
-    while at < len(raw) - len(MCAP_MAGIC):
-        code, size = _RECORD_HEAD_STRUCT.unpack_from(raw, at)
+    while at < len(log_bytes) - len(MCAP_MAGIC):
+        code, size = _RECORD_HEAD_STRUCT.unpack_from(log_bytes, at)
         at += _RECORD_HEAD_STRUCT.size
-        yield code, raw[at : at + size]
+        yield code, log_bytes[at : at + size]
         at += size
 
 
-def _packed_text(value: str) -> bytes:
-    data = value.encode()
+def _packed_text(text: str) -> bytes:
+    data = text.encode()
     return struct.pack("<I", len(data)) + data
 
 
-def _read_text(body: bytes, at: int) -> tuple[str, int]:
-    (size,) = struct.unpack_from("<I", body, at)
-    return body[at + 4 : at + 4 + size].decode(), at + 4 + size
+def _read_text(record_body: bytes, offset: int) -> tuple[str, int]:
+    (size,) = struct.unpack_from("<I", record_body, offset)
+    return record_body[offset + 4 : offset + 4 + size].decode(), offset + 4 + size
 
 
 def _parsed_metadata(body: bytes) -> tuple[str, MetadataEntries]:
@@ -77,6 +80,6 @@ def _parsed_metadata(body: bytes) -> tuple[str, MetadataEntries]:
     return name, entries
 
 
-def _packed_metadata(name: str, entries: MetadataEntries) -> bytes:
+def _packed_metadata(metadata_name: str, entries: MetadataEntries) -> bytes:
     inner = b"".join(_packed_text(key) + _packed_text(value) for key, value in entries.items())
-    return _packed_text(name) + struct.pack("<I", len(inner)) + inner
+    return _packed_text(metadata_name) + struct.pack("<I", len(inner)) + inner

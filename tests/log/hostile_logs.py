@@ -12,18 +12,20 @@ from handctl.log.read.logfile import MAX_CHUNK_BYTES, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
 
 
-def _chunk_record(compression: str, packed: bytes, size: int, crc: int = 0) -> bytes:
+def _chunk_record(
+    compression: str, packed_bytes: bytes, uncompressed_size: int, crc: int = 0
+) -> bytes:
     name = compression.encode()
     body = (
-        struct.pack("<QQQII", 0, 0, size, crc, len(name))
+        struct.pack("<QQQII", 0, 0, uncompressed_size, crc, len(name))
         + name
-        + struct.pack("<Q", len(packed))
-        + packed
+        + struct.pack("<Q", len(packed_bytes))
+        + packed_bytes
     )
     return struct.pack("<BQ", 6, len(body)) + body
 
 
-def _with_chunks(small_log: Path, chunks: bytes) -> bytes:
+def _log_with_chunks(small_log: Path, chunks: bytes) -> bytes:
     """Return the bytes of a log that begins like a real log, and continues with the given MCAP chunks."""
     file, scan = LogFile(small_log), RecordScan()
     scan_records(file, scan)
@@ -31,7 +33,7 @@ def _with_chunks(small_log: Path, chunks: bytes) -> bytes:
     return small_log.read_bytes()[: scan.chunks[1].end] + chunks
 
 
-def _zeros_zstd(size: int) -> bytes:
+def _compressed_zeros(size: int) -> bytes:
     compressor = zstandard.ZstdCompressor(level=1).compressobj()
     part = bytes(1 << 20)
     return b"".join(compressor.compress(part) for _ in range(size >> 20)) + compressor.flush()
@@ -58,38 +60,40 @@ def hostile_files(small_log: Path) -> dict[str, bytes]:
     bombs = _chunk_record("zstd", zstandard.compress(zeros), len(zeros), zlib.crc32(zeros))
     text = struct.pack("<I", 2**32 - 1)
     return {
-        "zstd of a gigabyte": _with_chunks(
-            small_log, _chunk_record("zstd", _zeros_zstd(1 << 30), 1 << 20)
+        "zstd of a gigabyte": _log_with_chunks(
+            small_log, _chunk_record("zstd", _compressed_zeros(1 << 30), 1 << 20)
         ),
-        "zstd that says how large it is": _with_chunks(
-            small_log, _chunk_record("zstd", _zeros_zstd(1 << 30), 1 << 30)
+        "zstd that says how large it is": _log_with_chunks(
+            small_log, _chunk_record("zstd", _compressed_zeros(1 << 30), 1 << 30)
         ),
-        "lz4 of more than it says": _with_chunks(
+        "lz4 of more than it says": _log_with_chunks(
             small_log, _chunk_record("lz4", lz4.frame.compress(zeros), 1000)
         ),
-        "lz4 of less than it says": _with_chunks(
+        "lz4 of less than it says": _log_with_chunks(
             small_log, _chunk_record("lz4", lz4.frame.compress(b"x"), 1000)
         ),
-        "many bombs": _with_chunks(small_log, bombs * 300),
-        "zeros as records": _with_chunks(
+        "many bombs": _log_with_chunks(small_log, bombs * 300),
+        "zeros as records": _log_with_chunks(
             small_log, _chunk_record("lz4", lz4.frame.compress(zeros), len(zeros))
         ),
-        "a million messages": _with_chunks(
+        "a million messages": _log_with_chunks(
             small_log, _chunk_record("lz4", lz4.frame.compress(many), len(many))
         ),
-        "a million channels": _with_chunks(
+        "a million channels": _log_with_chunks(
             small_log, _chunk_record("lz4", lz4.frame.compress(channels), len(channels))
         ),
-        "a tick that lies": _with_chunks(small_log, _chunk_record("", tick, len(tick))),
-        "a chunk larger than the file": _with_chunks(small_log, struct.pack("<BQ", 6, 2**63))
+        "a tick that lies": _log_with_chunks(small_log, _chunk_record("", tick, len(tick))),
+        "a chunk larger than the file": _log_with_chunks(small_log, struct.pack("<BQ", 6, 2**63))
         + bytes(100)
         + MCAP_MAGIC,
-        "a huge attachment": _with_chunks(
+        "a huge attachment": _log_with_chunks(
             small_log, struct.pack("<BQ", 9, 17 << 20) + bytes(17 << 20)
         ),
-        "metadata that lies": _with_chunks(small_log, struct.pack("<BQ", 12, 20) + text * 5),
-        "a million empty records": _with_chunks(small_log, struct.pack("<BQ", 0x90, 0) * 1_000_000),
-        "an unknown compression": _with_chunks(small_log, _chunk_record("lzma", b"x", 1)),
+        "metadata that lies": _log_with_chunks(small_log, struct.pack("<BQ", 12, 20) + text * 5),
+        "a million empty records": _log_with_chunks(
+            small_log, struct.pack("<BQ", 0x90, 0) * 1_000_000
+        ),
+        "an unknown compression": _log_with_chunks(small_log, _chunk_record("lzma", b"x", 1)),
         "not a log": b"PK\x03\x04" * 100,
         "nothing": b"",
     }

@@ -17,20 +17,22 @@ from handctl.log.write.recorder import Recorder
 from handctl.log.write.writer import LogWriter
 
 
-def _us_per_item(number: int, work: Callable[[], object]) -> float:
+def _us_per_item(item_count: int, measured_work: Callable[[], object]) -> float:
     """Run a function three times, and return its shortest CPU time per item [us]."""
     spent = []
     for _ in range(3):
         start = time.process_time()
-        work()
+        measured_work()
         spent.append(time.process_time() - start)
-    return min(spent) / number * 1e6
+    return min(spent) / item_count * 1e6
 
 
-def _write_log(path: Path, run: synthetic_run.RunHeader, bodies: list[bytes]) -> None:
-    path.unlink(missing_ok=True)
-    writer = LogWriter(path, run, print, 1)
-    for body in bodies:
+def _write_log(
+    log_path: Path, run_header: synthetic_run.RunHeader, tick_bodies: list[bytes]
+) -> None:
+    log_path.unlink(missing_ok=True)
+    writer = LogWriter(log_path, run_header, print, 1)
+    for body in tick_bodies:
         writer.add_tick(body)
     writer.finish("finished", 0)
 
@@ -39,7 +41,7 @@ def main() -> None:
     """Measure how long a tick takes to be packed, written, passed through the pipe in lockstep, and read."""
     for hand, rate_hz in (("jamia", 500), ("jamia11", 1000)):
         run = synthetic_run.synthetic_header(hand, rate_hz)
-        ticks = list(synthetic_run.SyntheticTicks(run, 10.0))
+        ticks = list(synthetic_run.SyntheticRunTicks(run, 10.0))
         number, records = len(ticks), [pack_tick_record(*tick) for tick in ticks]
         bodies = [record[RECORD_FRAMING_STRUCT.size :] for record in records]
         with tempfile.TemporaryDirectory() as folder:
@@ -77,17 +79,17 @@ def _lockstep_write_us(path: Path, run: synthetic_run.RunHeader, records: list[b
     return (time.perf_counter() - start) / len(records) * 1e6
 
 
-def _print_read_time(path: Path, number: int) -> None:
+def _print_read_time(log_path: Path, tick_count: int) -> None:
     start = time.perf_counter()
-    with RunLog(path) as log:
+    with RunLog(log_path) as log:
         log.field("tension")
         print(
-            f"  open, one field {(time.perf_counter() - start) * 1e3:7.1f} ms for all {number} ticks"
+            f"  open, one field {(time.perf_counter() - start) * 1e3:7.1f} ms for all {tick_count} ticks"
         )
         start = time.perf_counter()
         for _ in log.ticks():
             pass
-    print(f"  read ticks      {(time.perf_counter() - start) / number * 1e6:7.1f} us")
+    print(f"  read ticks      {(time.perf_counter() - start) / tick_count * 1e6:7.1f} us")
 
 
 if __name__ == "__main__":

@@ -25,9 +25,9 @@ class LoggedMessage(NamedTuple):
     data: bytes
 
 
-def read_messages(path: Path) -> list[LoggedMessage]:
+def read_messages(log_path: Path) -> list[LoggedMessage]:
     """Return all messages of a log in the order of their log times, and check all checksums of the file."""
-    with path.open("rb") as file:
+    with log_path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         return [
             LoggedMessage(
@@ -44,10 +44,10 @@ def read_messages(path: Path) -> list[LoggedMessage]:
         ]
 
 
-def messages_by_topic(path: Path) -> dict[str, list[LoggedMessage]]:
+def messages_by_topic(log_path: Path) -> dict[str, list[LoggedMessage]]:
     """Return the messages of each topic of a log, in the order of the log times."""
     topics: dict[str, list[LoggedMessage]] = {}
-    for message in read_messages(path):
+    for message in read_messages(log_path):
         topics.setdefault(message.topic, []).append(message)
     return topics
 
@@ -55,9 +55,9 @@ def messages_by_topic(path: Path) -> dict[str, list[LoggedMessage]]:
 class Ros2SupportSerialiser:
     """Serialiser of the package mcap-ros2-support for one message type."""
 
-    def __init__(self, kind: str, schema: str) -> None:
-        self.decode = generate_dynamic(kind, schema)[kind]
-        self.encode = serialize_dynamic(kind, schema)[kind]
+    def __init__(self, type_name: str, type_definition: str) -> None:
+        self.decode = generate_dynamic(type_name, type_definition)[type_name]
+        self.encode = serialize_dynamic(type_name, type_definition)[type_name]
 
 
 class RosbagsSerialiser:
@@ -66,10 +66,10 @@ class RosbagsSerialiser:
     The serialiser gets the definition of the type from the log.
     """
 
-    def __init__(self, kind: str, schema: str) -> None:
+    def __init__(self, type_name: str, type_definition: str) -> None:
         self.store: Typestore = get_typestore(Stores.EMPTY)
-        self.store.register(get_types_from_msg(schema, kind))
-        self._kind = kind
+        self.store.register(get_types_from_msg(type_definition, type_name))
+        self._kind = type_name
 
     def decode(self, data: bytes) -> object:
         return self.store.deserialize_cdr(data, self._kind)
@@ -79,8 +79,8 @@ class RosbagsSerialiser:
 
 
 def other_serialisers(
-    kind: str, schema: str
+    type_name: str, type_definition: str
 ) -> Iterator[Ros2SupportSerialiser | RosbagsSerialiser]:
     """Yield the serialisers of both packages for a message type."""
-    yield Ros2SupportSerialiser(kind, schema)
-    yield RosbagsSerialiser(kind, schema)
+    yield Ros2SupportSerialiser(type_name, type_definition)
+    yield RosbagsSerialiser(type_name, type_definition)

@@ -18,7 +18,7 @@ from handctl.log.write.recorder import Recorder
 def main() -> None:
     """Record ticks without end, about one tick per millisecond."""
     run = synthetic_run.synthetic_header(rate_hz=1000, deterministic=False)
-    ticks = list(synthetic_run.SyntheticTicks(run, 0.2))
+    ticks = list(synthetic_run.SyntheticRunTicks(run, 0.2))
     recorder = Recorder.start(Path(sys.argv[1]), run)
     for k in itertools.count():
         tick_in, out = ticks[k % len(ticks)]

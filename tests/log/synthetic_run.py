@@ -45,39 +45,43 @@ PHASE_ENDS = (
 """
 
 
-def synthetic_header(hand: str = "jamia", rate_hz: int = 500, **more: object) -> RunHeader:
+def synthetic_header(
+    hand_name: str = "jamia", rate_hz: int = 500, **other_fields: object
+) -> RunHeader:
     """Create the header of a deterministic run of a packaged hand."""
-    described = load_hand(hand)
+    described = load_hand(hand_name)
     attachments = {
         "gains.toml": b"[motion]\nposition_error_m = 6e-4\n",
         "initial_state": bytes(range(64)),
         "hand.urdf": urdf_text(described).encode(),
     }
     given: dict[str, object] = {
-        "metadata": {"hand": hand, "note": "synthetic", "seed": "0"},
+        "metadata": {"hand": hand_name, "note": "synthetic", "seed": "0"},
         "gains": {"motion.position_error_m": "0.0006", "tension.rate_N_per_s": "200.0"},
         "attachments": attachments,
         "deterministic": True,
     }
-    return RunHeader.from_hand(described.to_toml(), 10**9 // rate_hz, **(given | more))
+    return RunHeader.from_hand(described.to_toml(), 10**9 // rate_hz, **(given | other_fields))
 
 
-def _phase_at(fraction: float) -> str:
-    return next((name for name, end in PHASE_ENDS if fraction < end), "end")
+def _phase_at(run_fraction: float) -> str:
+    return next((name for name, end in PHASE_ENDS if run_fraction < end), "end")
 
 
-class SyntheticTicks:
+class SyntheticRunTicks:
     """The ticks of a generated run. Equal seeds give equal ticks."""
 
-    def __init__(self, run: RunHeader, seconds: float, seed: int = 0) -> None:
-        self.run, self.ticks = run, round(seconds * 1e9 / run.period_ns)
+    def __init__(self, run_header: RunHeader, duration_s: float, seed: int = 0) -> None:
+        self.run, self.ticks = run_header, round(duration_s * 1e9 / run_header.period_ns)
         self._random = np.random.default_rng(seed)
-        self._arms = moment_arms(run)
+        self._arms = moment_arms(run_header)
         self._digit_of = [
-            next(d for d, name in enumerate(run.digits) if j.startswith(name)) for j in run.joints
+            next(d for d, name in enumerate(run_header.digits) if j.startswith(name))
+            for j in run_header.joints
         ]
         self._tendon_digit = [
-            next(d for d, name in enumerate(run.digits) if t.startswith(name)) for t in run.tendons
+            next(d for d, name in enumerate(run_header.digits) if t.startswith(name))
+            for t in run_header.tendons
         ]
         self._hash = hashlib.blake2b(digest_size=8)
 
@@ -113,38 +117,40 @@ class SyntheticTicks:
                 TickOut(frames, mode, phase, action, telemetry, events, self._hash.digest()),
             )
 
-    def _closing(self, fraction: float) -> float:
+    def _closing(self, run_fraction: float) -> float:
         """Return how far the hand is closed at a fraction of the run, from 0 to 1."""
-        up = float(np.clip((fraction - 0.08) / 0.32, 0, 1))
-        down = float(np.clip((fraction - 0.85) / 0.13, 0, 1))
+        up = float(np.clip((run_fraction - 0.08) / 0.32, 0, 1))
+        down = float(np.clip((run_fraction - 0.85) / 0.13, 0, 1))
         return (up * up * (3 - 2 * up)) * (1 - down * down * (3 - 2 * down))
 
-    def _telemetry(self, k: int, fraction: float) -> Telemetry:
+    def _telemetry(self, tick_index: int, run_fraction: float) -> Telemetry:
         run, period = self.run, self.run.period_ns * 1e-9
-        goal = np.full(len(run.joints), 1.2 * self._closing(fraction))
+        goal = np.full(len(run.joints), 1.2 * self._closing(run_fraction))
         stop = 0.75 + 0.1 * np.array(self._digit_of)
         q = np.minimum(goal, stop) + 2e-4 * self._random.standard_normal(len(goal))
-        before = np.minimum(1.2 * self._closing(fraction - 1 / self.ticks), stop)
+        before = np.minimum(1.2 * self._closing(run_fraction - 1 / self.ticks), stop)
         dq = (np.minimum(goal, stop) - before) / period
         pressing = np.array(
             [
-                max(0.0, 1.2 * self._closing(fraction) - (0.75 + 0.1 * d))
+                max(0.0, 1.2 * self._closing(run_fraction) - (0.75 + 0.1 * d))
                 for d in range(len(run.digits))
             ]
         )
-        tension = 6.0 + 3.0 * np.sin(2 * np.pi * 2 * fraction) + 60.0 * pressing[self._tendon_digit]
+        tension = (
+            6.0 + 3.0 * np.sin(2 * np.pi * 2 * run_fraction) + 60.0 * pressing[self._tendon_digit]
+        )
         noise = self._random.standard_normal(len(tension))
         raw = np.round((tension + 0.3 * noise + 6) / 0.0625) * 0.0625 - 6
         excursion = self._arms @ q
         motor = excursion[: len(run.motors)] / 0.005 + tension / 1e5 / 0.005
-        phase = DrivePhase.READY if fraction < 0.02 else DrivePhase.ENABLED
-        warm = 30 + 15 * fraction * (np.arange(len(run.motors)) == 0)
+        phase = DrivePhase.READY if run_fraction < 0.02 else DrivePhase.ENABLED
+        warm = 30 + 15 * run_fraction * (np.arange(len(run.motors)) == 0)
         values: dict[str, np.ndarray] = {
             "q": q, "dq": dq, "q_goal": goal, "dq_goal": dq, "joint_torque": self._arms.T @ tension,
-            "joint_encoder": q.round(3) if k % 4 == 0 else np.full(len(q), np.nan),
+            "joint_encoder": q.round(3) if tick_index % 4 == 0 else np.full(len(q), np.nan),
             "excursion": excursion, "excursion_rate": self._arms @ dq, "tension": tension,
-            "tension_sigma": np.full(len(tension), 0.25) + 0.1 * (k < 20), "tension_raw": raw,
-            "tension_goal": tension + 0.5, "stretch_offset": 1e-5 * np.sin(fraction) * np.ones(len(tension)),
+            "tension_sigma": np.full(len(tension), 0.25) + 0.1 * (tick_index < 20), "tension_raw": raw,
+            "tension_goal": tension + 0.5, "stretch_offset": 1e-5 * np.sin(run_fraction) * np.ones(len(tension)),
             "innovation": raw - tension, "nis": ((raw - tension) / 0.3) ** 2,
             "external_tension": 60.0 * pressing[self._tendon_digit], "motor_position": motor,
             "motor_velocity": np.gradient(motor), "motor_torque": 0.005 * tension,
@@ -155,9 +161,9 @@ class SyntheticTicks:
         }  # fmt: skip
         return Telemetry(**{name: np.asarray(values[name], float) for name in TELEMETRY_AXES})
 
-    def _tick_in(self, k: int, telemetry: Telemetry) -> TickIn:
-        t_ns, frames = k * self.run.period_ns, []
-        if k:
+    def _tick_in(self, tick_index: int, telemetry: Telemetry) -> TickIn:
+        t_ns, frames = tick_index * self.run.period_ns, []
+        if tick_index:
             before = t_ns - self.run.period_ns
             for index, motor in enumerate(telemetry.motor_position):
                 word = int(np.clip((motor + 12.5) / 25 * 65535, 0, 65535))
@@ -165,14 +171,21 @@ class SyntheticTicks:
                 frames.append(Frame(0x11 + index, data, 0, 0, before + 150_000 + 120_000 * index))
             raw = int(np.clip((telemetry.tension_raw[0] + 6) / 0.0625, 0, 4095))
             frames.append(Frame(0x1A0, raw.to_bytes(7, "little"), 0, 0, before + 90_000))
-        io_events = (IoEvent("enobufs", self.run.buses[0], 3),) if k == self.ticks // 2 else ()
-        requests = ('{"do": "arm"}',) if k == 5 else ()
+        io_events = (
+            (IoEvent("enobufs", self.run.buses[0], 3),) if tick_index == self.ticks // 2 else ()
+        )
+        requests = ('{"do": "arm"}',) if tick_index == 5 else ()
         return TickIn(
-            k, t_ns, int(self._random.integers(0, 40_000)), tuple(frames), io_events, requests
+            tick_index,
+            t_ns,
+            int(self._random.integers(0, 40_000)),
+            tuple(frames),
+            io_events,
+            requests,
         )
 
-    def _sent(self, k: int, telemetry: Telemetry) -> tuple[Frame, ...]:
-        frames = [Frame(0x080, bytes((k & 0xFF,)))]
+    def _sent(self, tick_index: int, telemetry: Telemetry) -> tuple[Frame, ...]:
+        frames = [Frame(0x080, bytes((tick_index & 0xFF,)))]
         for index, torque in enumerate(telemetry.motor_torque_goal):
             word = int(np.clip((torque + 0.8) / 1.6 * 4095, 0, 4095))
             frames.append(
@@ -182,11 +195,11 @@ class SyntheticTicks:
 
 
 def write_synthetic_run(
-    path: Path, run: RunHeader, seconds: float, seed: int = 0
+    log_path: Path, run_header: RunHeader, duration_s: float, seed: int = 0
 ) -> dict[str, object]:
     """Record a generated run with a real recorder, and return the summary of the recorder."""
-    recorder = Recorder.start(path, run)
-    for tick_in, out in SyntheticTicks(run, seconds, seed):
+    recorder = Recorder.start(log_path, run_header)
+    for tick_in, out in SyntheticRunTicks(run_header, duration_s, seed):
         recorder.send_record(pack_tick_record(tick_in, out))
     return recorder.close("finished")
 

@@ -13,15 +13,15 @@ from handctl.log.write.writer import LogWriter
 
 
 def _write_log(
-    path: Path, clocks: list[tuple[int, int]], seconds: float, deterministic: bool
+    log_path: Path, clock_readings: list[tuple[int, int]], duration_s: float, deterministic: bool
 ) -> Path:
     run = synthetic_run.synthetic_header(rate_hz=10, deterministic=deterministic)
-    left = iter(clocks)
-    writer = LogWriter(path, run, lambda *what: None, 1, lambda: next(left))
-    for tick in synthetic_run.SyntheticTicks(run, seconds):
+    left = iter(clock_readings)
+    writer = LogWriter(log_path, run, lambda *what: None, 1, lambda: next(left))
+    for tick in synthetic_run.SyntheticRunTicks(run, duration_s):
         writer.add_tick(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish("finished", 0)
-    return path
+    return log_path
 
 
 def test_each_digest_is_that_of_the_tick_s_bytes_and_the_digest_before(small_log: Path) -> None:

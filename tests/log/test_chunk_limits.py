@@ -7,12 +7,12 @@ import pytest
 from handctl.log.read.chunk_reader import BYTES_PER_BLOCK, MAX_CHANNELS, MIN_BLOCKS, iter_messages
 
 
-def channel_record(number: int) -> bytes:
-    return struct.pack("<BQHHIIIB", 4, 17, number, 0, 0, 0, 1, 0)
+def channel_record(channel_id: int) -> bytes:
+    return struct.pack("<BQHHIIIB", 4, 17, channel_id, 0, 0, 0, 1, 0)
 
 
-def message_record(number: int) -> bytes:
-    return struct.pack("<BQHIQQ", 5, 22, number, 0, 0, 0)
+def message_record(channel_id: int) -> bytes:
+    return struct.pack("<BQHIQQ", 5, 22, channel_id, 0, 0, 0)
 
 
 def test_a_chunk_may_define_so_many_channels_however_large_it_is() -> None:

@@ -8,8 +8,10 @@ import pytest
 from handctl.log.chunk_table import CHUNKS_PER_BLOCK, ChunkEntry, ChunkTable
 
 
-def chunk_at(k: int) -> ChunkEntry:
-    return ChunkEntry(1000 * k, 700, 650, 2000, 250 * k, 250 * k + 249, 100)
+def chunk_at(chunk_index: int) -> ChunkEntry:
+    return ChunkEntry(
+        1000 * chunk_index, 700, 650, 2000, 250 * chunk_index, 250 * chunk_index + 249, 100
+    )
 
 
 def test_each_chunk_has_its_position_and_those_of_its_message_indexes() -> None:

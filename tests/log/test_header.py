@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
-from changed_headers import with_metadata, with_run_metadata
+from changed_headers import log_with_changed_metadata, write_log_with_run_metadata
 
 from handctl.cli.main import main
 from handctl.errors import LogError
@@ -82,13 +82,13 @@ def log_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def _refusal_line(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+def _refusal_line(capsys: pytest.CaptureFixture[str], *command_words: str) -> str:
     """Return the error line that a command prints when it refuses a log.
 
     For `log check`, return the finding on standard output. The exit code of this command is 1.
     """
-    checks = words[:2] == ("log", "check")
-    assert main(words) == (1 if checks else 2), words
+    checks = command_words[:2] == ("log", "check")
+    assert main(command_words) == (1 if checks else 2), command_words
     out, err = capsys.readouterr()
     message, silent = (out, err) if checks else (err, out)
     message = message.removeprefix("reading odd.mcap\n")
@@ -104,11 +104,11 @@ def test_invalid_period_is_refused_in_one_line(
     log_folder: Path, capsys: pytest.CaptureFixture[str], verb: str
 ) -> None:
     for period in ("0", "0.5", str(2**64)):
-        with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", period_ns=period)
+        write_log_with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", period_ns=period)
         assert "period_ns" in _refusal_line(capsys, *READING_COMMANDS[verb])
-    with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", offset_ns=str(2**64))
+    write_log_with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", offset_ns=str(2**64))
     assert "offset_ns" in _refusal_line(capsys, *READING_COMMANDS[verb])
-    with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", tendons='["\\ud800", ["a"]]')
+    write_log_with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", tendons='["\\ud800", ["a"]]')
     assert "tendons" in _refusal_line(capsys, *READING_COMMANDS[verb])
 
 
@@ -119,7 +119,7 @@ def test_a_number_of_the_header_has_its_type_and_range(
     small_log: Path, tmp_path: Path, key: str, text: str
 ) -> None:
     with pytest.raises(LogError, match=key if len(text) < 4000 else "digits"):
-        RunLog(with_run_metadata(small_log, tmp_path / "odd.mcap", **{key: text}))
+        RunLog(write_log_with_run_metadata(small_log, tmp_path / "odd.mcap", **{key: text}))
 
 
 @pytest.mark.parametrize("text", WRONG_TEXTS)
@@ -128,18 +128,20 @@ def test_a_name_of_the_header_is_a_name(
     small_log: Path, tmp_path: Path, key: str, text: str
 ) -> None:
     with pytest.raises(LogError, match=key) as refused:
-        RunLog(with_run_metadata(small_log, tmp_path / "odd.mcap", **{key: text}))
+        RunLog(write_log_with_run_metadata(small_log, tmp_path / "odd.mcap", **{key: text}))
     assert str(refused.value).isprintable()
 
 
 def test_the_ends_of_the_ranges_are_read(small_log: Path, tmp_path: Path) -> None:
     for period in PERIOD_RANGE_NS:
         with RunLog(
-            with_run_metadata(small_log, tmp_path / "odd.mcap", period_ns=str(period))
+            write_log_with_run_metadata(small_log, tmp_path / "odd.mcap", period_ns=str(period))
         ) as log:
             assert log.header.period_ns == period
     with RunLog(
-        with_run_metadata(small_log, tmp_path / "odd.mcap", offset_ns=str(MAX_LOG_TIME_NS))
+        write_log_with_run_metadata(
+            small_log, tmp_path / "odd.mcap", offset_ns=str(MAX_LOG_TIME_NS)
+        )
     ) as log:
         assert log.header.offset_ns == MAX_LOG_TIME_NS
 
@@ -161,7 +163,9 @@ def test_a_hand_with_other_names_than_the_columns_is_refused(
         joints = json.loads(old["joints"])
         return old | {"joints": json.dumps([*joints[:-1], "another"])}
 
-    (log_folder / "odd.mcap").write_bytes(with_metadata(GOLDEN_LOG.read_bytes(), renamed))
+    (log_folder / "odd.mcap").write_bytes(
+        log_with_changed_metadata(GOLDEN_LOG.read_bytes(), renamed)
+    )
     assert "names differ" in _refusal_line(capsys, *READING_COMMANDS[verb])
 
 
@@ -170,7 +174,7 @@ def test_invalid_truth_offset_is_refused(
     log_folder: Path, capsys: pytest.CaptureFixture[str], text: str
 ) -> None:
     more = {"truth_offset_ns": text}
-    changed = with_metadata(
+    changed = log_with_changed_metadata(
         GOLDEN_LOG.read_bytes(), lambda name, old: old | more if name == "handctl" else old
     )
     (log_folder / "odd.mcap").write_bytes(changed)
@@ -180,7 +184,7 @@ def test_invalid_truth_offset_is_refused(
 def test_logs_of_other_columns_are_not_compared(
     log_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", joints='["a", "b"]')
+    write_log_with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", joints='["a", "b"]')
     assert main(["log", "diff", str(GOLDEN_LOG), "odd.mcap"]) == 4
     assert "other joints" in capsys.readouterr().err
 

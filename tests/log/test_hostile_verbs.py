@@ -92,7 +92,7 @@ def test_names_from_a_log_cannot_control_the_terminal_or_write_files(
     }
     run = synthetic_run.synthetic_header(rate_hz=50, **more)
     writer = LogWriter(inner / "run.mcap", run, lambda *what: None, 1)
-    for tick in synthetic_run.SyntheticTicks(run, 0.5):
+    for tick in synthetic_run.SyntheticRunTicks(run, 0.5):
         writer.add_tick(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish(evil, 0)
     for words in (

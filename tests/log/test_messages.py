@@ -36,7 +36,7 @@ STANDARD_PACKAGES = (
 )
 
 
-SNAPSHOTS = {30: b"one state", 136: bytes(range(256)) * 100}
+SNAPSHOT_BY_TICK = {30: b"one state", 136: bytes(range(256)) * 100}
 """Snapshots of the controller's state in the run.
 
 Each key is the number of the tick before the snapshot.
@@ -50,8 +50,8 @@ def varied_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     recorder = Recorder.start(path, run)
     for tick_in, out in varied_run.varied_ticks(run):
         assert recorder.send_record(pack_tick_record(tick_in, out))
-        if tick_in.k in SNAPSHOTS:
-            assert recorder.send_record(pack_snapshot(tick_in, SNAPSHOTS[tick_in.k]))
+        if tick_in.k in SNAPSHOT_BY_TICK:
+            assert recorder.send_record(pack_snapshot(tick_in, SNAPSHOT_BY_TICK[tick_in.k]))
     assert recorder.close("finished")["complete"]
     return path
 
@@ -91,7 +91,7 @@ def test_every_topic_has_messages_in_the_lively_run(varied_log: Path) -> None:
 
 def test_a_snapshot_is_read_as_it_was_written(varied_log: Path) -> None:
     with RunLog(varied_log) as run:
-        assert dict(run.snapshots) == SNAPSHOTS
+        assert dict(run.snapshots) == SNAPSHOT_BY_TICK
 
 
 def test_both_serialisers_give_back_every_message(varied_log: Path) -> None:
@@ -105,8 +105,10 @@ def test_both_serialisers_give_back_every_message(varied_log: Path) -> None:
     assert seen > 5000
 
 
-def _built_message(kind: str, values: dict[str, object]) -> bytes:
-    return Ros2SupportSerialiser(schema_name(kind), schema_text(kind)).encode(values)
+def _built_message(type_name: str, field_values: dict[str, object]) -> bytes:
+    return Ros2SupportSerialiser(schema_name(type_name), schema_text(type_name)).encode(
+        field_values
+    )
 
 
 STAMP_VALUE = {"sec": 5, "nanosec": 7}

@@ -60,9 +60,12 @@ def start_recorder(
             recorder.close("test over")
 
 
-def _make_records(number: int) -> list[bytes]:
+def _make_records(record_count: int) -> list[bytes]:
     run = synthetic_run.synthetic_header(rate_hz=1000)
-    return [pack_tick_record(*tick) for tick in synthetic_run.SyntheticTicks(run, number / 1000)]
+    return [
+        pack_tick_record(*tick)
+        for tick in synthetic_run.SyntheticRunTicks(run, record_count / 1000)
+    ]
 
 
 def _wait_until(condition: Callable[[], bool], timeout_s: float = 10.0) -> bool:
@@ -72,8 +75,8 @@ def _wait_until(condition: Callable[[], bool], timeout_s: float = 10.0) -> bool:
     return done
 
 
-def _is_finished(path: Path) -> bool:
-    with RunLog(path) as log:
+def _is_finished(log_path: Path) -> bool:
+    with RunLog(log_path) as log:
         return not log.warning
 
 
@@ -228,7 +231,7 @@ def test_records_longer_than_an_atomic_write_stay_whole(
     start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
     recorder, chance, taken = start_recorder(), random.Random(3), []
-    ticks = list(synthetic_run.SyntheticTicks(synthetic_run.synthetic_header(rate_hz=1000), 1.0))
+    ticks = list(synthetic_run.SyntheticRunTicks(synthetic_run.synthetic_header(rate_hz=1000), 1.0))
     for k, (tick_in, out) in enumerate(ticks):
         if k % 250 == 100:
             os.kill(recorder._child.pid, signal.SIGSTOP)
@@ -249,7 +252,7 @@ def test_telemetry_of_another_shape_is_announced(
 ) -> None:
     recorder = start_recorder()
     other = synthetic_run.synthetic_header("jamia11", rate_hz=1000)
-    for tick in synthetic_run.SyntheticTicks(other, 0.01):
+    for tick in synthetic_run.SyntheticRunTicks(other, 0.01):
         recorder.send_record(pack_tick_record(*tick))
     events: list[IoEvent] = []
     assert _wait_until(lambda: bool(events.extend(recorder.take_events())) or bool(events))
@@ -445,7 +448,7 @@ def test_the_syncing_process_does_not_hold_the_reserved_space(tiny_disk: Path) -
 def test_recording_a_tick_is_fast(start_recorder: Callable[..., Recorder]) -> None:
     recorder = start_recorder()
     tick_in, out = next(
-        iter(synthetic_run.SyntheticTicks(synthetic_run.synthetic_header(rate_hz=1000), 0.01))
+        iter(synthetic_run.SyntheticRunTicks(synthetic_run.synthetic_header(rate_hz=1000), 0.01))
     )
     spent = []
     for k in range(300):

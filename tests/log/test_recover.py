@@ -63,9 +63,9 @@ def test_a_scan_in_steps_equals_a_scan_at_once(seed: int, small_log: Path, tmp_p
     assert scan.problem == ""
 
 
-def _recover_bytes(data: bytes, folder: Path) -> tuple[RecoveryReport, Path]:
-    cut, out = folder / "cut.mcap", folder / "out.mcap"
-    cut.write_bytes(data)
+def _recover_bytes(log_bytes: bytes, work_folder: Path) -> tuple[RecoveryReport, Path]:
+    cut, out = work_folder / "cut.mcap", work_folder / "out.mcap"
+    cut.write_bytes(log_bytes)
     out.unlink(missing_ok=True)
     return recover_log(cut, out), out
 

@@ -33,32 +33,32 @@ from handctl.programs.requests import target_request_text
 
 
 def _write_log(
-    path: Path,
-    run: RunHeader,
-    bodies: list[bytes],
-    flush_at: frozenset[int] = frozenset(),
-    events: tuple[str, ...] = (),
+    log_path: Path,
+    run_header: RunHeader,
+    tick_bodies: list[bytes],
+    chunk_borders: frozenset[int] = frozenset(),
+    event_texts: tuple[str, ...] = (),
 ) -> Path:
-    """Write a log in this process, and begin a new chunk at each index in ``flush_at``.
+    """Write a log in this process, and begin a new chunk at each index in ``chunk_borders``.
 
     Also check the reports of the writer.
     """
-    path.unlink(missing_ok=True)
+    log_path.unlink(missing_ok=True)
     problems: list[str] = []
-    writer = LogWriter(path, run, lambda event, number: problems.append(event), 1)
-    for index, body in enumerate(bodies):
+    writer = LogWriter(log_path, run_header, lambda event, number: problems.append(event), 1)
+    for index, body in enumerate(tick_bodies):
         writer.add_tick(body)
-        if index in flush_at:
+        if index in chunk_borders:
             writer.flush()
     writer.finish("finished", 0)
-    assert tuple(problems) == events
-    return path
+    assert tuple(problems) == event_texts
+    return log_path
 
 
-def _tick_bodies(run: RunHeader) -> list[bytes]:
+def _tick_bodies(run_header: RunHeader) -> list[bytes]:
     return [
         pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :]
-        for tick in varied_run.varied_ticks(run)
+        for tick in varied_run.varied_ticks(run_header)
     ]
 
 
@@ -168,7 +168,7 @@ def test_the_wall_offset_shifts_all_times_alike(tmp_path: Path) -> None:
 def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) -> None:
     run, described = synthetic_run.synthetic_header(hand, rate_hz=50), load_hand(hand)
     digits = [DigitModel.from_hand(described, name) for name in run.digits]
-    ticks = list(synthetic_run.SyntheticTicks(run, 1.0))
+    ticks = list(synthetic_run.SyntheticRunTicks(run, 1.0))
     topics = messages_by_topic(
         _write_log(
             tmp_path / "a",
@@ -312,9 +312,9 @@ def test_telemetry_of_another_shape_becomes_nan_and_is_counted(tmp_path: Path) -
     )
     bodies = [
         pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :]
-        for tick in synthetic_run.SyntheticTicks(other, 0.1)
+        for tick in synthetic_run.SyntheticRunTicks(other, 0.1)
     ]
-    log = _write_log(tmp_path / "a", run, bodies, events=("misshapen",))
+    log = _write_log(tmp_path / "a", run, bodies, event_texts=("misshapen",))
     topics = messages_by_topic(log)["/tendon_states"]
     oracle = RosbagsSerialiser(topics[0].kind, topics[0].schema)
     assert all(np.isnan(oracle.decode(one.data).effort).all() for one in topics)

@@ -28,83 +28,93 @@ OPEN_STREAM = (
 )
 
 
-def varied_header(**more: object) -> RunHeader:
+def varied_header(**other_fields: object) -> RunHeader:
     """Create a header with two buses whose names differ in length."""
-    return replace(synthetic_run.synthetic_header(rate_hz=100), buses=BUS_NAMES, **more)
+    return replace(synthetic_run.synthetic_header(rate_hz=100), buses=BUS_NAMES, **other_fields)
 
 
-def varied_ticks(run: RunHeader, count: int = 120) -> Iterator[tuple[TickIn, TickOut]]:
+def varied_ticks(run_header: RunHeader, tick_count: int = 120) -> Iterator[tuple[TickIn, TickOut]]:
     """Yield ticks with every kind of content.
 
     Some ticks are missed. The other ticks contain frames of all kinds on all buses, NaN,
     infinities, odd texts, all modes and all actions.
     """
     random, k = np.random.default_rng(1), 0
-    for index in range(count):
+    for index in range(tick_count):
         k += 1 + (index % 17 == 16) * 3
-        yield _tick_in(run, k, index, random), _tick_output(run, index, random)
+        yield _tick_in(run_header, k, index, random), _tick_output(run_header, index, random)
 
 
-def _random_frames(index: int, t_ns: int, random: np.random.Generator) -> tuple[Frame, ...]:
+def _random_frames(
+    tick_index: int, t_ns: int, random_source: np.random.Generator
+) -> tuple[Frame, ...]:
     frames = []
-    for n in range(index % 7):
+    for n in range(tick_index % 7):
         flag = (0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG, EXTENDED_FLAG | REMOTE_FLAG)[
-            (index + n) % 5
+            (tick_index + n) % 5
         ]
         can_id = (0x12345678 if flag & EXTENDED_FLAG else 0x123 + n) | flag
-        long = (index + n) % 4 == 0
-        data = random.bytes((12, 64, 3, 8)[n % 4]) if long else random.bytes((index + n) % 9)
+        long = (tick_index + n) % 4 == 0
+        data = (
+            random_source.bytes((12, 64, 3, 8)[n % 4])
+            if long
+            else random_source.bytes((tick_index + n) % 9)
+        )
         flags = FDF | (BRS, ESI, 0)[n % 3] if long else 0
         frames.append(Frame(can_id, data, flags, (0, 1, 1, 0, 9)[n % 5], t_ns and t_ns - 1000 * n))
     return tuple(frames)
 
 
-def _tick_in(run: RunHeader, k: int, index: int, random: np.random.Generator) -> TickIn:
-    t_ns = k * run.period_ns
+def _tick_in(run_header: RunHeader, k: int, tick_index: int, random: np.random.Generator) -> TickIn:
+    t_ns = k * run_header.period_ns
     io_events = (
-        (IoEvent("enobufs", "main", 4), IoEvent("signal", "", 15)) if index % 23 == 5 else ()
+        (IoEvent("enobufs", "main", 4), IoEvent("signal", "", 15)) if tick_index % 23 == 5 else ()
     )
-    requests = ('{"do": "gain", "text": "\u00e4\u03b1\u4e2d"}', "") if index % 19 == 3 else ()
-    if index == 50:
+    requests = ('{"do": "gain", "text": "\u00e4\u03b1\u4e2d"}', "") if tick_index % 19 == 3 else ()
+    if tick_index == 50:
         requests += (OPEN_STREAM,)
-    if index > 50:
+    if tick_index > 50:
         requests += (
-            target_request_text(StreamTarget("s", index, t_ns - 10**6, (10.0, index / 7))),
+            target_request_text(
+                StreamTarget("s", tick_index, t_ns - 10**6, (10.0, tick_index / 7))
+            ),
         )
     return TickIn(
         k,
         t_ns,
         int(random.integers(0, 10**7)),
-        _random_frames(index, t_ns, random),
+        _random_frames(tick_index, t_ns, random),
         io_events,
         requests,
     )
 
 
-def _tick_output(run: RunHeader, index: int, random: np.random.Generator) -> TickOut:
-    telemetry = _random_telemetry(run, index, random)
+def _tick_output(run_header: RunHeader, tick_index: int, random: np.random.Generator) -> TickOut:
+    telemetry = _random_telemetry(run_header, tick_index, random)
     events: tuple[TickEvent, ...] = ()
-    if index % 13 == 2:
+    if tick_index % 13 == 2:
         events = (
             TickEvent("error", "fault", "index_motor", "torque\nlimit"),
             TickEvent("info", "gain", "motion.x", "0.5"),
         )
-    if index % 29 == 4:
+    if tick_index % 29 == 4:
         events += (TickEvent("weird", "gain", "filter.mode", "a word"),)
-    mode, action = HandMode(index // 12 % 9), SafetyAction(index // 20 % 5)
-    phase = ("idle", "close", "h\u00e4lt", "")[index // 30 % 4]
-    frames = _random_frames(index + 2, 0, random)
+    mode, action = HandMode(tick_index // 12 % 9), SafetyAction(tick_index // 20 % 5)
+    phase = ("idle", "close", "h\u00e4lt", "")[tick_index // 30 % 4]
+    frames = _random_frames(tick_index + 2, 0, random)
     return TickOut(frames, mode, phase, action, telemetry, events, random.bytes(8))
 
 
-def _random_telemetry(run: RunHeader, index: int, random: np.random.Generator) -> Telemetry:
+def _random_telemetry(
+    run_header: RunHeader, tick_index: int, random: np.random.Generator
+) -> Telemetry:
     values = {
-        name: random.standard_normal(len(run.axis_names(axis)))
+        name: random.standard_normal(len(run_header.axis_names(axis)))
         for name, axis in TELEMETRY_AXES.items()
     }
-    if index % 5 == 0:
+    if tick_index % 5 == 0:
         values["joint_encoder"][:] = np.nan
-    if index % 11 == 0:
+    if tick_index % 11 == 0:
         values["tension"][0], values["q"][1], values["drive_phase"][0] = np.inf, np.nan, np.nan
-    values["drive_phase"][1:] = float(DrivePhase(index // 15 % 5))
+    values["drive_phase"][1:] = float(DrivePhase(tick_index // 15 % 5))
     return Telemetry(**values)

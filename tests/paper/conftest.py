@@ -16,7 +16,7 @@ from handctl.paper.figures.gallery import draw_all_figures
 
 
 @pytest.fixture(scope="session")
-def measured() -> dict[str, Any]:
+def measured_results() -> dict[str, Any]:
     """Return generated results: two tendons with noise, and one test of a load for each diameter and axis."""
     chance = np.random.default_rng(11)
     ropes = []
@@ -30,26 +30,26 @@ def measured() -> dict[str, Any]:
             {"knee_N": knee, "travel_m": (travel + 4e-4).tolist(), "force_N": force.tolist()}
         )
     cases = [
-        case(diameter, axis, k)
+        slip_test_result(diameter, axis, k)
         for k, diameter in enumerate(payload.DIAMETERS_MM)
         for axis in payload.LOAD_DIRECTIONS
     ]
     return {"force_displacement": {"ropes": ropes}, "payload": cases}
 
 
-def case(diameter: float, axis: str, k: int) -> dict[str, Any]:
+def slip_test_result(diameter_mm: float, load_axis: str, case_index: int) -> dict[str, Any]:
     """Return the results of a test in which the load grows to 20 N, and the object slips at 8 to 14 N."""
-    load = 8.0 + 3.0 * k
+    load = 8.0 + 3.0 * case_index
     moved = np.interp(np.linspace(0.0, 20.0, 200), [0.0, load, 20.0], [0.0, 0.3, 6.0])
     names = src.paper_hand().digit_names
     return {
-        "diameter_mm": diameter,
-        "axis": axis,
+        "diameter_mm": diameter_mm,
+        "axis": load_axis,
         "tension_N": dict.fromkeys(names, 34.0),
         "normal_N": dict.fromkeys(names, 6.0),
         "palm_N": 12.0,
         "load_N": load,
-        "ended": ("creep", "moved", "held")[k],
+        "ended": ("creep", "moved", "held")[case_index],
         "payload_kg": load / 9.81,
         "trace_N": np.linspace(0.0, 20.0, 200).tolist(),
         "trace_mm": moved.tolist(),
@@ -57,6 +57,8 @@ def case(diameter: float, axis: str, k: int) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="session")
-def drawn(measured: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def drawn_figure_files(
+    measured_results: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, Path]:
     """Draw all figures once, and return the SVG file of each."""
-    return draw_all_figures(tmp_path_factory.mktemp("figures"), measured)
+    return draw_all_figures(tmp_path_factory.mktemp("figures"), measured_results)

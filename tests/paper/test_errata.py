@@ -25,8 +25,8 @@ DERIVATIVE_SYMBOLS = {
 PLAIN_SYMBOLS = {str(symbol): symbol for symbol in PARAMETER_SYMBOLS} | DERIVATIVE_SYMBOLS
 
 
-def symbolic_expression(text: str) -> sp.Expr:
-    return sp.sympify(text, locals=PLAIN_SYMBOLS)
+def symbolic_expression(formula_text: str) -> sp.Expr:
+    return sp.sympify(formula_text, locals=PLAIN_SYMBOLS)
 
 
 @cache
@@ -67,14 +67,14 @@ def test_corrected_energies_are_those_of_three_links() -> None:
     assert sp.simplify(total_of_terms(equations.POTENTIAL_TERMS) - in_symbols(potential)) == 0
 
 
-@pytest.mark.parametrize("i", [0, 1, 2])
-def test_corrected_torques_follow_from_the_lagrangian(i: int) -> None:
+@pytest.mark.parametrize("link_index", [0, 1, 2])
+def test_corrected_torques_follow_from_the_lagrangian(link_index: int) -> None:
     kinetic, potential = derived_energies()
-    lagrangian, angle = sum(kinetic) - potential, ANGLE_FUNCTIONS[i]
+    lagrangian, angle = sum(kinetic) - potential, ANGLE_FUNCTIONS[link_index]
     torque = sp.diff(sp.diff(lagrangian, sp.diff(angle, TIME_SYMBOL)), TIME_SYMBOL) - sp.diff(
         lagrangian, angle
     )
-    assert sp.simplify(total_of_terms(equations.TORQUE_TERMS[i]) - in_symbols(torque)) == 0
+    assert sp.simplify(total_of_terms(equations.TORQUE_TERMS[link_index]) - in_symbols(torque)) == 0
 
 
 def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
@@ -111,10 +111,10 @@ def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
         assert np.allclose([mine[0] + mine[1], mine[1]], tau, rtol=1e-9)
 
 
-@pytest.mark.parametrize("item", lagrange.term_items(), ids=lambda item: item.id)
-def test_each_verdict_on_a_term_agrees_with_sympy(item: ErrataItem) -> None:
+@pytest.mark.parametrize("errata_item", lagrange.term_items(), ids=lambda item: item.id)
+def test_each_verdict_on_a_term_agrees_with_sympy(errata_item: ErrataItem) -> None:
     terms = [*equations.KINETIC_TERMS, *equations.POTENTIAL_TERMS, *sum(equations.TORQUE_TERMS, ())]
-    term = next(term for term in terms if term.id == item.id)
+    term = next(term for term in terms if term.id == errata_item.id)
     same = [
         sp.simplify(symbolic_expression(reading.text) - symbolic_expression(term.correct.text)) == 0
         for reading in term.readings
@@ -126,10 +126,10 @@ def test_each_verdict_on_a_term_agrees_with_sympy(item: ErrataItem) -> None:
         if not any(same)
         else ErrataVerdict.UNDECIDABLE
     )
-    assert item.verdict == expected
-    if item.verdict == ErrataVerdict.WRONG:
-        assert item.deviation is not None
-        assert item.deviation > 0.1
+    assert errata_item.verdict == expected
+    if errata_item.verdict == ErrataVerdict.WRONG:
+        assert errata_item.deviation is not None
+        assert errata_item.deviation > 0.1
 
 
 def test_the_corrected_mass_matrix_is_symmetric_and_the_printed_one_is_not() -> None:
@@ -184,7 +184,7 @@ def test_ids_are_unique_and_reasons_given() -> None:
 
 
 @pytest.mark.parametrize(
-    ("id", "value"),
+    ("item_id", "expected_value"),
     [
         ("sec5.tension", 55 / 3),
         ("sec5.torque", 0.55 / 6),
@@ -210,15 +210,15 @@ def test_ids_are_unique_and_reasons_given() -> None:
         ("abstract.joints", 11),
     ],
 )
-def test_items_have_the_known_values(id: str, value: float) -> None:
+def test_items_have_the_known_values(item_id: str, expected_value: float) -> None:
     found = {item.id: item.computed for item in sections.page_items(None)}
-    assert found[id] == pytest.approx(value, rel=1e-4)
+    assert found[item_id] == pytest.approx(expected_value, rel=1e-4)
 
 
-@pytest.mark.parametrize("printed", ["1", "0.86"])
-def test_a_printed_number_of_the_abstract_is_judged_once(printed: str) -> None:
+@pytest.mark.parametrize("printed_number", ["1", "0.86"])
+def test_a_printed_number_of_the_abstract_is_judged_once(printed_number: str) -> None:
     items = [item for item in sections.page_items(None) if item.where == "Abstract"]
-    judged = [item.id for item in items if item.printed.split()[0] == printed]
+    judged = [item.id for item in items if item.printed.split()[0] == printed_number]
     assert len(judged) == 1
 
 

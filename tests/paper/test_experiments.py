@@ -46,20 +46,20 @@ def test_a_blocked_finger_shows_the_knee_of_its_tendon(tmp_path: Path) -> None:
     assert np.median(bent.force[end] / bent.displacement[end]) < 0.95e-3 * bent.stiffness
 
 
-def falling_object_truth(speed: float, after: float) -> TruthRecord:
+def falling_object_truth(fall_speed: float, fall_start_s: float) -> TruthRecord:
     """Return a truth record with one row per millisecond.
 
-    In this record, the object rests until ``after``, and then falls at ``speed`` [m/s].
+    In this record, the object rests until ``fall_start_s``, and then falls at ``fall_speed`` [m/s].
     """
     t = np.arange(4000)
-    z = -speed * np.maximum(0.0, t / 1000.0 - after)
+    z = -fall_speed * np.maximum(0.0, t / 1000.0 - fall_start_s)
     return TruthRecord(
         {}, t * 1_000_000, np.column_stack([0 * z, 0 * z, z]), ("object/x", "object/y", "object/z")
     )
 
 
 @pytest.mark.parametrize(
-    ("speed", "ended", "time_s"),
+    ("fall_speed", "expected_end", "time_s"),
     [
         (0.9e-3, "moved", 1.0 + 2.0 / 0.9),
         (1.5e-3, "creep", 1.0 + 0.1 / 1.5),
@@ -67,9 +67,9 @@ def falling_object_truth(speed: float, after: float) -> TruthRecord:
         (1e-5, "held", 3.9),
     ],
 )
-def test_slip_is_creep_or_displacement(speed: float, ended: str, time_s: float) -> None:
-    row, how = payload._find_slip(falling_object_truth(speed, 1.0), 100, 3900)
-    assert how == ended
+def test_slip_is_creep_or_displacement(fall_speed: float, expected_end: str, time_s: float) -> None:
+    row, how = payload._find_slip(falling_object_truth(fall_speed, 1.0), 100, 3900)
+    assert how == expected_end
     assert row / 1000.0 == pytest.approx(time_s, abs=0.003)
 
 

@@ -18,25 +18,27 @@ FORMULA_TEXTS = sorted(
 )
 
 
-@pytest.mark.parametrize("text", FORMULA_TEXTS)
-def test_values_equal_those_of_sympy(text: str) -> None:
-    states, expression = random_states(), Expression(text)
+@pytest.mark.parametrize("formula_text", FORMULA_TEXTS)
+def test_values_equal_those_of_sympy(formula_text: str) -> None:
+    states, expression = random_states(), Expression(formula_text)
     names = sorted(expression.names)
-    theirs = sympy.lambdify([sympy.Symbol(name) for name in names], sympy.sympify(text), "numpy")
+    theirs = sympy.lambdify(
+        [sympy.Symbol(name) for name in names], sympy.sympify(formula_text), "numpy"
+    )
     assert expression.evaluate(states) == pytest.approx(
         theirs(*(states[name] for name in names)), rel=1e-12, abs=1e-12
     )
 
 
-@pytest.mark.parametrize("term", EQUATION_TERMS, ids=lambda term: term.id)
-def test_right_terms_are_energies_or_torques(term: equations.EquationTerm) -> None:
-    assert term.correct.dimension(SYMBOL_DIMENSIONS) == ENERGY_DIMENSION
+@pytest.mark.parametrize("equation_term", EQUATION_TERMS, ids=lambda term: term.id)
+def test_right_terms_are_energies_or_torques(equation_term: equations.EquationTerm) -> None:
+    assert equation_term.correct.dimension(SYMBOL_DIMENSIONS) == ENERGY_DIMENSION
 
 
-@pytest.mark.parametrize("text", ["m1 + d1", "sin(d1)", "m1*d1 - g"])
-def test_an_inconsistent_expression_has_no_dimension(text: str) -> None:
+@pytest.mark.parametrize("formula_text", ["m1 + d1", "sin(d1)", "m1*d1 - g"])
+def test_an_inconsistent_expression_has_no_dimension(formula_text: str) -> None:
     with pytest.raises(DimensionError):
-        Expression(text).dimension(SYMBOL_DIMENSIONS)
+        Expression(formula_text).dimension(SYMBOL_DIMENSIONS)
 
 
 def test_dimensions_multiply_and_divide() -> None:
@@ -46,7 +48,7 @@ def test_dimensions_multiply_and_divide() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "looks"),
+    ("formula_text", "typeset_text"),
     [
         ("-(m2*d2 + m3*L2)*L1*sin(th1 - th2)*dth1**2", "−(m₂ d₂ + m₃ L₂) L₁ sin(θ₁ − θ₂) θ̇₁²"),
         ("I1*dth1**2/2", "I₁ θ̇₁²/2"),
@@ -56,8 +58,8 @@ def test_dimensions_multiply_and_divide() -> None:
         ("-a", "−a"),
     ],
 )
-def test_expression_is_typeset_as_expected(text: str, looks: str) -> None:
-    assert Expression(text).as_typeset_text() == looks
+def test_expression_is_typeset_as_expected(formula_text: str, typeset_text: str) -> None:
+    assert Expression(formula_text).as_typeset_text() == typeset_text
 
 
 def test_names_are_found_and_other_code_is_refused() -> None:

@@ -16,14 +16,14 @@ from handctl.paper.model import kinematics
 
 
 @pytest.fixture
-def figures_folder(drawn: dict[str, Path]) -> Path:
-    assert drawn.keys() == page.FIGURE_CAPTIONS.keys()
-    return drawn["fig1-hand"].parent
+def figures_folder(drawn_figure_files: dict[str, Path]) -> Path:
+    assert drawn_figure_files.keys() == page.FIGURE_CAPTIONS.keys()
+    return drawn_figure_files["fig1-hand"].parent
 
 
-@pytest.mark.parametrize("name", list(page.FIGURE_CAPTIONS))
-def test_pictures_have_content_and_full_resolution(figures_folder: Path, name: str) -> None:
-    picture = imread(figures_folder / f"paper-{name}.png")[..., :3]
+@pytest.mark.parametrize("figure_name", list(page.FIGURE_CAPTIONS))
+def test_pictures_have_content_and_full_resolution(figures_folder: Path, figure_name: str) -> None:
+    picture = imread(figures_folder / f"paper-{figure_name}.png")[..., :3]
     height, width, _ = picture.shape
     assert width > 1100
     assert height > 500
@@ -36,20 +36,22 @@ def test_pictures_have_content_and_full_resolution(figures_folder: Path, name: s
     )
 
 
-@pytest.mark.parametrize("name", list(page.FIGURE_CAPTIONS))
-def test_nothing_is_drawn_outside_of_the_picture(figures_folder: Path, name: str) -> None:
+@pytest.mark.parametrize("figure_name", list(page.FIGURE_CAPTIONS))
+def test_nothing_is_drawn_outside_of_the_picture(figures_folder: Path, figure_name: str) -> None:
     """The border of a picture has no dark pixels.
 
     A text that is cut off would touch the border of the picture.
     """
-    picture = imread(figures_folder / f"paper-{name}.png")[..., :3]
+    picture = imread(figures_folder / f"paper-{figure_name}.png")[..., :3]
     frame = np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]])
     assert frame.min() > 0.99
 
 
-@pytest.mark.parametrize("name", list(page.FIGURE_CAPTIONS))
-def test_svg_is_the_same_each_time_and_names_no_place(figures_folder: Path, name: str) -> None:
-    text = (figures_folder / f"paper-{name}.svg").read_text(encoding="utf-8")
+@pytest.mark.parametrize("figure_name", list(page.FIGURE_CAPTIONS))
+def test_svg_is_the_same_each_time_and_names_no_place(
+    figures_folder: Path, figure_name: str
+) -> None:
+    text = (figures_folder / f"paper-{figure_name}.svg").read_text(encoding="utf-8")
     assert "<dc:date>" not in text
     assert not re.search(r"/(home|tmp|work)/", text)
     assert text.count("<path") > 20

@@ -20,7 +20,7 @@ NEED_EQ10 = {
 }
 
 
-def run_with_equation(which: str) -> tuple[set[str], str]:
+def run_with_equation(equation_form: str) -> tuple[set[str], str]:
     """Run the tests of the model with the printed or with the corrected Eq. 10.
 
     Return the names of the failed tests, and the last line of the output.
@@ -45,7 +45,7 @@ def run_with_equation(which: str) -> tuple[set[str], str]:
             "tests/hand/test_dynamics.py",
         ],
         cwd=REPOSITORY_ROOT,
-        env={**os.environ, "HANDCTL_EQ10": which, "PYTHONPATH": str(Path(__file__).parent)},
+        env={**os.environ, "HANDCTL_EQ10": equation_form, "PYTHONPATH": str(Path(__file__).parent)},
         capture_output=True,
         text=True,
         timeout=120,

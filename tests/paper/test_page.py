@@ -37,12 +37,12 @@ def test_the_page_in_the_repository_is_the_generator_s(capsys: pytest.CaptureFix
 EMPTY_RESULTS = '{"payload": [], "force_displacement": {"ropes": []}}'
 
 
-@pytest.mark.parametrize("content", ["", "{}", "[]", EMPTY_RESULTS, "[" * 9999])
+@pytest.mark.parametrize("results_text", ["", "{}", "[]", EMPTY_RESULTS, "[" * 9999])
 def test_a_file_without_results_is_refused_in_a_line(
-    content: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    results_text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "results.json"
-    path.write_text(content)
+    path.write_text(results_text)
     assert main(["paper", "--results", str(path)]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
@@ -54,10 +54,10 @@ def test_results_are_stored_with_six_significant_digits() -> None:
     assert kept == {"a": [1.23457, 7], "b": {"c": [0.000123457, "x"]}}
 
 
-def test_page_has_every_measured_result(measured: dict[str, Any]) -> None:
+def test_page_has_every_measured_result(measured_results: dict[str, Any]) -> None:
     text = PAGE_FILE.read_text(encoding="utf-8")
     assert text.count(page.MEASURED_MARK) == 2
-    for item in sections.page_items(measured):
+    for item in sections.page_items(measured_results):
         assert f"| {item.id} | " in text, item.id
     rows = re.findall(
         r"^\| (payload\.\w\.d\d+) \|.*\| ([\d.]+) kg(?: or more)? \| \*\*(\w+)\*\*",
@@ -72,7 +72,7 @@ def test_page_has_every_measured_result(measured: dict[str, Any]) -> None:
         )
 
 
-def test_every_figure_of_the_page_exists(measured: dict[str, Any]) -> None:
+def test_every_figure_of_the_page_exists(measured_results: dict[str, Any]) -> None:
     text = PAGE_FILE.read_text(encoding="utf-8")
     found = re.findall(r"\]\((\.\./figures/paper-[\w-]+\.png)\)", text)
     assert len(found) == len(set(found)) == len(page.FIGURE_CAPTIONS)
@@ -81,8 +81,8 @@ def test_every_figure_of_the_page_exists(measured: dict[str, Any]) -> None:
         assert (PAGE_FILE.parent / name).with_suffix(".svg").is_file()
 
 
-def test_markdown_tables_have_the_same_columns_everywhere(measured: dict[str, Any]) -> None:
-    for line in page.page_as_markdown(sections.page_sections(measured)).splitlines():
+def test_markdown_tables_have_the_same_columns_everywhere(measured_results: dict[str, Any]) -> None:
+    for line in page.page_as_markdown(sections.page_sections(measured_results)).splitlines():
         if line.startswith("| ") and " | **" in line:
             assert len(re.findall(r"(?<!\\)\|", line)) == 7, line
 
@@ -107,8 +107,8 @@ def test_json_is_a_list_of_items(capsys: pytest.CaptureFixture[str]) -> None:
     assert wire["computed"] == 0.8585678096656324
 
 
-def test_measured_items_are_judged_by_what_was_measured(measured: dict[str, Any]) -> None:
-    found = {item.id: item for item in sections.page_items(measured)}
+def test_measured_items_are_judged_by_what_was_measured(measured_results: dict[str, Any]) -> None:
+    found = {item.id: item for item in sections.page_items(measured_results)}
     assert found["payload.z.d30"].verdict == ErrataVerdict.WRONG
     assert found["payload.z.d35"].verdict == ErrataVerdict.BOUND
     assert found["payload.z.d40"].unit == "kg or more"
@@ -118,12 +118,14 @@ def test_measured_items_are_judged_by_what_was_measured(measured: dict[str, Any]
     assert "none up to" in found["fig5.measured250"].why
 
 
-def test_html_page_loads_no_other_file(measured: dict[str, Any], drawn: dict[str, Path]) -> None:
-    text = page.page_as_html(sections.page_sections(measured), drawn)
+def test_html_page_loads_no_other_file(
+    measured_results: dict[str, Any], drawn_figure_files: dict[str, Path]
+) -> None:
+    text = page.page_as_html(sections.page_sections(measured_results), drawn_figure_files)
     assert text.count("data:image/svg+xml;base64,") == len(page.FIGURE_CAPTIONS)
     links = re.findall(r"(?:src|href)=\"([^\"]{0,40})", text)
     assert all(link.startswith("data:") for link in links)
-    for item in sections.page_items(measured):
+    for item in sections.page_items(measured_results):
         assert f"<td>{item.id}</td>" in text
     assert "<script" not in text
 
@@ -138,12 +140,13 @@ def test_files_are_written_where_asked(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize(
-    "words", [["--output", "/no/such/folder/x.html"], ["--figures", __file__], ["--jobs", "0"]]
+    "paper_options",
+    [["--output", "/no/such/folder/x.html"], ["--figures", __file__], ["--jobs", "0"]],
 )
 def test_bad_arguments_are_one_line_before_any_work(
-    words: list[str], capsys: pytest.CaptureFixture[str]
+    paper_options: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["paper", *words]) == 2
+    assert main(["paper", *paper_options]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "expected" in error

@@ -24,13 +24,13 @@ EXACT_VALUES = st.fractions(min_value=-1000, max_value=1000, max_denominator=10*
 )
 
 
-def rounded_digits(value: Fraction, places: int, rounding: str) -> str:
-    exact = Decimal(value.numerator) / Decimal(value.denominator)
-    return str(exact.quantize(Decimal(1).scaleb(-places), rounding=rounding))
+def rounded_digits(exact_value: Fraction, decimal_places: int, rounding_mode: str) -> str:
+    exact = Decimal(exact_value.numerator) / Decimal(exact_value.denominator)
+    return str(exact.quantize(Decimal(1).scaleb(-decimal_places), rounding=rounding_mode))
 
 
 @pytest.mark.parametrize(
-    ("printed", "exact", "verdict"),
+    ("printed_number", "exact_value", "verdict"),
     [
         ("55", Fraction(55), ErrataVerdict.EQUAL),
         ("18.33", Fraction(55, 3), ErrataVerdict.ROUNDED),
@@ -46,33 +46,43 @@ def rounded_digits(value: Fraction, places: int, rounding: str) -> str:
         ("2.4", Fraction(255, 100), ErrataVerdict.WRONG),
     ],
 )
-def test_verdict_of_a_number(printed: str, exact: Fraction | float, verdict: ErrataVerdict) -> None:
-    assert verdict_of_number(printed, exact) == verdict
+def test_verdict_of_a_number(
+    printed_number: str, exact_value: Fraction | float, verdict: ErrataVerdict
+) -> None:
+    assert verdict_of_number(printed_number, exact_value) == verdict
 
 
 @given(EXACT_VALUES, st.integers(0, 5))
-def test_rounded_number_is_judged_as_rounded(value: Fraction, places: int) -> None:
-    assert verdict_of_number(rounded_digits(value, places, ROUND_HALF_EVEN), value) in (
+def test_rounded_number_is_judged_as_rounded(exact_value: Fraction, decimal_places: int) -> None:
+    assert verdict_of_number(
+        rounded_digits(exact_value, decimal_places, ROUND_HALF_EVEN), exact_value
+    ) in (
         ErrataVerdict.EQUAL,
         ErrataVerdict.ROUNDED,
     )
 
 
 @given(EXACT_VALUES, st.integers(0, 5))
-def test_truncated_number_is_judged_as_truncated(value: Fraction, places: int) -> None:
-    shown = rounded_digits(value, places, ROUND_DOWN)
-    verdict = verdict_of_number(shown, value)
+def test_truncated_number_is_judged_as_truncated(
+    exact_value: Fraction, decimal_places: int
+) -> None:
+    shown = rounded_digits(exact_value, decimal_places, ROUND_DOWN)
+    verdict = verdict_of_number(shown, exact_value)
     assert verdict != ErrataVerdict.WRONG
-    if 2 * abs(Fraction(shown) - value) > last_digit_value(shown):
+    if 2 * abs(Fraction(shown) - exact_value) > last_digit_value(shown):
         assert verdict == ErrataVerdict.TRUNCATED
 
 
 @given(EXACT_VALUES, st.integers(0, 5), st.integers(1, 50))
-def test_a_unit_of_the_last_digit_beyond_is_wrong(value: Fraction, places: int, units: int) -> None:
-    shown = rounded_digits(value, places, ROUND_HALF_EVEN)
-    off = Fraction(shown) + (units + 1) * last_digit_value(shown) * (1 if value > 0 else -1)
-    text = rounded_digits(off, places, ROUND_HALF_EVEN)
-    assert verdict_of_number(text, value) == ErrataVerdict.WRONG
+def test_a_unit_of_the_last_digit_beyond_is_wrong(
+    exact_value: Fraction, decimal_places: int, last_digit_units: int
+) -> None:
+    shown = rounded_digits(exact_value, decimal_places, ROUND_HALF_EVEN)
+    off = Fraction(shown) + (last_digit_units + 1) * last_digit_value(shown) * (
+        1 if exact_value > 0 else -1
+    )
+    text = rounded_digits(off, decimal_places, ROUND_HALF_EVEN)
+    assert verdict_of_number(text, exact_value) == ErrataVerdict.WRONG
 
 
 def test_an_error_carried_over_from_a_number_has_its_verdict() -> None:
@@ -107,7 +117,7 @@ def test_verdict_of_readings_and_contradictions() -> None:
 
 
 @pytest.mark.parametrize(
-    ("reached", "verdict"),
+    ("reached_value", "verdict"),
     [
         (0.915, ErrataVerdict.EQUAL),
         (0.9152, ErrataVerdict.ROUNDED),
@@ -115,8 +125,8 @@ def test_verdict_of_readings_and_contradictions() -> None:
         (0.8, ErrataVerdict.WRONG),
     ],
 )
-def test_a_claim_that_is_exceeded_is_a_bound(reached: float, verdict: ErrataVerdict) -> None:
-    assert verdict_of_lower_bound("0.915", reached) == verdict
+def test_a_claim_that_is_exceeded_is_a_bound(reached_value: float, verdict: ErrataVerdict) -> None:
+    assert verdict_of_lower_bound("0.915", reached_value) == verdict
 
 
 def test_printed_number_stands_for_an_interval() -> None:

@@ -16,7 +16,7 @@ def golden_folder() -> Path:
 
 
 @pytest.fixture(scope="session")
-def fresh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recorded_grasp_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record a grasp with a fault, a bus event and requests on this machine, and return the path of its log."""
     import short_runs
 

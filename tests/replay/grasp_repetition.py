@@ -13,25 +13,30 @@ SETTLED_S = 0.4
 """Time from the start of a hold until the grasp is at rest [s]."""
 
 
-def mean_angle_differences(before: RunLog, after: RunLog) -> NDArray[np.float64]:
+def mean_angle_differences(original_log: RunLog, repeated_log: RunLog) -> NDArray[np.float64]:
     """Return the difference of the mean joint angle of each digit between the two runs (times, digits) [deg]."""
-    start, end = active_interval(before)
+    start, end = active_interval(original_log)
     times = np.arange(0.0, end - start, 0.005)
-    hand = load_hand(before.header.metadata["hand"])
+    hand = load_hand(original_log.header.metadata["hand"])
     old, new = (
         mean_angles(hand, resampled_field(log, "q", start, times))
-        for log, start in ((before, start), (after, start_of_repetition_s(after)))
+        for log, start in (
+            (original_log, start),
+            (repeated_log, start_of_repetition_s(repeated_log)),
+        )
     )
     return np.degrees(np.abs(new - old))
 
 
-def tensions_held(before: RunLog, after: RunLog) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def mean_held_tensions(
+    original_log: RunLog, repeated_log: RunLog
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the mean tensions of both runs, (tendons,) each, while the grasp is at rest [N]."""
-    starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
-    start, _ = active_interval(before)
+    starts = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
+    start, _ = active_interval(original_log)
     at_rest = starts["hold"] + SETTLED_S - start, starts["release"] - start
-    return _mean_tension(before, start, *at_rest), _mean_tension(
-        after, start_of_repetition_s(after), *at_rest
+    return _mean_tension(original_log, start, *at_rest), _mean_tension(
+        repeated_log, start_of_repetition_s(repeated_log), *at_rest
     )
 
 

@@ -78,18 +78,18 @@ class PeerWithLostReplies:
     From a given time on, the wrapper drops the replies with one identifier.
 
     Attributes:
-        peer: the wrapped simulator, which sends all replies.
+        simulator: the wrapped simulator, which sends all replies.
         can_id: identifier of the lost replies.
         since_ns: start of the loss [ns].
     """
 
-    peer: LockstepSimulator
+    simulator: LockstepSimulator
     can_id: int
     since_ns: int
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
         """Step the wrapped simulator, and return its replies without the dropped replies."""
-        replies = self.peer.step(t_ns, frames)
+        replies = self.simulator.step(t_ns, frames)
         return [
             reply
             for reply in replies
@@ -98,23 +98,23 @@ class PeerWithLostReplies:
 
     def close(self) -> None:
         """Close the wrapped simulator."""
-        self.peer.close()
+        self.simulator.close()
 
 
-def short_task(folder: Path) -> TaskProgram:
+def short_task(task_folder: Path) -> TaskProgram:
     """Return the program of a short grasp. The task file is written into a folder."""
-    path = folder / "task.toml"
+    path = task_folder / "task.toml"
     path.write_text(SHORT_GRASP_TASK)
     return TaskProgram(load_task(path))
 
 
 def record_lockstep_run(
-    log: Path,
+    log_path: Path,
     program: Program,
     *,
-    hand: str = "jamia",
+    hand_name: str = "jamia",
     rate_hz: float = 250.0,
-    friction: float = 0.5,
+    friction_factor: float = 0.5,
     seed: int = 0,
     wrap_simulator: Callable[[LockstepSimulator], LockstepSimulator] = lambda peer: peer,
     io_events: dict[int, tuple[IoEvent, ...]] | None = None,
@@ -124,22 +124,22 @@ def record_lockstep_run(
     """Run a program in lockstep on a simulated hand that closes on a cylinder, and record a log.
 
     Args:
-        log: path of the log. The log contains no data about the machine or the date.
+        log_path: path of the log. The log contains no data about the machine or the date.
         program: the program to run.
-        hand, rate_hz, seed: name of the hand, control rate [Hz], and seed of the simulator.
-        friction: friction coefficient of the cylinder.
+        hand_name, rate_hz, seed: name of the hand, control rate [Hz], and seed of the simulator.
+        friction_factor: friction coefficient of the cylinder.
         wrap_simulator: function that wraps the simulator, for example to drop some replies.
         io_events, requests: events of buses and host, and requests, by the number of the tick in
             which they arrive.
         truth: path of the truth file. The value is None to write no truth file.
     """
-    described = load_hand(hand)
+    described = load_hand(hand_name)
     plan = RunPlan(described, Gains(), rate_hz, ())
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "scene.toml"
-        scene.write_text(CYLINDER_SCENE.format(friction=friction))
+        scene.write_text(CYLINDER_SCENE.format(friction=friction_factor))
         options: dict[str, object] = {
-            "hand_path": str(hand_path(hand)),
+            "hand_path": str(hand_path(hand_name)),
             "scene": str(scene),
             "seed": seed,
             "homed": True,
@@ -154,7 +154,7 @@ def record_lockstep_run(
     attachments = {
         name: data for name, data in header.attachments.items() if name != "pip-freeze.txt"
     }
-    recorder = Recorder.start(log, replace(header, wall={}, attachments=attachments))
+    recorder = Recorder.start(log_path, replace(header, wall={}, attachments=attachments))
 
     def record(entry: TickIn, out: TickOut) -> None:
         recorder.send_record(pack_tick_record(entry, out))
@@ -186,24 +186,24 @@ def peer_with_silent_index(peer: LockstepSimulator) -> LockstepSimulator:
     return PeerWithLostReplies(peer, 0x11, 2_200_000_000)
 
 
-def write_golden_logs(folder: Path) -> None:
+def write_golden_logs(log_folder: Path) -> None:
     """Write new golden logs."""
-    folder.mkdir(parents=True, exist_ok=True)
+    log_folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
         task = short_task(Path(scratch))
-    for old in folder.glob("*.mcap"):
+    for old in log_folder.glob("*.mcap"):
         old.unlink()
-    record_lockstep_run(folder / "jamia-grasp.mcap", task, rate_hz=200.0)
-    record_lockstep_run(folder / "jamia-lost.mcap", task, rate_hz=200.0, friction=0.02)
+    record_lockstep_run(log_folder / "jamia-grasp.mcap", task, rate_hz=200.0)
+    record_lockstep_run(log_folder / "jamia-lost.mcap", task, rate_hz=200.0, friction_factor=0.02)
     events = {400: (IoEvent("dropped", "main", 3),)}
     record_lockstep_run(
-        folder / "jamia-fault.mcap",
+        log_folder / "jamia-fault.mcap",
         task,
         rate_hz=200.0,
         wrap_simulator=peer_with_silent_index,
         io_events=events,
     )
-    record_lockstep_run(folder / "jamia11-grasp.mcap", task, hand="jamia11", rate_hz=200.0)
+    record_lockstep_run(log_folder / "jamia11-grasp.mcap", task, hand_name="jamia11", rate_hz=200.0)
 
 
 if __name__ == "__main__":

@@ -33,12 +33,14 @@ def _scan_chunks(path: Path) -> tuple[LogFile, RecordScan]:
     return file, scan
 
 
-def _change_message(path: Path, topic: str, k: int, at: int, fitting: bool) -> None:
+def _change_message(
+    log_path: Path, topic: str, tick_index: int, byte_offset: int, with_fitting_checksum: bool
+) -> None:
     """Change a byte in the message of tick k.
 
     If `fitting` is True, also adjust all checksums, as somebody would do who forges a log.
     """
-    file, scan = _scan_chunks(path)
+    file, scan = _scan_chunks(log_path)
     names = {
         name: number
         for number, _, name, _, _ in schemas_and_channels(
@@ -48,43 +50,51 @@ def _change_message(path: Path, topic: str, k: int, at: int, fitting: bool) -> N
     for chunk in scan.chunks:
         content = file.chunk_content(chunk)
         for one in iter_messages(content, chunk.end - chunk.data_offset, frozenset([names[topic]])):
-            hit = [i for i, sequence in enumerate(one.sequence().tolist()) if sequence == k]
+            hit = [
+                i for i, sequence in enumerate(one.sequence().tolist()) if sequence == tick_index
+            ]
             if hit:
                 bent = bytearray(content)
-                bent[one.start + hit[0] * one.records.shape[1] + 31 + at] ^= 0x10
-                _put_chunk(path, scan, chunk, bytes(bent), fitting)
+                bent[one.start + hit[0] * one.records.shape[1] + 31 + byte_offset] ^= 0x10
+                _put_chunk(log_path, scan, chunk, bytes(bent), with_fitting_checksum)
                 return
     raise AssertionError("no such message")
 
 
 def _put_chunk(
-    path: Path, scan: RecordScan, chunk: ChunkLocation, new_content: bytes, fitting: bool
+    log_path: Path,
+    record_scan: RecordScan,
+    chunk: ChunkLocation,
+    new_content: bytes,
+    with_fitting_checksum: bool,
 ) -> None:
     """Write a log in which one chunk has other bytes.
 
     The file then ends before its last checksum.
     """
-    raw = path.read_bytes()
+    raw = log_path.read_bytes()
     packed = lz4.frame.compress(new_content)
     head = bytearray(raw[chunk.offset : chunk.data_offset])
     head[1:9] = (len(head) - 9 + len(packed)).to_bytes(8, "little")
-    if fitting:
+    if with_fitting_checksum:
         head[33:37] = zlib.crc32(new_content).to_bytes(4, "little")
     head[-8:] = len(packed).to_bytes(8, "little")
-    path.write_bytes(raw[: chunk.offset] + bytes(head) + packed + raw[chunk.end : scan.end])
+    log_path.write_bytes(
+        raw[: chunk.offset] + bytes(head) + packed + raw[chunk.end : record_scan.end]
+    )
 
 
-@pytest.mark.parametrize("fitting", [False, True], ids=["by chance", "forged"])
+@pytest.mark.parametrize("with_fitting_checksum", [False, True], ids=["by chance", "forged"])
 @pytest.mark.parametrize(
-    ("topic", "at"), [("/tick", 60), ("/controller/values", 100), ("/tick/chain", 22)]
+    ("topic", "byte_offset"), [("/tick", 60), ("/controller/values", 100), ("/tick/chain", 22)]
 )
 def test_a_changed_byte_is_named_by_its_tick(
-    log_copy: Path, topic: str, at: int, fitting: bool
+    log_copy: Path, topic: str, byte_offset: int, with_fitting_checksum: bool
 ) -> None:
     assert first_damage(log_copy) == ""
-    _change_message(log_copy, topic, 321, at, fitting)
+    _change_message(log_copy, topic, 321, byte_offset, with_fitting_checksum)
     assert first_damage(log_copy).startswith("tick 321 was changed after it was written")
-    if fitting:
+    if with_fitting_checksum:
         with RunLog(log_copy) as opened:
             (line,) = [line for line in check_log(opened) if "chain" in line]
         assert "breaks at tick 321" in line

@@ -39,24 +39,26 @@ def exported_dataset(tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def episode_actions(exported_dataset: Path, episode: int) -> np.ndarray:
+def episode_actions(exported_dataset: Path, episode_index: int) -> np.ndarray:
     """Return the joint angles (frames, J) in the actions of an episode [rad]."""
     table = pq.read_table(exported_dataset / "data" / "chunk-000" / "file-000.parquet").to_pylist()
     return np.array(
         [
             row["action"][: len(JAMIA_HAND.joints)]
             for row in table
-            if row["episode_index"] == episode
+            if row["episode_index"] == episode_index
         ]
     )
 
 
-def change_action(exported_dataset: Path, frame: int, joint: int, value: float) -> None:
+def change_action(
+    exported_dataset: Path, frame_index: int, joint_index: int, joint_angle: float
+) -> None:
     """Change one joint angle in the action of a frame."""
     path = exported_dataset / "data" / "chunk-000" / "file-000.parquet"
     table = pq.read_table(path)
     rows = table["action"].to_pylist()
-    rows[frame][joint] = value
+    rows[frame_index][joint_index] = joint_angle
     at = table.column_names.index("action")
     pq.write_table(
         table.set_column(at, "action", pa.array(rows, pa.list_(pa.float32(), len(rows[0])))), path
@@ -123,7 +125,7 @@ def test_a_hand_follows_an_episode_in_lockstep(exported_dataset: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "text"),
+    ("joint_angle", "expected_message"),
     [
         (2.5, "143.239 deg for index_j1 in frame 7; expected 0 to 100 deg"),
         (float("nan"), "nan deg for index_j1 in frame 7"),
@@ -132,11 +134,11 @@ def test_a_hand_follows_an_episode_in_lockstep(exported_dataset: Path) -> None:
     ],
 )
 def test_an_angle_or_a_speed_out_of_range_is_refused(
-    exported_dataset: Path, value: float, text: str
+    exported_dataset: Path, joint_angle: float, expected_message: str
 ) -> None:
     sine_dataset(exported_dataset)
-    change_action(exported_dataset, 7, 0, value)
-    with pytest.raises(ConfigError, match=text):
+    change_action(exported_dataset, 7, 0, joint_angle)
+    with pytest.raises(ConfigError, match=expected_message):
         find_episode(exported_dataset, 0, JAMIA_HAND, PERIOD_S)
 
 
@@ -155,14 +157,14 @@ def test_jumps_become_ramps_by_a_speed(exported_dataset: Path) -> None:
         find_episode(exported_dataset, 1, JAMIA_HAND, PERIOD_S, 900.0)
 
 
-def edit_info(exported_dataset: Path, **fields: object) -> None:
+def edit_info(exported_dataset: Path, **changed_fields: object) -> None:
     """Change fields in the file that describes a dataset."""
     path = exported_dataset / "meta" / "info.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | fields))
+    path.write_text(json.dumps(json.loads(path.read_text()) | changed_fields))
 
 
 @pytest.mark.parametrize(
-    ("fields", "text"),
+    ("changed_fields", "expected_message"),
     [
         ({"codebase_version": "v2.1"}, r"version 'v2.1'; expected a LeRobot dataset \(3.0\)"),
         ({"fps": 0}, "fps: 0; expected 1 to 1000 Hz"),
@@ -174,10 +176,10 @@ def edit_info(exported_dataset: Path, **fields: object) -> None:
     ],
 )
 def test_a_wrong_description_is_refused(
-    exported_dataset: Path, fields: dict[str, object], text: str
+    exported_dataset: Path, changed_fields: dict[str, object], expected_message: str
 ) -> None:
-    edit_info(exported_dataset, **fields)
-    with pytest.raises(ConfigError, match=text):
+    edit_info(exported_dataset, **changed_fields)
+    with pytest.raises(ConfigError, match=expected_message):
         find_episode(exported_dataset, 0, JAMIA_HAND, PERIOD_S)
 
 

@@ -62,9 +62,9 @@ def test_another_hand_s_log_is_refused(golden_folder: Path) -> None:
         compare_logs(a, b, "b")
 
 
-@pytest.mark.parametrize("name", ["jamia-grasp", "jamia-fault", "jamia11-grasp"])
-def test_golden_logs_pass_the_check(golden_folder: Path, name: str) -> None:
-    with RunLog(golden_folder / f"{name}.mcap") as log:
+@pytest.mark.parametrize("log_name", ["jamia-grasp", "jamia-fault", "jamia11-grasp"])
+def test_golden_logs_pass_the_check(golden_folder: Path, log_name: str) -> None:
+    with RunLog(golden_folder / f"{log_name}.mcap") as log:
         assert check_log(log) == []
 
 

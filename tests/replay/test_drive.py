@@ -112,10 +112,12 @@ def test_another_hand_is_refused_with_both_identities(golden_folder: Path) -> No
 
 
 @given(st.integers(-15, 15), st.floats(0.5, 3.0))
-def test_a_delay_is_measured(ticks: int, hertz: float) -> None:
+def test_a_delay_is_measured(delay_ticks: int, rate_hz: float) -> None:
     t = np.arange(400) * 0.005
-    before, after = (np.sin(2 * np.pi * hertz * (t - late)) for late in (0.0, ticks * 0.005))
-    assert signal_delay(before, after, 0.005) == pytest.approx(ticks * 0.005, abs=2e-4)
+    before, after = (
+        np.sin(2 * np.pi * rate_hz * (t - late)) for late in (0.0, delay_ticks * 0.005)
+    )
+    assert signal_delay(before, after, 0.005) == pytest.approx(delay_ticks * 0.005, abs=2e-4)
 
 
 def test_a_constant_signal_has_no_delay() -> None:

@@ -18,9 +18,9 @@ from handctl.log.read.reader import RunLog
 from handctl.replay.motion_replay import active_interval, compare_replay, playback_program
 from handctl.report.truth_record import read_truth
 
-Array = NDArray[np.float64]
+FloatArray = NDArray[np.float64]
 RATE_HZ, SETTLED_S = 250.0, 0.4
-DIGITS = ("index", "middle", "ring", "thumb")
+DIGIT_NAMES = ("index", "middle", "ring", "thumb")
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class RunAndRepeat:
     def repeat(self) -> Path:
         return self.folder / f"again-{self.raw}.mcap"
 
-    def truths(self, *names: str) -> tuple[Array, Array, Array]:
+    def truths(self, *truth_columns: str) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return times since the start of the interval [s], and true values of both runs (times, names)."""
         with RunLog(self.folder / "first.mcap") as before, RunLog(self.repeat) as after:
             recorded_start, end = active_interval(before)
@@ -50,8 +50,8 @@ class RunAndRepeat:
         )
         return (
             t_ns / 1e9,
-            first.columns_at(list(names), t_ns + int(recorded_start * 1e9)),
-            second.columns_at(list(names), t_ns + start),
+            first.columns_at(list(truth_columns), t_ns + int(recorded_start * 1e9)),
+            second.columns_at(list(truth_columns), t_ns + start),
         )
 
     def at_rest(self) -> tuple[float, float]:
@@ -64,16 +64,16 @@ class RunAndRepeat:
             start, _ = active_interval(before)
         return starts["hold"] + SETTLED_S - start, starts["release"] - start
 
-    def mean_at_rest(self, *names: str) -> tuple[Array, Array]:
+    def mean_at_rest(self, *truth_columns: str) -> tuple[FloatArray, FloatArray]:
         """Return, for both runs, the means of the named columns (names,) while the grasp is at rest."""
-        times, before, after = self.truths(*names)
+        times, before, after = self.truths(*truth_columns)
         start, end = self.at_rest()
         inside = (times >= start) & (times <= end)
         return before[inside].mean(axis=0), after[inside].mean(axis=0)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record the first run, and return the folder that contains its log and its truth file."""
     made = tmp_path_factory.mktemp("pair")
     short_runs.record_lockstep_run(
@@ -83,13 +83,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["trajectories", "tensions"])
-def run_and_repeat(folder: Path, request: pytest.FixtureRequest) -> RunAndRepeat:
+def run_and_repeat(run_folder: Path, request: pytest.FixtureRequest) -> RunAndRepeat:
     """Return the first run and its repetition.
 
     The repetition follows either the recorded angles or the recorded tensions.
     """
-    made = RunAndRepeat(folder, request.param)
-    with RunLog(folder / "first.mcap") as before:
+    made = RunAndRepeat(run_folder, request.param)
+    with RunLog(run_folder / "first.mcap") as before:
         program = playback_program(before, 1 / RATE_HZ, made.raw)
     truth = made.repeat.with_suffix(".truth")
     assert (
@@ -125,7 +125,7 @@ def test_second_replay_gives_the_same_log(run_and_repeat: RunAndRepeat) -> None:
         assert max(row["rms"] for row in compared[signal].values()) < usual_rms[signal]
 
 
-@pytest.mark.parametrize("digit", DIGITS)
+@pytest.mark.parametrize("digit", DIGIT_NAMES)
 def test_second_replay_gives_the_same_truth(run_and_repeat: RunAndRepeat, digit: str) -> None:
     """The test compares the mean joint angle of each digit.
 
@@ -140,8 +140,8 @@ def test_second_replay_gives_the_same_truth(run_and_repeat: RunAndRepeat, digit:
 
 
 def test_a_replayed_grasp_is_as_strong_as_the_recorded_one(run_and_repeat: RunAndRepeat) -> None:
-    tensions = [f"tension/{digit}_tendon" for digit in DIGITS]
-    forces = [f"contact_force/{digit}/{axis}" for digit in DIGITS for axis in "xyz"]
+    tensions = [f"tension/{digit}_tendon" for digit in DIGIT_NAMES]
+    forces = [f"contact_force/{digit}/{axis}" for digit in DIGIT_NAMES for axis in "xyz"]
     before, after = run_and_repeat.mean_at_rest(*tensions)
     np.testing.assert_allclose(after, before, rtol=0.08 if run_and_repeat.raw else 0.05)
     old, new = (

@@ -42,8 +42,10 @@ from handctl.replay.tick_difference import (
 GOLDEN_NAMES = ("jamia-grasp", "jamia-lost", "jamia-fault", "jamia11-grasp")
 
 
-def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(fresh_log: Path) -> None:
-    with RunLog(fresh_log) as log:
+def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(
+    recorded_grasp_log: Path,
+) -> None:
+    with RunLog(recorded_grasp_log) as log:
         texts = " ".join(event.event.text for event in log.events)
         assert "asked: stop" in texts
         assert "B17 some nodes do not hear" in texts
@@ -64,10 +66,10 @@ def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(fresh_log:
     assert result.times_real_time > 0
 
 
-@pytest.mark.parametrize("name", GOLDEN_NAMES)
-def test_golden_logs_decide_the_same_within_1e_9(golden_folder: Path, name: str) -> None:
+@pytest.mark.parametrize("log_name", GOLDEN_NAMES)
+def test_golden_logs_decide_the_same_within_1e_9(golden_folder: Path, log_name: str) -> None:
     """The golden logs were recorded on another machine, whose processor may round the last bits differently."""
-    with RunLog(golden_folder / f"{name}.mcap") as log:
+    with RunLog(golden_folder / f"{log_name}.mcap") as log:
         assert not log.warning
         result = execute_log(log)
         assert result.ticks == len(log) > 300
@@ -75,12 +77,14 @@ def test_golden_logs_decide_the_same_within_1e_9(golden_folder: Path, name: str)
     assert is_within_tolerance(result, 1e-9), result.largest_difference
 
 
-def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh_log: Path) -> None:
+def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(
+    recorded_grasp_log: Path,
+) -> None:
     """The gain that is changed here is the integral gain of the tension loop.
 
     This gain has an effect from the first tick in which the tendons are tightened.
     """
-    with RunLog(fresh_log) as log:
+    with RunLog(recorded_grasp_log) as log:
         gains = logged_gains(log)
         one_bit = math.nextafter(gains.tension.integral_per_s, math.inf)
         other = gains.model_copy(
@@ -94,8 +98,8 @@ def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh_log: 
     assert 0 < relative_error(result.largest_difference) < 1e-9
 
 
-def test_a_changed_byte_of_the_log_is_named(fresh_log: Path) -> None:
-    with RunLog(fresh_log) as log:
+def test_a_changed_byte_of_the_log_is_named(recorded_grasp_log: Path) -> None:
+    with RunLog(recorded_grasp_log) as log:
         controller, columns = rebuild_controller(log), TelemetryColumns.from_header(log.header)
         logged, numbers = next(zip(log.ticks(), log.packed_telemetry(), strict=True))
         _, out = controller.tick(controller.initial_state(), logged.tick_in)
@@ -163,8 +167,8 @@ def test_every_program_is_rebuilt_from_its_setup(program: Program) -> None:
     assert again.initial_state().digest() == first.initial_state().digest()
 
 
-def test_a_log_without_a_setup_is_refused_in_one_line(fresh_log: Path) -> None:
-    with RunLog(fresh_log) as log:
+def test_a_log_without_a_setup_is_refused_in_one_line(recorded_grasp_log: Path) -> None:
+    with RunLog(recorded_grasp_log) as log:
         attachments = {
             name: data for name, data in log.header.attachments.items() if name != "setup.json"
         }
@@ -180,7 +184,7 @@ def test_a_log_without_a_setup_is_refused_in_one_line(fresh_log: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("gains", "message"),
+    ("recorded_gains", "expected_message"),
     [
         (
             '{"motion": {"softness_m": 1.0}}',
@@ -194,25 +198,27 @@ def test_a_log_without_a_setup_is_refused_in_one_line(fresh_log: Path) -> None:
     ids=["a gain that is gone", "a later schema"],
 )
 def test_gains_of_another_version_are_refused_in_one_line_with_both(
-    fresh_log: Path, gains: str, message: str
+    recorded_grasp_log: Path, recorded_gains: str, expected_message: str
 ) -> None:
-    with RunLog(fresh_log) as log:
+    with RunLog(recorded_grasp_log) as log:
         metadata = log.header.metadata
         assert metadata["code"] == code_identity()
         log.header = replace(
             log.header,
-            attachments=log.header.attachments | {"gains.json": gains.encode()},
+            attachments=log.header.attachments | {"gains.json": recorded_gains.encode()},
             metadata=metadata | {"version": "0.0.9", "code": "0123456789ab"},
         )
-        with pytest.raises(LogError, match=message) as caught:
+        with pytest.raises(LogError, match=expected_message) as caught:
             execute_log(log)
     assert "written by handctl 0.0.9, code 0123456789ab" in str(caught.value)
     assert f"handctl {version('handctl')}, code {code_identity()}" in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_other_gains_give_other_commands_and_a_figure(fresh_log: Path, tmp_path: Path) -> None:
-    with RunLog(fresh_log) as log:
+def test_other_gains_give_other_commands_and_a_figure(
+    recorded_grasp_log: Path, tmp_path: Path
+) -> None:
+    with RunLog(recorded_grasp_log) as log:
         gains = logged_gains(log)
         stiff = gains.model_copy(
             update={"motion": gains.motion.model_copy(update={"position_error_m": 3e-4})}
@@ -227,18 +233,18 @@ def test_other_gains_give_other_commands_and_a_figure(fresh_log: Path, tmp_path:
     assert (tmp_path / "change.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_observer_gets_every_tick(fresh_log: Path) -> None:
+def test_the_observer_gets_every_tick(recorded_grasp_log: Path) -> None:
     ticks: list[tuple[int, bytes]] = []
 
     def observer(entry: TickIn, out: TickOut) -> None:
         ticks.append((entry.k, out.state_hash))
 
-    with RunLog(fresh_log) as log:
+    with RunLog(recorded_grasp_log) as log:
         execute_log(log, observer=observer)
         assert ticks == [(tick.tick_in.k, tick.state_hash) for tick in log.ticks()]
 
 
-def test_replay_execute_imports_no_bus(fresh_log: Path) -> None:
+def test_replay_execute_imports_no_bus(recorded_grasp_log: Path) -> None:
     code = (
         "import sys; from handctl.cli.main import main; code = main(sys.argv[1:]);"
         "bad = [n for n in sys.modules if n == 'can' or n.startswith(('can.', 'firmware_sim'))"
@@ -246,7 +252,7 @@ def test_replay_execute_imports_no_bus(fresh_log: Path) -> None:
         "print(bad, file=sys.stderr); sys.exit(code or 9 * bool(bad))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code, "replay", "execute", str(fresh_log)],
+        [sys.executable, "-c", code, "replay", "execute", str(recorded_grasp_log)],
         capture_output=True,
         text=True,
     )

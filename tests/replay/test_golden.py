@@ -21,6 +21,6 @@ def test_the_folder_has_the_golden_logs_and_no_others() -> None:
     assert sorted(log.stem for log in GOLDEN_FOLDER.glob("*.mcap")) == sorted(GOLDEN_NAMES)
 
 
-@pytest.mark.parametrize("name", GOLDEN_NAMES)
-def test_a_golden_log_is_re_executed_without_a_difference(name: str) -> None:
-    assert main(["replay", "execute", str(GOLDEN_FOLDER / f"{name}.mcap")]) == 0
+@pytest.mark.parametrize("log_name", GOLDEN_NAMES)
+def test_a_golden_log_is_re_executed_without_a_difference(log_name: str) -> None:
+    assert main(["replay", "execute", str(GOLDEN_FOLDER / f"{log_name}.mcap")]) == 0

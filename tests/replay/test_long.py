@@ -22,14 +22,14 @@ from handctl.replay.execute import execute_log
 from handctl.runtime.clocks.lockstep import LockstepSimulator
 
 RATE_HZ, DURATION_S = 200.0, 600.0
-DEAF_S = 598.0
+SILENCE_START_S = 598.0
 MOVE_PHASE = (
     '[[phase]]\nkind = "move"\nname = "move {n}"\nangle_deg = {angle:.3f}\nduration_s = 2.0\n'
 )
 
 
 @dataclass
-class LossyPeer:
+class SimulatorWithLostReplies:
     """Wrapper of a lockstep simulator.
 
     The wrapper drops one reply in two hundred, and sometimes all replies of two ticks. These losses
@@ -53,7 +53,7 @@ class LossyPeer:
         self.peer.close()
 
 
-def write_long_log(log: Path) -> None:
+def write_long_log(log_path: Path) -> None:
     """Record ten minutes with a grasp and many moves.
 
     Frames are lost during the whole run, and a motor stops sending at the end.
@@ -63,17 +63,19 @@ def write_long_log(log: Path) -> None:
         MOVE_PHASE.format(n=n, angle=chance.uniform(2.0, 60.0))
         for n in range(int((DURATION_S - 4) / 2))
     ]
-    task = log.with_suffix(".task.toml")
+    task = log_path.with_suffix(".task.toml")
     task.write_text(short_runs.SHORT_GRASP_TASK + "".join(moves))
     ticks = range(400, int(DURATION_S * RATE_HZ), 1999)
     io_events = {k: (IoEvent("recorder", "dropped", 1),) for k in ticks}
     requests = {k + 7: ("no request",) for k in ticks}
 
     def spoil(peer: LockstepSimulator) -> LockstepSimulator:
-        return short_runs.PeerWithLostReplies(LossyPeer(peer), 0x12, int(DEAF_S * 1e9))
+        return short_runs.PeerWithLostReplies(
+            SimulatorWithLostReplies(peer), 0x12, int(SILENCE_START_S * 1e9)
+        )
 
     short_runs.record_lockstep_run(
-        log,
+        log_path,
         TaskProgram(load_task(task)),
         rate_hz=RATE_HZ,
         wrap_simulator=spoil,

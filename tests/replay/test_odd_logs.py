@@ -44,23 +44,23 @@ def grasp_ticks(golden_folder: Path) -> tuple[RunHeader, TickList]:
         return log.header, ticks
 
 
-def write_ticks(path: Path, header: RunHeader, ticks: TickList) -> Path:
-    writer = LogWriter(path, header, lambda *what: None, 1)
+def write_ticks(log_path: Path, run_header: RunHeader, ticks: TickList) -> Path:
+    writer = LogWriter(log_path, run_header, lambda *what: None, 1)
     for entry, out in ticks:
         writer.add_tick(pack_tick_record(entry, out)[RECORD_FRAMING_STRUCT.size :])
     writer.finish("finished", 0)
-    return path
+    return log_path
 
 
-def without_ticks(ticks: TickList, first: int, last: int) -> TickList:
-    return [tick for tick in ticks if not first <= tick[0].k <= last]
+def ticks_without_range(ticks: TickList, first_index: int, last_index: int) -> TickList:
+    return [tick for tick in ticks if not first_index <= tick[0].k <= last_index]
 
 
 def test_a_short_gap_is_bridged_without_a_jump(
     grasp_ticks: tuple[RunHeader, TickList], tmp_path: Path, golden_folder: Path
 ) -> None:
     header, ticks = grasp_ticks
-    holey = write_ticks(tmp_path / "holey.mcap", header, without_ticks(ticks, 260, 268))
+    holey = write_ticks(tmp_path / "holey.mcap", header, ticks_without_range(ticks, 260, 268))
     with RunLog(golden_folder / "jamia-grasp.mcap") as log, RunLog(holey) as other:
         whole, result = recorded_targets(log, 0.005), recorded_targets(other, 0.005)
         assert (count_missing_ticks(log), count_missing_ticks(other)) == (0, 9)
@@ -74,7 +74,7 @@ def test_a_long_gap_is_refused_with_its_times(
     grasp_ticks: tuple[RunHeader, TickList], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     header, ticks = grasp_ticks
-    path = write_ticks(tmp_path / "holey.mcap", header, without_ticks(ticks, 260, 300))
+    path = write_ticks(tmp_path / "holey.mcap", header, ticks_without_range(ticks, 260, 300))
     with (
         RunLog(path) as log,
         pytest.raises(LogError, match=r"no ticks between 1\.295 and 1\.505 s"),
@@ -126,16 +126,18 @@ def test_a_stopped_replay_is_compared_up_to_its_end(golden_folder: Path, tmp_pat
             assert (followed_duration_s(before, after), compare_replay(before, after)) == (0.0, {})
 
 
-def with_event(event: TickEvent) -> Callable[[TickOut], TickOut]:
-    return lambda out: out._replace(events=(event,))
+def with_event(added_event: TickEvent) -> Callable[[TickOut], TickOut]:
+    return lambda out: out._replace(events=(added_event,))
 
 
-def with_frame(**changes: int) -> Callable[[TickOut], TickOut]:
-    return lambda out: out._replace(frames=(out.frames[0]._replace(**changes), *out.frames[1:]))
+def with_frame(**frame_changes: int) -> Callable[[TickOut], TickOut]:
+    return lambda out: out._replace(
+        frames=(out.frames[0]._replace(**frame_changes), *out.frames[1:])
+    )
 
 
 @pytest.mark.parametrize(
-    "changed",
+    "change_output",
     [
         with_event(TickEvent("warn", "phase", "", "hold")),
         with_event(TickEvent("info", "mode", "", "hold")),
@@ -146,7 +148,9 @@ def with_frame(**changes: int) -> Callable[[TickOut], TickOut]:
     ],
 )
 def test_every_difference_is_named(
-    grasp_ticks: tuple[RunHeader, TickList], tmp_path: Path, changed: Callable[[TickOut], TickOut]
+    grasp_ticks: tuple[RunHeader, TickList],
+    tmp_path: Path,
+    change_output: Callable[[TickOut], TickOut],
 ) -> None:
     header, ticks = grasp_ticks
     entry, out = next(tick for tick in ticks if tick[1].frames)
@@ -155,7 +159,7 @@ def test_every_difference_is_named(
     )
     with RunLog(write_ticks(tmp_path / "one.mcap", header, [(entry, base)])) as log:
         logged, numbers = next(log.ticks()), next(log.packed_telemetry())
-    now = changed(base)
+    now = change_output(base)
     assert are_outputs_equal(logged, numbers, base)
     assert not are_outputs_equal(logged, numbers, now)
     (result,) = differing_fields(TelemetryColumns.from_header(header), logged, numbers, now)

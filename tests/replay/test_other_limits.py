@@ -9,9 +9,9 @@ from handctl.log.read.reader import RunLog
 from handctl.replay.limits_judgement import judge_by_limits
 
 
-def write_limits(folder: Path, text: str) -> Path:
-    path = folder / "limits.toml"
-    path.write_text("schema = 1\n" + text)
+def write_limits(limits_folder: Path, limits_text: str) -> Path:
+    path = limits_folder / "limits.toml"
+    path.write_text("schema = 1\n" + limits_text)
     return path
 
 

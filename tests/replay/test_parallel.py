@@ -32,7 +32,7 @@ ExecuteBothWays = Callable[..., tuple[LogExecution, LogExecution]]
 
 
 @pytest.fixture
-def execute_both_ways(fresh_log: Path, monkeypatch: pytest.MonkeyPatch) -> ExecuteBothWays:
+def execute_both_ways(recorded_grasp_log: Path, monkeypatch: pytest.MonkeyPatch) -> ExecuteBothWays:
     """Return a function that executes a log with one process and with three processes.
 
     The argument of the returned function is another function, which makes a number in the
@@ -51,7 +51,7 @@ def execute_both_ways(fresh_log: Path, monkeypatch: pytest.MonkeyPatch) -> Execu
 
         monkeypatch.setattr(Controller, "tick", tick)
         monkeypatch.setattr(parallel_execution, "MIN_TICKS_PER_PROCESS", 50)
-        with RunLog(fresh_log) as log:
+        with RunLog(recorded_grasp_log) as log:
             return execute_log(log), execute_log(log, workers=3)
 
     return run
@@ -64,23 +64,23 @@ def execution_findings(execution: LogExecution) -> dict[str, Any]:
     }
 
 
-def spoil_state(field: str, at: int) -> StateChange:
-    """Return a function that makes a field of the second tendon wrong before tick ``at``."""
+def spoil_state(field_name: str, first_wrong_tick: int) -> StateChange:
+    """Return a function that makes a field of the second tendon wrong before tick ``first_wrong_tick``."""
 
     def change(before: ControllerState, entry: TickIn) -> None:
-        if entry.k == at:
-            before.view(field)[1] += 1e-9
+        if entry.k == first_wrong_tick:
+            before.view(field_name)[1] += 1e-9
 
     return change
 
 
-def test_a_snapshot_restores_the_state_unchanged(fresh_log: Path) -> None:
+def test_a_snapshot_restores_the_state_unchanged(recorded_grasp_log: Path) -> None:
     """A state that is restored from a snapshot has the same bytes and the same hash.
 
     The test checks this in every tick of a run with faults and requests. The next tick from the
     restored state also gives the same result.
     """
-    with RunLog(fresh_log) as log:
+    with RunLog(recorded_grasp_log) as log:
         controller = rebuild_controller(log)
         state = controller.initial_state()
         for logged in log.ticks():
@@ -110,8 +110,8 @@ def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
     assert {HandMode.SILENT, HandMode.INVENTORY, HandMode.ARMING} <= seen
 
 
-def test_a_log_has_a_snapshot_every_second(fresh_log: Path) -> None:
-    with RunLog(fresh_log) as log:
+def test_a_log_has_a_snapshot_every_second(recorded_grasp_log: Path) -> None:
+    with RunLog(recorded_grasp_log) as log:
         times = dict(zip(log.k.tolist(), log.times.tolist(), strict=True))
         snapshot_times = [times[k] for k in log.snapshots]
         assert snapshot_times == pytest.approx(np.arange(1, int(log.times[-1]) + 1))
@@ -125,12 +125,12 @@ def test_three_processes_find_no_difference_where_one_finds_none(
     assert (one.differing_ticks, three.differing_ticks) == (0, 0)
 
 
-@pytest.mark.parametrize("at", [150, 199, 200, 201, 330])
+@pytest.mark.parametrize("first_wrong_tick", [150, 199, 200, 201, 330])
 def test_three_processes_find_the_first_difference_wherever_it_is(
-    execute_both_ways: ExecuteBothWays, at: int
+    execute_both_ways: ExecuteBothWays, first_wrong_tick: int
 ) -> None:
     """The test changes the field in the part of each process in turn, and at a border between two parts."""
-    one, three = execute_both_ways(spoil_state("travel", at))
+    one, three = execute_both_ways(spoil_state("travel", first_wrong_tick))
     assert one.first_difference is not None
     assert execution_findings(three) == execution_findings(one)
 
@@ -150,8 +150,8 @@ def test_the_first_field_of_the_state_that_differs_is_named(
     )
 
 
-def test_a_decision_that_differs_is_named(fresh_log: Path) -> None:
-    with RunLog(fresh_log) as log:
+def test_a_decision_that_differs_is_named(recorded_grasp_log: Path) -> None:
+    with RunLog(recorded_grasp_log) as log:
         state, logged = rebuild_controller(log).initial_state(), next(log.ticks())
         other = state.copy()
         other.decide(unconfirmed=("index_motor",))
@@ -177,10 +177,10 @@ def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(
 
 
 def test_a_wrong_snapshot_is_not_used_as_a_start(
-    fresh_log: Path, monkeypatch: pytest.MonkeyPatch
+    recorded_grasp_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(parallel_execution, "MIN_TICKS_PER_PROCESS", 50)
-    with RunLog(fresh_log) as log:
+    with RunLog(recorded_grasp_log) as log:
         runner = courses.LogRunner.from_log(log)
         assert len(parallel_execution.split_log(runner, 3)) == 3
         bent = {
@@ -195,7 +195,7 @@ def test_a_wrong_snapshot_is_not_used_as_a_start(
 
 
 @pytest.mark.parametrize(
-    "text",
+    "snapshot_text",
     [
         "[]",
         "null",
@@ -208,11 +208,11 @@ def test_a_wrong_snapshot_is_not_used_as_a_start(
     ],
 )
 def test_a_snapshot_with_other_objects_than_decisions_is_refused(
-    fresh_log: Path, text: str
+    recorded_grasp_log: Path, snapshot_text: str
 ) -> None:
-    with RunLog(fresh_log) as log:
+    with RunLog(recorded_grasp_log) as log:
         controller = rebuild_controller(log)
         state = controller.initial_state()
         head = snapshot_bytes(state)[: 8 + state.block.nbytes]
         with pytest.raises(ValueError, match=r"."):
-            restore_state(controller.derived.layout, head + text.encode())
+            restore_state(controller.derived.layout, head + snapshot_text.encode())

@@ -8,9 +8,9 @@ from handctl.report.run_figure import DIGIT_COLOURS
 from handctl.view.scene.palette import DIGIT_PALETTE
 
 
-@pytest.mark.parametrize("name", packaged_hands())
-def test_a_digit_has_the_same_colour_on_every_hand(name: str) -> None:
-    digits = load_hand(name).digit_names
+@pytest.mark.parametrize("digit_name", packaged_hands())
+def test_a_digit_has_the_same_colour_on_every_hand(digit_name: str) -> None:
+    digits = load_hand(digit_name).digit_names
     numbers = colour_numbers(digits)
     assert len(set(numbers)) == len(digits)
     assert max(numbers) < min(len(DIGIT_COLOURS), len(DIGIT_PALETTE))

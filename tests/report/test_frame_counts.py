@@ -36,14 +36,16 @@ def count_frames(golden_ticks: list[TickRecord]) -> tuple[int, ...]:
     return tuple(frame_counts(SimpleNamespace(ticks=read), JAMIA_HAND))  # type: ignore[arg-type]
 
 
-def without_frame(golden_ticks: list[TickRecord], at: int) -> tuple[list[TickRecord], object]:
+def ticks_without_frame(
+    golden_ticks: list[TickRecord], tick_index: int
+) -> tuple[list[TickRecord], object]:
     """Remove the first load-cell frame of one tick. Return the changed ticks and the removed frame."""
     first_tension_frame = make_sensors(JAMIA_HAND).ids[0]
-    entry = golden_ticks[at].tick_in
+    entry = golden_ticks[tick_index].tick_in
     [lost] = [frame for frame in entry.frames if frame.can_id == first_tension_frame][:1]
     rest = tuple(frame for frame in entry.frames if frame != lost)
-    changed = golden_ticks[at]._replace(tick_in=entry._replace(frames=rest))
-    return [*golden_ticks[:at], changed, *golden_ticks[at + 1 :]], lost
+    changed = golden_ticks[tick_index]._replace(tick_in=entry._replace(frames=rest))
+    return [*golden_ticks[:tick_index], changed, *golden_ticks[tick_index + 1 :]], lost
 
 
 def test_a_run_without_faults_has_no_lost_and_no_late_frame(golden_ticks: list[TickRecord]) -> None:
@@ -52,12 +54,12 @@ def test_a_run_without_faults_has_no_lost_and_no_late_frame(golden_ticks: list[T
 
 def test_a_frame_that_never_comes_is_lost(golden_ticks: list[TickRecord]) -> None:
     for at in (300, 310, 320):
-        golden_ticks, _ = without_frame(golden_ticks, at)
+        golden_ticks, _ = ticks_without_frame(golden_ticks, at)
     assert count_frames(golden_ticks) == (0, 3, 0)
 
 
 def test_a_frame_of_the_tick_before_is_late(golden_ticks: list[TickRecord]) -> None:
-    golden_ticks, frame = without_frame(golden_ticks, 300)
+    golden_ticks, frame = ticks_without_frame(golden_ticks, 300)
     entry = golden_ticks[301].tick_in
     golden_ticks[301] = golden_ticks[301]._replace(
         tick_in=entry._replace(frames=(frame, *entry.frames))

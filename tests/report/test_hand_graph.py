@@ -11,9 +11,9 @@ from handctl.report.hand_graph import draw_hand, text_graph
 from tests.cli.command_refusals import refusal_line
 
 
-@pytest.mark.parametrize("name", packaged_hands())
-def test_the_text_names_all_parts(name: str) -> None:
-    hand = load_hand(name)
+@pytest.mark.parametrize("hand_name", packaged_hands())
+def test_the_text_names_all_parts(hand_name: str) -> None:
+    hand = load_hand(hand_name)
     text = text_graph(hand)
     for part in (*hand.bus_names, *hand.digit_names, *hand.tendon_names, *hand.motor_names):
         assert part in text
@@ -22,10 +22,10 @@ def test_the_text_names_all_parts(name: str) -> None:
     assert text.count("(j1)") == (len(hand.digit) + 1 if hand.sensor_node.joints else 0)
 
 
-@pytest.mark.parametrize("name", packaged_hands())
-def test_the_drawing_is_whole(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("hand_name", packaged_hands())
+def test_the_drawing_is_whole(hand_name: str, tmp_path: Path) -> None:
     for suffix in ("svg", "png"):
-        draw_hand(tmp_path / f"hand.{suffix}", load_hand(name))
+        draw_hand(tmp_path / f"hand.{suffix}", load_hand(hand_name))
     ET.parse(tmp_path / "hand.svg")
     assert (tmp_path / "hand.png").read_bytes().startswith(b"\x89PNG")
 

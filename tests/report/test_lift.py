@@ -12,20 +12,22 @@ import pytest
 from handctl.report.lift_judgement import MAX_SLIP_MM, judge_lift, lift_failure
 from handctl.report.summary import summarise_run
 from handctl.report.truth_record import TruthRecord
-from tests.report.invented_run import JAMIA, InventedLog, set_truth_column, zero_truth
+from tests.report.generated_run import JAMIA_HAND, GeneratedRunLog, set_truth_column, zero_truth
 
 TICK_COUNT = 400
 SINK_START_TICK, SINK_END_TICK = 200, 350
 """Tick at which the table begins to sink, and tick at which the hold phase ends."""
 
 
-def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[InventedLog, TruthRecord]:
+def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[GeneratedRunLog, TruthRecord]:
     """Create a log and the true values of a run in which table and object sink with constant speeds.
 
     Table and object sink from SINK_START_TICK to SINK_END_TICK.
     """
-    log = InventedLog(JAMIA, TICK_COUNT, {0: "close", 100: "carry", SINK_END_TICK: "release"})
-    truth = zero_truth(JAMIA, TICK_COUNT)
+    log = GeneratedRunLog(
+        JAMIA_HAND, TICK_COUNT, {0: "close", 100: "carry", SINK_END_TICK: "release"}
+    )
+    truth = zero_truth(JAMIA_HAND, TICK_COUNT)
     truth = replace(
         truth,
         values=np.column_stack([truth.values, truth.values[:, 0]]),
@@ -42,8 +44,10 @@ def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[InventedLog, 
     return log, truth
 
 
-def lift_result(log: InventedLog, truth: TruthRecord | None, *holds: str) -> dict[str, Any]:
-    return judge_lift(log, truth, 0, holds)  # type: ignore[arg-type]
+def lift_result(
+    run_log: GeneratedRunLog, truth: TruthRecord | None, *hold_phases: str
+) -> dict[str, Any]:
+    return judge_lift(run_log, truth, 0, hold_phases)  # type: ignore[arg-type]
 
 
 def test_an_object_that_stays_in_the_hand_is_carried() -> None:
@@ -58,29 +62,29 @@ def test_an_object_that_falls_with_its_table_is_a_failure() -> None:
     assert "moved 199 mm while the table sank 200 mm" in lift_failure(lift)
 
 
-@pytest.mark.parametrize("side", [-0.5, 0.5])
-def test_an_object_may_slide_by_the_limit_and_no_farther(side: float) -> None:
-    lift = lift_result(*log_and_truth_of_lift(0.2, (MAX_SLIP_MM + side) * 1e-3), "carry")
-    assert bool(lift_failure(lift)) == (side > 0)
+@pytest.mark.parametrize("slide_direction", [-0.5, 0.5])
+def test_an_object_may_slide_by_the_limit_and_no_farther(slide_direction: float) -> None:
+    lift = lift_result(*log_and_truth_of_lift(0.2, (MAX_SLIP_MM + slide_direction) * 1e-3), "carry")
+    assert bool(lift_failure(lift)) == (slide_direction > 0)
 
 
 def test_without_a_sunk_table_the_lift_fails_and_has_no_object_motion() -> None:
     log, truth = log_and_truth_of_lift(0.0, 0.0)
     assert "never lifted" in lift_failure(lift_result(log, truth, "carry"))
-    steady = InventedLog(JAMIA, TICK_COUNT, {0: "hold"})
+    steady = GeneratedRunLog(JAMIA_HAND, TICK_COUNT, {0: "hold"})
     steady.fields["contact"][:, 0] = 1.0
     steady.fields["tension_goal"][:] = steady.fields["tension"][:] = steady.fields["tension_raw"][
         :
     ] = 9.0
     steady.fields["tip_force"][:] = 0.0
-    assert np.isnan(summarise_run(steady, JAMIA, truth, 0)["object_motion_mm"])  # type: ignore[arg-type]
+    assert np.isnan(summarise_run(steady, JAMIA_HAND, truth, 0)["object_motion_mm"])  # type: ignore[arg-type]
     _, sinking = log_and_truth_of_lift(0.2, 0.0)
-    assert not np.isnan(summarise_run(steady, JAMIA, sinking, 0)["object_motion_mm"])  # type: ignore[arg-type]
+    assert not np.isnan(summarise_run(steady, JAMIA_HAND, sinking, 0)["object_motion_mm"])  # type: ignore[arg-type]
 
 
 def test_without_a_sinking_table_or_a_hold_there_is_no_judgement() -> None:
     log, truth = log_and_truth_of_lift(0.2, 0.2)
     for lift in (lift_result(log, truth), lift_result(log, truth, "elsewhere"), lift_result(log, None, "carry"),
-                  lift_result(log, zero_truth(JAMIA, TICK_COUNT), "carry")):  # fmt: skip
+                  lift_result(log, zero_truth(JAMIA_HAND, TICK_COUNT), "carry")):  # fmt: skip
         assert np.isnan(lift["table_sunk_mm"])
         assert lift_failure(lift) == ""

@@ -12,12 +12,12 @@ from handctl.hand.hand_loading import load_hand
 from handctl.output import save_figure
 from handctl.report.run_figure import MARK_WIDTH_FRACTION, _mark_positions, draw_run
 from handctl.report.truth_record import TruthRecord
-from tests.report.invented_run import InventedLog, set_truth_column, zero_truth
+from tests.report.generated_run import GeneratedRunLog, set_truth_column, zero_truth
 
 
-def run_of(name: str, lively: bool) -> InventedLog:
-    log = InventedLog(load_hand(name), 120, {0: "silent", 40: "hold", 80: "done"})
-    if lively:
+def generated_run_of(hand_name: str, with_values: bool) -> GeneratedRunLog:
+    log = GeneratedRunLog(load_hand(hand_name), 120, {0: "silent", 40: "hold", 80: "done"})
+    if with_values:
         rng = np.random.default_rng(2)
         for field in log.fields.values():
             field[:] = rng.normal(size=field.shape)
@@ -28,7 +28,7 @@ def run_of(name: str, lively: bool) -> InventedLog:
 
 
 @pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+def drawn_figures(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Return a list that collects every drawn figure."""
     figures: list[Any] = []
     monkeypatch.setattr(
@@ -37,13 +37,17 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return figures
 
 
-@pytest.mark.parametrize("name", ["jamia", "jamia11"])
+@pytest.mark.parametrize("hand_name", ["jamia", "jamia11"])
 @pytest.mark.parametrize("with_truth", [True, False])
-@pytest.mark.parametrize("lively", [True, False])
-def test_a_png_is_written(name: str, with_truth: bool, lively: bool, tmp_path: Path) -> None:
-    truth: TruthRecord | None = zero_truth(load_hand(name), 120) if with_truth else None
+@pytest.mark.parametrize("with_values", [True, False])
+def test_a_png_is_written(
+    hand_name: str, with_truth: bool, with_values: bool, tmp_path: Path
+) -> None:
+    truth: TruthRecord | None = zero_truth(load_hand(hand_name), 120) if with_truth else None
     path = tmp_path / "run.png"
-    draw_run(path, run_of(name, lively), load_hand(name), truth, 0, "a title")  # type: ignore[arg-type]
+    draw_run(
+        path, generated_run_of(hand_name, with_values), load_hand(hand_name), truth, 0, "a title"
+    )  # type: ignore[arg-type]
     content = path.read_bytes()
     assert content.startswith(b"\x89PNG")
     width, height = (int.from_bytes(content[at : at + 4], "big") for at in (16, 20))
@@ -62,7 +66,7 @@ def test_labels_of_axes_are_inside_the_figure(
         drawn.append(figure)
 
     monkeypatch.setattr("handctl.report.run_figure.save_figure", save_and_keep)
-    log = run_of("jamia", True)
+    log = generated_run_of("jamia", True)
     log.late_ns[:] = 1000
     log.fields["tension"][:] = np.linspace(0.0, 13.0, 120)[:, None]
     log.fields["tension_goal"][:] = np.linspace(0.0, 1.0, 120)[:, None]
@@ -77,28 +81,30 @@ def test_labels_of_axes_are_inside_the_figure(
 def test_figure_depends_on_the_run(tmp_path: Path) -> None:
     paths = [tmp_path / f"{i}.png" for i in range(2)]
     for path, lively in zip(paths, (True, False), strict=True):
-        draw_run(path, run_of("jamia", lively), load_hand("jamia"), None, 0, "t")  # type: ignore[arg-type]
+        draw_run(path, generated_run_of("jamia", lively), load_hand("jamia"), None, 0, "t")  # type: ignore[arg-type]
     assert paths[0].read_bytes() != paths[1].read_bytes()
 
 
-def test_hidden_values_do_not_affect_the_height(drawn: list[Any]) -> None:
-    log = run_of("jamia", True)
+def test_hidden_values_do_not_affect_the_height(drawn_figures: list[Any]) -> None:
+    log = generated_run_of("jamia", True)
     log.mode[60:] = int(HandMode.DONE)
     log.fields["q"][:], log.fields["q_goal"][:] = 0.1, np.nan
     log.fields["q"][:60] = np.linspace(0.0, 0.5, 60)[:, None]
     log.fields["q"][90:] = -9.0
     draw_run(Path("x.png"), log, load_hand("jamia"), None, 0, "t")  # type: ignore[arg-type]
-    low, high = drawn[0].axes[0].get_ylim()
+    low, high = drawn_figures[0].axes[0].get_ylim()
     assert -5.0 < low < 0.0
     assert np.degrees(0.5) < high < 35.0
 
 
 @pytest.mark.parametrize("field", ["tension", "tension_goal", "truth"])
-@pytest.mark.parametrize("name", ["jamia", "n_plus_1"])
-def test_all_tensions_are_inside_the_plot(drawn: list[Any], name: str, field: str) -> None:
+@pytest.mark.parametrize("hand_name", ["jamia", "n_plus_1"])
+def test_all_tensions_are_inside_the_plot(
+    drawn_figures: list[Any], hand_name: str, field: str
+) -> None:
     """Reproduce a defect: with a dead load cell, the command and the true tension were above the plot."""
-    hand = load_hand(name)
-    log, truth = run_of(name, True), zero_truth(hand, 120)
+    hand = load_hand(hand_name)
+    log, truth = generated_run_of(hand_name, True), zero_truth(hand, 120)
     for other in ("tension", "tension_goal", "tension_sigma"):
         log.fields[other][:] = 0.5
     if field == "truth":
@@ -106,24 +112,26 @@ def test_all_tensions_are_inside_the_plot(drawn: list[Any], name: str, field: st
     else:
         log.fields[field][30:90, -1] = 60.0
     draw_run(Path("x.png"), log, hand, truth, 0, "t")  # type: ignore[arg-type]
-    low, high = drawn[0].axes[len(hand.digit)].get_ylim()
+    low, high = drawn_figures[0].axes[len(hand.digit)].get_ylim()
     assert low == -2.0
     assert high == pytest.approx(69.0)
 
 
 @pytest.mark.parametrize(
-    ("name", "labels"),
+    ("hand_name", "axis_labels"),
     [
         ("parallel_gripper", ["mean joint position [mm]", ""]),
         ("mixed_gripper", ["mean joint position [mm]", "mean joint angle [deg]"]),
     ],
 )
-def test_every_unit_of_the_digits_is_named(drawn: list[Any], name: str, labels: list[str]) -> None:
+def test_every_unit_of_the_digits_is_named(
+    drawn_figures: list[Any], hand_name: str, axis_labels: list[str]
+) -> None:
     """Reproduce a defect: the angle of a finger beside a jaw had no label, so that it seemed to be in mm."""
-    hand = load_hand(Path(__file__).parents[1] / "hand" / f"{name}.toml")
-    log = InventedLog(hand, 120, {0: "silent"})
+    hand = load_hand(Path(__file__).parents[1] / "hand" / f"{hand_name}.toml")
+    log = GeneratedRunLog(hand, 120, {0: "silent"})
     draw_run(Path("x.png"), log, hand, None, 0, "t")  # type: ignore[arg-type]
-    assert [axes.get_ylabel() for axes in drawn[0].axes[:2]] == labels
+    assert [axes.get_ylabel() for axes in drawn_figures[0].axes[:2]] == axis_labels
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -14,29 +14,35 @@ from handctl.report.summary import (
     root_mean_square,
     summarise_run,
 )
-from tests.report.invented_run import JAMIA, PERIOD_NS, InventedLog, set_truth_column, zero_truth
+from tests.report.generated_run import (
+    JAMIA_HAND,
+    PERIOD_NS,
+    GeneratedRunLog,
+    set_truth_column,
+    zero_truth,
+)
 
 
-def quiet_run() -> InventedLog:
+def quiet_run() -> GeneratedRunLog:
     """Create a run of two seconds without events."""
-    log = InventedLog(JAMIA, 200, {0: "home"})
+    log = GeneratedRunLog(JAMIA_HAND, 200, {0: "home"})
     for name in ("tension", "tension_raw", "tip_force"):
         log.fields[name][:] = 0.0
     return log
 
 
-def hold_log(ramp: int = 20) -> InventedLog:
+def hold_log(ramp_ticks: int = 20) -> GeneratedRunLog:
     """Create a run of four seconds with a hold phase.
 
     In this phase, the tension goal rises, and index finger and thumb are in contact.
     """
-    log = InventedLog(JAMIA, 400, {0: "home", 100: "hold", 300: "release"})
+    log = GeneratedRunLog(JAMIA_HAND, 400, {0: "home", 100: "hold", 300: "release"})
     for name in ("tension", "tension_raw", "tip_force"):
         log.fields[name][:] = 0.0
     log.fields["contact"][100:, [0, 3]] = 1.0
     goal = log.fields["tension_goal"]
     goal[:100] = 5.0
-    goal[100:300] = np.minimum(5.0 + np.arange(1, 201)[:, None], 5.0 + ramp)
+    goal[100:300] = np.minimum(5.0 + np.arange(1, 201)[:, None], 5.0 + ramp_ticks)
     goal[300:] = 8.0
     return log
 
@@ -45,7 +51,7 @@ def test_ticks_misses_and_lateness() -> None:
     log = quiet_run()
     log.k = np.concatenate((np.arange(100), np.arange(103, 203)))
     log.late_ns = np.arange(200) * 1000
-    result = summarise_run(log, JAMIA, None, 0)
+    result = summarise_run(log, JAMIA_HAND, None, 0)
     assert (result["hand"], result["ticks"], result["missed"], result["rate_hz"]) == (
         "jamia",
         200,
@@ -56,7 +62,7 @@ def test_ticks_misses_and_lateness() -> None:
 
 
 def test_summary_without_truth_has_nan() -> None:
-    result = summarise_run(hold_log(), JAMIA, None, 0)
+    result = summarise_run(hold_log(), JAMIA_HAND, None, 0)
     for name in (
         "tracking_rmse_rad",
         "tension_rmse_n",
@@ -66,37 +72,39 @@ def test_summary_without_truth_has_nan() -> None:
         "object_motion_mm",
     ):
         assert math.isnan(result[name]), name
-    assert result["tip_equivalent_force_n"] == pytest.approx(dict.fromkeys(JAMIA.digit_names, 0.0))
+    assert result["tip_equivalent_force_n"] == pytest.approx(
+        dict.fromkeys(JAMIA_HAND.digit_names, 0.0)
+    )
 
 
 def test_summaries_with_and_without_truth_have_the_same_keys() -> None:
     log = hold_log()
-    with_truth = summarise_run(log, JAMIA, zero_truth(JAMIA, 400), 0)
-    assert summarise_run(log, JAMIA, None, 0).keys() == with_truth.keys()
+    with_truth = summarise_run(log, JAMIA_HAND, zero_truth(JAMIA_HAND, 400), 0)
+    assert summarise_run(log, JAMIA_HAND, None, 0).keys() == with_truth.keys()
 
 
 def test_a_truth_of_another_time_is_no_truth() -> None:
     """The summary of a run does not use the truth file of an earlier simulator on the same bus."""
     log = hold_log()
-    result = summarise_run(log, JAMIA, zero_truth(JAMIA, 400, offset_ns=10**15), 0)
+    result = summarise_run(log, JAMIA_HAND, zero_truth(JAMIA_HAND, 400, offset_ns=10**15), 0)
     assert math.isnan(result["tracking_rmse_rad"])
     assert result["contact_force_n"] == {}
 
 
 def test_the_mean_angle_weights_joints_by_their_moment_arms() -> None:
-    q = np.zeros((2, len(JAMIA.joints)))
+    q = np.zeros((2, len(JAMIA_HAND.joints)))
     q[:, :3] = [[0.3, 0.6, 0.9], [1.0, 0.0, 0.0]]
-    arms = [JAMIA.tendon[0].moment_arm_m[joint] for joint in JAMIA.joints[:3]]
+    arms = [JAMIA_HAND.tendon[0].moment_arm_m[joint] for joint in JAMIA_HAND.joints[:3]]
     expected = [np.dot(arms, row) / sum(arms) for row in q[:, :3]]
-    np.testing.assert_allclose(mean_angles(JAMIA, q)[:, 0], expected)
-    np.testing.assert_array_equal(mean_angles(JAMIA, q)[:, 1:], 0.0)
+    np.testing.assert_allclose(mean_angles(JAMIA_HAND, q)[:, 0], expected)
+    np.testing.assert_array_equal(mean_angles(JAMIA_HAND, q)[:, 1:], 0.0)
 
 
 def test_tracking_error_is_computed_in_free_motion_only() -> None:
-    log, truth = quiet_run(), zero_truth(JAMIA, 200, 7)
+    log, truth = quiet_run(), zero_truth(JAMIA_HAND, 200, 7)
     joints = slice(0, 3)  # joints of the index finger
     log.fields["q_goal"][:, joints] = 0.5
-    for joint in JAMIA.joints[joints]:
+    for joint in JAMIA_HAND.joints[joints]:
         motion = np.full(200, 0.49)
         motion[100:120] = 0.2  # during this time, the controller detects contact
         motion[120:140] = 0.1  # during this time, only the true values show contact
@@ -107,12 +115,12 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
     force[120:140] = 0.2
     set_truth_column(truth, "contact_force/index/y", force)
     log.mode[140:160] = HandMode.RELAX
-    result = summarise_run(log, JAMIA, truth, 7)
+    result = summarise_run(log, JAMIA_HAND, truth, 7)
     assert result["tracking_rmse_rad"] == pytest.approx(0.01)
     assert result["tracking_rmse_deg"]["index"] == pytest.approx(math.degrees(0.01))
     assert math.isnan(result["tracking_rmse_deg"]["thumb"]), "the thumb had no goal"
     by_joint = result["tracking_rmse_joint_deg"]
-    assert [by_joint[joint] for joint in JAMIA.joints[joints]] == pytest.approx(
+    assert [by_joint[joint] for joint in JAMIA_HAND.joints[joints]] == pytest.approx(
         [math.degrees(0.01)] * 3
     )
     assert math.isnan(by_joint["thumb_j1"])
@@ -123,9 +131,9 @@ def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
 
     The load-cell reading is compared with the true tension one period earlier, when it was taken.
     """
-    log, truth = quiet_run(), zero_truth(JAMIA, 200)
+    log, truth = quiet_run(), zero_truth(JAMIA_HAND, 200)
     real = 20.0 + np.arange(200) * 0.1
-    for name in JAMIA.tendon_names:
+    for name in JAMIA_HAND.tendon_names:
         set_truth_column(truth, f"tension/{name}", real)
     log.fields["tension"][:] = real[:, None] + 0.3
     log.fields["tension_raw"][1:] = (
@@ -133,27 +141,27 @@ def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
     )
     log.fields["tension_raw"][0] = np.nan
     log.fields["tension_raw"][50] = np.nan
-    result = summarise_run(log, JAMIA, truth, 0)
+    result = summarise_run(log, JAMIA_HAND, truth, 0)
     assert result["tension_rmse_n"] == pytest.approx(0.3)
     assert result["tension_raw_rmse_n"] == pytest.approx(0.5)
 
 
 def test_slack_tendons_do_not_count() -> None:
-    log, truth = quiet_run(), zero_truth(JAMIA, 200)
+    log, truth = quiet_run(), zero_truth(JAMIA_HAND, 200)
     log.fields["tension"][:] = 7.0
-    assert math.isnan(summarise_run(log, JAMIA, truth, 0)["tension_rmse_n"])
+    assert math.isnan(summarise_run(log, JAMIA_HAND, truth, 0)["tension_rmse_n"])
 
 
 def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None:
-    (window,) = hold_windows(hold_log(ramp=20), JAMIA)
+    (window,) = hold_windows(hold_log(ramp_ticks=20), JAMIA_HAND)
     assert np.flatnonzero(window).tolist() == list(range(119 + 50, 300))
     none = hold_log()
     none.fields["contact"][:] = 0.0
-    assert not np.any(hold_windows(none, JAMIA)), "without a hold there are no windows"
-    two = InventedLog(JAMIA, 400, {0: "hold", 150: "move", 200: "hold firmly"})
+    assert not np.any(hold_windows(none, JAMIA_HAND)), "without a hold there are no windows"
+    two = GeneratedRunLog(JAMIA_HAND, 400, {0: "hold", 150: "move", 200: "hold firmly"})
     two.fields["contact"][:, 0] = 1.0
     two.fields["tension_goal"][:] = 9.0
-    windows = [np.flatnonzero(window).tolist() for window in hold_windows(two, JAMIA)]
+    windows = [np.flatnonzero(window).tolist() for window in hold_windows(two, JAMIA_HAND)]
     assert windows == [list(range(50, 150)), list(range(250, 400))]
 
 
@@ -171,68 +179,68 @@ def test_a_hold_is_a_phase_of_that_kind_whatever_its_name() -> None:
         "[[phase]]\n" + "\n".join(f"{key} = {json.dumps(value)}" for key, value in phase.items())
         for phase in phases
     ]
-    assert not hold_windows(log, JAMIA), "a log without its task"
+    assert not hold_windows(log, JAMIA_HAND), "a log without its task"
     log.header.attachments["task.toml"] = "\n".join(['schema = 1\nname = "grip"', *lines]).encode()
-    (window,) = hold_windows(log, JAMIA)
+    (window,) = hold_windows(log, JAMIA_HAND)
     assert np.flatnonzero(window).tolist() == list(range(119 + 50, 300))
-    truth = zero_truth(JAMIA, 400)
-    set_truth_column(truth, f"tension/{JAMIA.tendon_names[0]}", 22.0)
-    set_truth_column(truth, f"tension/{JAMIA.tendon_names[3]}", 25.0)
-    assert summarise_run(log, JAMIA, truth, 0)["tension_hold_error_n"] == pytest.approx(3.0)
+    truth = zero_truth(JAMIA_HAND, 400)
+    set_truth_column(truth, f"tension/{JAMIA_HAND.tendon_names[0]}", 22.0)
+    set_truth_column(truth, f"tension/{JAMIA_HAND.tendon_names[3]}", 25.0)
+    assert summarise_run(log, JAMIA_HAND, truth, 0)["tension_hold_error_n"] == pytest.approx(3.0)
     log.phases = [log.phases[0]._replace(name="hold open"), *log.phases[1:]]
-    assert len(hold_windows(log, JAMIA)) == 1, "a move is no hold"
+    assert len(hold_windows(log, JAMIA_HAND)) == 1, "a move is no hold"
     log.header.attachments["task.toml"] = b"\xff = ["
-    assert len(hold_windows(log, JAMIA)) == 1, "the names alone, if the task is damaged"
+    assert len(hold_windows(log, JAMIA_HAND)) == 1, "the names alone, if the task is damaged"
 
 
 def test_a_hold_with_a_stiffness_is_judged_although_its_goals_follow_every_angle() -> None:
-    log = hold_log(ramp=20)
+    log = hold_log(ramp_ticks=20)
     log.fields["tension_goal"][100:300] += np.where(np.arange(200) % 2, 0.1, -0.1)[:, None]
-    (window,) = hold_windows(log, JAMIA)
+    (window,) = hold_windows(log, JAMIA_HAND)
     assert np.flatnonzero(window).tolist()[-1] == 299
     assert 119 + 45 <= np.argmax(window) <= 119 + 50
 
 
 def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
-    log, truth = hold_log(), zero_truth(JAMIA, 400)
-    index, middle, _, thumb = JAMIA.tendon_names
+    log, truth = hold_log(), zero_truth(JAMIA_HAND, 400)
+    index, middle, _, thumb = JAMIA_HAND.tendon_names
     wave = np.where(np.arange(400) % 2, 1.5, -1.5)
     set_truth_column(truth, f"tension/{index}", 25.0 - 0.4 + wave)
     set_truth_column(truth, f"tension/{thumb}", 25.0 + 0.7)
     set_truth_column(truth, f"tension/{middle}", 3.0)  # tension without contact
-    result = summarise_run(log, JAMIA, truth, 0)
+    result = summarise_run(log, JAMIA_HAND, truth, 0)
     assert result["tension_hold_error_n"] == pytest.approx(0.7, abs=0.02)
     assert result["tension_hold_peak_error_n"] == pytest.approx(1.9, abs=0.02)
 
 
 def test_contact_forces_and_tip_forces_are_means_over_the_hold() -> None:
-    log, truth = hold_log(), zero_truth(JAMIA, 400)
+    log, truth = hold_log(), zero_truth(JAMIA_HAND, 400)
     log.fields["tip_force"][:, 0] = np.where(np.arange(400) < 169, 99.0, 3.0)
     set_truth_column(truth, "contact_force/index/x", np.where(np.arange(400) < 169, 50.0, 3.0))
     set_truth_column(truth, "contact_force/index/y", np.where(np.arange(400) < 169, 50.0, 4.0))
-    result = summarise_run(log, JAMIA, truth, 0)
+    result = summarise_run(log, JAMIA_HAND, truth, 0)
     assert result["tip_equivalent_force_n"]["index"] == pytest.approx(3.0)
     assert result["contact_force_n"]["index"] == pytest.approx(5.0)
     assert result["contact_force_n"]["thumb"] == 0.0
 
 
 def test_object_motion_is_the_largest_distance_from_the_start_of_a_hold() -> None:
-    log, truth = hold_log(), zero_truth(JAMIA, 400)
+    log, truth = hold_log(), zero_truth(JAMIA_HAND, 400)
     x = np.zeros(400)
     x[:169] = 0.050  # before the hold
     x[200], x[201] = 3e-4, -4e-4
     x[300:] = 0.080  # after the release
     set_truth_column(truth, "object/x", x)
     set_truth_column(truth, "object/z", np.where(np.arange(400) == 201, 3e-4, 0.0))
-    assert summarise_run(log, JAMIA, truth, 0)["object_motion_mm"] == pytest.approx(0.5)
-    two = InventedLog(JAMIA, 400, {0: "hold", 150: "move", 200: "hold"})
+    assert summarise_run(log, JAMIA_HAND, truth, 0)["object_motion_mm"] == pytest.approx(0.5)
+    two = GeneratedRunLog(JAMIA_HAND, 400, {0: "hold", 150: "move", 200: "hold"})
     two.fields["contact"][:, 0] = 1.0
     two.fields["tension_goal"][:] = 9.0
     two.fields["tip_force"][:] = 0.0
     two.fields["tension"][:] = two.fields["tension_raw"][:] = 9.0
     set_truth_column(truth, "object/x", np.where(np.arange(400) < 150, 0.0, 0.010))
     set_truth_column(truth, "object/z", 0.0)
-    assert summarise_run(two, JAMIA, truth, 0)["object_motion_mm"] == pytest.approx(0.0), (
+    assert summarise_run(two, JAMIA_HAND, truth, 0)["object_motion_mm"] == pytest.approx(0.0), (
         "the object moved between two holds"
     )
 
@@ -255,8 +263,8 @@ def test_measured_load_equals_a_hand_calculation() -> None:
 
 
 def test_an_empty_run_has_no_numbers_and_no_error() -> None:
-    log = InventedLog(JAMIA, 0, {})
-    result = summarise_run(log, JAMIA, zero_truth(JAMIA, 3), 0)
+    log = GeneratedRunLog(JAMIA_HAND, 0, {})
+    result = summarise_run(log, JAMIA_HAND, zero_truth(JAMIA_HAND, 3), 0)
     assert result["ticks"] == 0
     assert math.isnan(result["late_us"]["p50"])
     assert 1e9 / result["rate_hz"] == PERIOD_NS

@@ -8,7 +8,7 @@ import pytest
 
 from handctl.errors import LogError
 from handctl.report.truth_record import TruthRecord, copy_truth, read_truth
-from tests.report.invented_run import JAMIA, set_truth_column, write_truth, zero_truth
+from tests.report.generated_run import JAMIA_HAND, set_truth_column, write_truth, zero_truth
 
 
 @pytest.fixture
@@ -39,12 +39,12 @@ def test_the_simulators_own_file_is_read(tmp_path: Path) -> None:
         rig.step(k * 2_000_000, [])
     rig.close()
     truth = read_truth(path)
-    names = {f"tension/{name}" for name in JAMIA.tendon_names} | {
-        f"q/{name}" for name in JAMIA.joints
+    names = {f"tension/{name}" for name in JAMIA_HAND.tendon_names} | {
+        f"q/{name}" for name in JAMIA_HAND.joints
     }
-    names |= {f"contact_force/{name}/{axis}" for name in JAMIA.digit_names for axis in "xyz"} | {
-        "object/x"
-    }
+    names |= {
+        f"contact_force/{name}/{axis}" for name in JAMIA_HAND.digit_names for axis in "xyz"
+    } | {"object/x"}
     assert names <= set(truth.columns)
     np.testing.assert_array_equal(np.diff(truth.t_ns), 1_000_000)
 
@@ -70,15 +70,15 @@ def test_a_file_cut_at_any_byte_gives_a_prefix_or_a_one_line_error(
 
 
 @pytest.mark.parametrize(
-    "content",
+    "file_content",
     [
         b"", b"\n", b"{}\n", b"[]\n", b"null\n", b'{"columns": 3}\n', b'{"columns": null}\n', b'{"columns": []}\n',
         b"\xff\xfe\n" + bytes(100), b"{" * 100_000 + b"\n", b"x" * 1000, bytes(1000),
     ],
 )  # fmt: skip
-def test_another_file_gives_a_one_line_error(tmp_path: Path, content: bytes) -> None:
+def test_another_file_gives_a_one_line_error(tmp_path: Path, file_content: bytes) -> None:
     path = tmp_path / "t.truth"
-    path.write_bytes(content)
+    path.write_bytes(file_content)
     with pytest.raises(LogError, match="truth"):
         read_truth(path)
 
@@ -90,7 +90,7 @@ def test_a_missing_file_and_a_folder_give_a_one_line_error(tmp_path: Path) -> No
 
 
 def test_values_are_interpolated_between_rows_and_nan_outside() -> None:
-    truth = zero_truth(JAMIA, 10, offset_ns=2**61)
+    truth = zero_truth(JAMIA_HAND, 10, offset_ns=2**61)
     set_truth_column(truth, "object/x", np.arange(10.0))
     t_ns = 2**61 + np.array([-(10**9), 0, 5_000_000, 25_000_000, 10**12])
     np.testing.assert_allclose(truth.column_at("object/x", t_ns), [np.nan, 0.0, 0.5, 2.5, np.nan])
@@ -99,7 +99,7 @@ def test_values_are_interpolated_between_rows_and_nan_outside() -> None:
 
 def test_a_column_that_is_not_there_is_named() -> None:
     with pytest.raises(LogError, match="no column 'tension/pinky'"):
-        zero_truth(JAMIA, 3).column_at("tension/pinky", np.array([0]))
+        zero_truth(JAMIA_HAND, 3).column_at("tension/pinky", np.array([0]))
 
 
 def test_the_header_is_kept(tmp_path: Path) -> None:
@@ -109,16 +109,17 @@ def test_the_header_is_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("start", "end", "rows"), [(0, 99, range(100)), (3, 5, range(3, 6)), (-9, 2, range(3))]
+    ("start_ns", "end_ns", "expected_rows"),
+    [(0, 99, range(100)), (3, 5, range(3, 6)), (-9, 2, range(3))],
 )
 def test_a_copy_has_the_rows_between_two_times(
-    tmp_path: Path, start: int, end: int, rows: range
+    tmp_path: Path, start_ns: int, end_ns: int, expected_rows: range
 ) -> None:
     """Reproduce a defect: each run copied and read all truth rows since the start of the simulator.
 
     The simulator writes 1.6 GB of truth rows per hour.
     """
-    truth = zero_truth(JAMIA, 96)
+    truth = zero_truth(JAMIA_HAND, 96)
     values = np.arange(truth.values.size, dtype=np.float64).reshape(truth.values.shape)
     whole = TruthRecord({}, truth.t_ns + 10**15, values, truth.columns)
     write_truth(tmp_path / "whole", whole)
@@ -126,13 +127,13 @@ def test_a_copy_has_the_rows_between_two_times(
         file.write(b"an incomplete row")
     first, step = int(whole.t_ns[0]), int(whole.t_ns[1] - whole.t_ns[0])
     copied = copy_truth(
-        tmp_path / "whole", tmp_path / "part", first + step * start, first + step * end
+        tmp_path / "whole", tmp_path / "part", first + step * start_ns, first + step * end_ns
     )
-    assert copied == len(rows)
+    assert copied == len(expected_rows)
     part = read_truth(tmp_path / "part")
     assert part.columns == whole.columns
-    np.testing.assert_array_equal(part.t_ns, whole.t_ns[rows.start : rows.stop])
-    np.testing.assert_array_equal(part.values, values[rows.start : rows.stop])
+    np.testing.assert_array_equal(part.t_ns, whole.t_ns[expected_rows.start : expected_rows.stop])
+    np.testing.assert_array_equal(part.values, values[expected_rows.start : expected_rows.stop])
 
 
 def test_a_copy_without_rows_is_no_file(tmp_path: Path, small_truth: TruthRecord) -> None:

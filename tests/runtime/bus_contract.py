@@ -1,6 +1,6 @@
 """Define tests of the contract that every bus class must fulfil.
 
-A test module that imports these tests must define the fixture ``medium``, which returns the bus
+A test module that imports these tests must define the fixture ``bus_under_test``, which returns the bus
 under test.
 """
 
@@ -33,9 +33,9 @@ class BusUnderTest:
     spec: str
     opened: list[Callable[[], None]] = field(default_factory=list)
 
-    def open(self, index: int = 0, stamp: Callable[[int], int] = int) -> Bus:
+    def open(self, bus_index: int = 0, stamp: Callable[[int], int] = int) -> Bus:
         """Connect a further node to the bus, with a bus class of handctl."""
-        bus = open_bus(self.spec, index, 1_000_000, 5_000_000, stamp=stamp)
+        bus = open_bus(self.spec, bus_index, 1_000_000, 5_000_000, stamp=stamp)
         self.opened.append(bus.close)
         return bus
 
@@ -52,11 +52,11 @@ class BusUnderTest:
             close()
 
 
-def drain_bus(bus: Bus, count: int) -> list[Frame]:
-    """Read frames from a bus until at least ``count`` frames have arrived or a timeout is over."""
+def drain_bus(bus: Bus, frame_count: int) -> list[Frame]:
+    """Read frames from a bus until at least ``frame_count`` frames have arrived or a timeout is over."""
     frames = list(bus.drain())
     end = time.monotonic() + RECEIVE_TIMEOUT_S
-    while len(frames) < count and time.monotonic() < end:
+    while len(frames) < frame_count and time.monotonic() < end:
         time.sleep(0.002)
         frames += bus.drain()
     return frames
@@ -66,11 +66,11 @@ def frame_contents(frames: Sequence[Frame]) -> list[tuple[int, bytes, int]]:
     return [(frame.can_id, frame.data, frame.flags & (FDF | BRS)) for frame in frames]
 
 
-def random_frames(count: int, seed: int) -> list[Frame]:
+def random_frames(frame_count: int, seed: int) -> list[Frame]:
     """Return random frames of all kinds: classical, remote and FD frames, with standard and extended identifiers."""
     rng = random.Random(seed)
     frames = []
-    for _ in range(count):
+    for _ in range(frame_count):
         can_id = rng.choice((rng.randrange(0x800), rng.randrange(1 << 29) | EXTENDED_FLAG))
         kind = rng.randrange(4)
         if kind == 0:
@@ -86,9 +86,9 @@ def random_frames(count: int, seed: int) -> list[Frame]:
     return frames
 
 
-def test_frames_of_all_kinds_arrive_complete_and_in_order(medium: BusUnderTest) -> None:
-    sender = medium.open()
-    receiver = medium.open(index=3)
+def test_frames_of_all_kinds_arrive_complete_and_in_order(bus_under_test: BusUnderTest) -> None:
+    sender = bus_under_test.open()
+    receiver = bus_under_test.open(bus_index=3)
     batch = random_frames(500, seed=1)
     assert sender.send(batch[:300]) + sender.send(batch[300:]) == len(batch)
     received = drain_bus(receiver, len(batch))
@@ -97,8 +97,8 @@ def test_frames_of_all_kinds_arrive_complete_and_in_order(medium: BusUnderTest) 
     assert sender.take_events() == receiver.take_events() == []
 
 
-def test_every_node_receives_all_frames_but_its_own(medium: BusUnderTest) -> None:
-    buses = [medium.open() for _ in range(3)]
+def test_every_node_receives_all_frames_but_its_own(bus_under_test: BusUnderTest) -> None:
+    buses = [bus_under_test.open() for _ in range(3)]
     for number, bus in enumerate(buses):
         assert bus.send([Frame(number, b"me")]) == 1
     for number, bus in enumerate(buses):
@@ -107,8 +107,8 @@ def test_every_node_receives_all_frames_but_its_own(medium: BusUnderTest) -> Non
         assert bus.drain() == []
 
 
-def test_reading_an_empty_bus_does_not_wait(medium: BusUnderTest) -> None:
-    bus = medium.open()
+def test_reading_an_empty_bus_does_not_wait(bus_under_test: BusUnderTest) -> None:
+    bus = bus_under_test.open()
     start = time.monotonic()
     for _ in range(100):
         assert bus.drain() == []
@@ -117,10 +117,10 @@ def test_reading_an_empty_bus_does_not_wait(medium: BusUnderTest) -> None:
     assert bus.take_events() == []
 
 
-def test_stamps_are_the_runs_time_of_reception(medium: BusUnderTest) -> None:
+def test_stamps_are_the_runs_time_of_reception(bus_under_test: BusUnderTest) -> None:
     offset = 10**15
-    sender = medium.open()
-    receiver = medium.open(stamp=lambda t_ns: t_ns + offset)
+    sender = bus_under_test.open()
+    receiver = bus_under_test.open(stamp=lambda t_ns: t_ns + offset)
     start = time.monotonic_ns()
     for number in range(20):
         sender.send([Frame(number, b"")])
@@ -132,33 +132,33 @@ def test_stamps_are_the_runs_time_of_reception(medium: BusUnderTest) -> None:
     assert stamps[-1] <= time.monotonic_ns()
 
 
-@pytest.mark.parametrize(("size", "flags"), [(9, 0), (64, 0), (65, FDF)])
+@pytest.mark.parametrize(("payload_size", "frame_flags"), [(9, 0), (64, 0), (65, FDF)])
 def test_a_payload_that_does_not_fit_is_refused_and_nothing_is_sent(
-    medium: BusUnderTest, size: int, flags: int
+    bus_under_test: BusUnderTest, payload_size: int, frame_flags: int
 ) -> None:
-    sender = medium.open()
-    receiver = medium.open()
-    with pytest.raises(ValueError, match=f"payload of {size} bytes"):
-        sender.send([Frame(1, bytes(size), flags)])
+    sender = bus_under_test.open()
+    receiver = bus_under_test.open()
+    with pytest.raises(ValueError, match=f"payload of {payload_size} bytes"):
+        sender.send([Frame(1, bytes(payload_size), frame_flags)])
     sender.send([Frame(2, b"last")])
     assert frame_contents(drain_bus(receiver, 1)) == [(2, b"last", 0)]
 
 
-def test_the_file_descriptor_becomes_readable_with_a_frame(medium: BusUnderTest) -> None:
-    sender = medium.open()
-    receiver = medium.open()
+def test_the_file_descriptor_becomes_readable_with_a_frame(bus_under_test: BusUnderTest) -> None:
+    sender = bus_under_test.open()
+    receiver = bus_under_test.open()
     descriptor = receiver.fileno()
     if descriptor < 0:
-        assert medium.spec.startswith("virtual:")
+        assert bus_under_test.spec.startswith("virtual:")
         return
     assert select.select([descriptor], [], [], 0.0)[0] == []
     sender.send([Frame(1, b"")])
     assert select.select([descriptor], [], [], RECEIVE_TIMEOUT_S)[0] == [descriptor]
 
 
-def test_python_can_understands_every_frame(medium: BusUnderTest) -> None:
-    ours = medium.open()
-    theirs = medium.python_can()
+def test_python_can_understands_every_frame(bus_under_test: BusUnderTest) -> None:
+    ours = bus_under_test.open()
+    theirs = bus_under_test.python_can()
     for frame in random_frames(50, seed=2):
         assert ours.send([frame]) == 1
         message = theirs.recv(RECEIVE_TIMEOUT_S)
@@ -176,9 +176,9 @@ def test_python_can_understands_every_frame(medium: BusUnderTest) -> None:
         assert bytes(message.data) == (b"" if message.is_remote_frame else frame.data)
 
 
-def test_every_message_of_python_can_is_understood(medium: BusUnderTest) -> None:
-    ours = medium.open()
-    theirs = medium.python_can()
+def test_every_message_of_python_can_is_understood(bus_under_test: BusUnderTest) -> None:
+    ours = bus_under_test.open()
+    theirs = bus_under_test.python_can()
     sent = [
         can.Message(arbitration_id=0x7FF, is_extended_id=False, data=b"\x00\xff"),
         can.Message(arbitration_id=0x1FFFFFFF, is_extended_id=True, data=bytes(range(8))),

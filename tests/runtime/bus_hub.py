@@ -13,13 +13,13 @@ RUN_DIR_VARIABLE = "HANDCTL_RUN_DIR"
 
 
 @contextmanager
-def hub_process(name: str, folder: Path) -> Iterator[None]:
+def hub_process(bus_name: str, socket_folder: Path) -> Iterator[None]:
     """Run the hub of the simulator in a separate process.
 
     The hub serves ``local:NAME``. The socket of the hub is in the given folder.
     """
-    words = [sys.executable, "-m", "firmware_sim", "bus", name]
-    environment = {**os.environ, RUN_DIR_VARIABLE: str(folder)}
+    words = [sys.executable, "-m", "firmware_sim", "bus", bus_name]
+    environment = {**os.environ, RUN_DIR_VARIABLE: str(socket_folder)}
     process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment)
     try:
         assert process.stdout is not None
@@ -33,9 +33,9 @@ def hub_process(name: str, folder: Path) -> Iterator[None]:
 class ScriptedHub:
     """A hub of a local bus with one client. The test itself exchanges bytes with this client."""
 
-    def __init__(self, folder: Path, name: str) -> None:
+    def __init__(self, socket_folder: Path, bus_name: str) -> None:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._listener.bind(str(folder / f"{name}.bus"))
+        self._listener.bind(str(socket_folder / f"{bus_name}.bus"))
         self._listener.listen()
 
     def accept(self) -> socket.socket:
@@ -49,11 +49,13 @@ class ScriptedHub:
         self._listener.close()
 
 
-def frame_record(can_id: int, data: bytes = b"", flags: int = 0, dropped: int = 0) -> bytes:
+def frame_record(
+    can_id: int, data: bytes = b"", frame_flags: int = 0, dropped_frames: int = 0
+) -> bytes:
     """Build a record of the local bus byte by byte."""
     head = (
         can_id.to_bytes(4, "little")
-        + bytes((len(data), flags))
-        + (dropped & 0xFFFF).to_bytes(2, "little")
+        + bytes((len(data), frame_flags))
+        + (dropped_frames & 0xFFFF).to_bytes(2, "little")
     )
     return head + data + bytes(64 - len(data))

@@ -32,7 +32,7 @@ def work_folder(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def processes():
+def started_processes():
     """Return a list to which a test adds its processes.
 
     After the test, end all processes in the list.
@@ -44,7 +44,7 @@ def processes():
 
 
 @pytest.fixture
-def scale(request, repeat_time_scale):
+def scale_options(request, repeat_time_scale):
     """Return the command-line options for the time scale.
 
     A test module may define its own ``TIME_SCALE``.
@@ -53,14 +53,16 @@ def scale(request, repeat_time_scale):
 
 
 @pytest.fixture
-def hand(work_folder, processes, scale):
+def hand_truth_file(work_folder, started_processes, scale_options):
     """Start a simulated hand with the time scale of the test, and return the path of its truth file."""
-    processes.append(start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale))
+    started_processes.append(
+        start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale_options)
+    )
     return work_folder / "hand.truth"
 
 
 @pytest.fixture
-def calibrated(work_folder):
+def calibration_options(work_folder):
     """Write a calibration of the simulated hand, and return the command-line options for a controller of this hand."""
     write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
     return ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml")

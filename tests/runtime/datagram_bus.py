@@ -11,7 +11,7 @@ from handctl.runtime.buses.socketcan import SocketCanBus
 
 
 @contextmanager
-def datagram_bus(index: int) -> Iterator[tuple[SocketCanBus, socket.socket]]:
+def datagram_bus(bus_index: int) -> Iterator[tuple[SocketCanBus, socket.socket]]:
     """Yield an open bus with the given index, and the socket at the other end of this bus."""
     near, far = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
     near.bind(("127.0.0.1", 0))
@@ -20,7 +20,7 @@ def datagram_bus(index: int) -> Iterator[tuple[SocketCanBus, socket.socket]]:
     far.connect(near.getsockname())
     far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
     far.settimeout(20.0)
-    bus = SocketCanBus(near, "socketcan:test", index, stamp=int)
+    bus = SocketCanBus(near, "socketcan:test", bus_index, stamp=int)
     yield bus, far
     bus.close()
     far.close()

@@ -136,16 +136,16 @@ class KillVerdict(NamedTuple):
 class KillTestHand:
     """A simulated hand, and the plan with which each controller of this hand starts."""
 
-    def __init__(self, folder: Path, scale: float) -> None:
+    def __init__(self, work_folder: Path, time_scale: float) -> None:
         """Start the simulator with a time scale.
 
         The truth file of the simulator and all logs are written to one folder.
         """
-        self.folder = folder
-        self.time_scale = scale
+        self.folder = work_folder
+        self.time_scale = time_scale
         hand = load_hand("jamia")
-        task = folder / "long.toml"
-        calibration = folder / "c.toml"
+        task = work_folder / "long.toml"
+        calibration = work_folder / "c.toml"
         task.write_text(LONG_TASK)
         write_homed_calibration(calibration, hand)
         load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))
@@ -155,7 +155,7 @@ class KillTestHand:
             RATE_HZ,
             load,
             bus_specs(hand, [LOCAL_BUS]),
-            time_scale=scale,
+            time_scale=time_scale,
             clear_faults=True,
         )
         self.controller: Controller = make_controller(
@@ -164,8 +164,8 @@ class KillTestHand:
             load_calibration(calibration, hand),
             arm_at_once=True,
         )
-        self.truth = folder / "hand.truth"
-        self.simulator = start_hand(self.truth, "--hand", "jamia", *time_scale_options(scale))
+        self.truth = work_folder / "hand.truth"
+        self.simulator = start_hand(self.truth, "--hand", "jamia", *time_scale_options(time_scale))
 
     def now_ns(self) -> tuple[int, int]:
         """Return the time of the simulator, and how long the simulator has not run up to now [ns]."""
@@ -178,7 +178,7 @@ class KillTestHand:
         reply_path.unlink()
         return int(answer["t_ns"]), int(answer["slip_ns"])
 
-    def start_controller(self, log: Path) -> int:
+    def start_controller(self, log_path: Path) -> int:
         """Start a controller as a fork of this process, and return its process id."""
         child = os.fork()
         if child:
@@ -188,18 +188,18 @@ class KillTestHand:
             devnull = os.open(os.devnull, os.O_WRONLY)
             os.dup2(devnull, 1)
             os.dup2(devnull, 2)
-            code = int(run_live(self.plan, self.controller, log).exit_code)
+            code = int(run_live(self.plan, self.controller, log_path).exit_code)
         finally:
             os._exit(code)
 
     def disturb_controller(
-        self, number: int, sent_signal: signal.Signals, delay_s: float
+        self, run_number: int, sent_signal: signal.Signals, delay_s: float
     ) -> DisturbedRun:
         """Start a controller, and send it a signal ``delay_s`` after its first SYNC frame.
 
         Return the record of this run.
         """
-        log = self.folder / f"{number}.mcap"
+        log = self.folder / f"{run_number}.mcap"
         with SyncListener() as listener:
             child = self.start_controller(log)
             try:
@@ -218,7 +218,7 @@ class KillTestHand:
                     os.kill(child, signal.SIGKILL)
                     os.waitpid(child, 0)
             listener.listen(0.0)
-        warning, logged = read_syncs(log)
+        warning, logged = read_sync_records(log)
         log.unlink()
         return DisturbedRun(
             sent_signal, before_ns, after_ns, slipped_ns, bytes(listener.syncs), logged, warning
@@ -256,12 +256,12 @@ class SyncListener:
     def __exit__(self, *_: object) -> None:
         self.link.close()
 
-    def listen(self, seconds: float) -> None:
+    def listen(self, duration_s: float) -> None:
         """Read the bus for a given time [s].
 
         Without reading, the socket would become full and lose frames.
         """
-        until = time.monotonic() + seconds
+        until = time.monotonic() + duration_s
         while True:
             self._read_bus()
             left = until - time.monotonic()
@@ -279,33 +279,35 @@ class SyncListener:
                 self.syncs.append(self._partial[at + 8])
         self._partial = self._partial[end:]
 
-    def wait_for_sync(self, child: int) -> None:
+    def wait_for_sync(self, controller_pid: int) -> None:
         """Wait until the process of a controller has sent its first SYNC frame."""
         until = time.monotonic() + PROCESS_TIMEOUT_S
         while not self.syncs:
-            assert os.waitpid(child, os.WNOHANG) == (0, 0), "the controller ended before the signal"
+            assert os.waitpid(controller_pid, os.WNOHANG) == (0, 0), (
+                "the controller ended before the signal"
+            )
             assert time.monotonic() < until, "the controller sent no SYNC"
             self.listen(0.004)
 
 
-def wait_for_end(child: int, listener: SyncListener) -> None:
+def wait_for_end(controller_pid: int, listener: SyncListener) -> None:
     """Wait for the end of a controller process. If the process does not end, terminate it."""
     until = time.monotonic() + 3.0
-    while os.waitpid(child, os.WNOHANG) == (0, 0):
+    while os.waitpid(controller_pid, os.WNOHANG) == (0, 0):
         if time.monotonic() > until:
-            os.kill(child, signal.SIGTERM)
+            os.kill(controller_pid, signal.SIGTERM)
             until += PROCESS_TIMEOUT_S
         listener.listen(0.02)
 
 
-def read_syncs(path: Path) -> tuple[str, bytes]:
+def read_sync_records(log_path: Path) -> tuple[str, bytes]:
     """Read a log after its recorder has ended.
 
     Return the warning of the log, and the tick counts of its SYNC frames.
     """
     until = time.monotonic() + 20.0
     while True:
-        with RunLog(path) as log:
+        with RunLog(log_path) as log:
             if not log.warning or time.monotonic() > until:
                 frames = (frame for tick in log.ticks() for frame in tick.frames)
                 return log.warning, bytes(
@@ -340,16 +342,18 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
     )
 
 
-def disturb_controllers(folder: Path, times: int, seed: int, scale: float) -> list[KillVerdict]:
-    """Kill or stop ``times`` controllers of one simulated hand.
+def disturb_controllers(
+    work_folder: Path, controller_count: int, seed: int, time_scale: float
+) -> list[KillVerdict]:
+    """Kill or stop ``controller_count`` controllers of one simulated hand.
 
     The signals SIGKILL and SIGSTOP alternate.
     """
     chance = random.Random(seed)
-    place = KillTestHand(folder, scale)
+    place = KillTestHand(work_folder, time_scale)
     runs: list[DisturbedRun] = []
     try:
-        for number in range(times):
+        for number in range(controller_count):
             how = signal.SIGKILL if number % 2 == 0 else signal.SIGSTOP
             runs.append(place.disturb_controller(number, how, chance.uniform(0.0, MAX_DELAY_S)))
     finally:
@@ -364,29 +368,34 @@ After a batch, its truth file is read and deleted.
 """
 
 
-def disturb_in_batches(times: int, seed: int, scale: float) -> Iterator[list[KillVerdict]]:
-    """Kill or stop ``times`` controllers in batches, and yield the verdicts of each batch.
+def disturb_in_batches(
+    controller_count: int, seed: int, time_scale: float
+) -> Iterator[list[KillVerdict]]:
+    """Kill or stop ``controller_count`` controllers in batches, and yield the verdicts of each batch.
 
     For each batch, a new simulator is started.
     """
-    for first in range(0, times, CONTROLLERS_PER_SIMULATOR):
+    for first in range(0, controller_count, CONTROLLERS_PER_SIMULATOR):
         with tempfile.TemporaryDirectory(prefix="h-") as folder:
             os.environ["HANDCTL_RUN_DIR"] = folder
             yield disturb_controllers(
-                Path(folder), min(CONTROLLERS_PER_SIMULATOR, times - first), seed + first, scale
+                Path(folder),
+                min(CONTROLLERS_PER_SIMULATOR, controller_count - first),
+                seed + first,
+                time_scale,
             )
 
 
-def kill_summary(runs: list[KillVerdict]) -> str:
+def kill_summary(verdicts: list[KillVerdict]) -> str:
     """Summarise the runs of killed or stopped controllers in one line of text."""
-    safe = sum(run.torque_ended_in_time for run in runs)
-    complete = sum(run.has_complete_log for run in runs)
-    pulled = sum(run.was_taut for run in runs)
-    driven = sum(run.was_driven for run in runs)
-    latest = max(run.max_torque_off_ms for run in runs)
-    tension = max(run.tension_left_N for run in runs)
+    safe = sum(run.torque_ended_in_time for run in verdicts)
+    complete = sum(run.has_complete_log for run in verdicts)
+    pulled = sum(run.was_taut for run in verdicts)
+    driven = sum(run.was_driven for run in verdicts)
+    latest = max(run.max_torque_off_ms for run in verdicts)
+    tension = max(run.tension_left_N for run in verdicts)
     return (
-        f"{len(runs)} controllers: {safe} times without torque in time, at most {latest:.1f} ms after the signal; "
+        f"{len(verdicts)} controllers: {safe} times without torque in time, at most {latest:.1f} ms after the signal; "
         f"{complete} logs complete; {driven} disturbed under torque, {pulled} with a taut tendon; "
         f"at most {tension:.1f} N left 0.3 s later"
     )

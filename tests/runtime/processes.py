@@ -50,12 +50,14 @@ LONG_TASK = (
 )
 
 
-def time_scale_options(scale: float) -> tuple[str, str]:
+def time_scale_options(time_scale: float) -> tuple[str, str]:
     """Return the command-line options that give a time scale to a simulator or a controller."""
-    return "--time-scale", f"{scale:g}"
+    return "--time-scale", f"{time_scale:g}"
 
 
-def start_hand(truth: Path, *words: str, bus: str = LOCAL_BUS) -> "subprocess.Popen[str]":
+def start_hand(
+    truth_file: Path, *other_options: str, bus: str = LOCAL_BUS
+) -> "subprocess.Popen[str]":
     """Start a simulated hand that serves a bus, and wait until it is ready."""
     command = [
         sys.executable,
@@ -65,8 +67,8 @@ def start_hand(truth: Path, *words: str, bus: str = LOCAL_BUS) -> "subprocess.Po
         bus,
         *HOMED_OPTIONS,
         "--truth",
-        str(truth),
-        *words,
+        str(truth_file),
+        *other_options,
     ]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
@@ -77,17 +79,17 @@ def start_hand(truth: Path, *words: str, bus: str = LOCAL_BUS) -> "subprocess.Po
     return process
 
 
-def start_handctl(*words: str) -> "subprocess.Popen[str]":
+def start_handctl(*command_words: str) -> "subprocess.Popen[str]":
     """Start a command of handctl in a process."""
-    command = [sys.executable, "-m", "handctl.cli", *words]
+    command = [sys.executable, "-m", "handctl.cli", *command_words]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def run_handctl(
-    *words: str, timeout_s: float = COMMAND_TIMEOUT_S
+    *command_words: str, timeout_s: float = COMMAND_TIMEOUT_S
 ) -> "subprocess.CompletedProcess[str]":
     """Run a command of handctl in a process until it ends."""
-    command = [sys.executable, "-m", "handctl.cli", *words]
+    command = [sys.executable, "-m", "handctl.cli", *command_words]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)
 
 
@@ -111,16 +113,19 @@ def process_result(
 
 
 def wait_for_phase(
-    phase: str, watcher: StatusWatcher, process: "subprocess.Popen[str]", timeout_s: float = 60.0
+    phase_name: str,
+    watcher: StatusWatcher,
+    process: "subprocess.Popen[str]",
+    timeout_s: float = 60.0,
 ) -> None:
     """Wait until a running controller is in a phase."""
     until = time.monotonic() + timeout_s
     while time.monotonic() < until:
         assert process.poll() is None, process.communicate()
         line = watcher.request_line(0.2)
-        if line is not None and line["phase"] == phase:
+        if line is not None and line["phase"] == phase_name:
             return
-    raise AssertionError(f"never in phase {phase}")
+    raise AssertionError(f"never in phase {phase_name}")
 
 
 def socket_names() -> list[str]:
@@ -128,25 +133,25 @@ def socket_names() -> list[str]:
     return sorted(os.listdir(os.environ["HANDCTL_RUN_DIR"]))
 
 
-def write_homed_calibration(path: Path, description: Hand) -> None:
+def write_homed_calibration(calibration_file: Path, hand: Hand) -> None:
     """Write the calibration of a simulated hand with ``HOMED_OPTIONS``.
 
     All tares and zeros in this calibration are zero.
     """
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     calibration = Calibration(
-        hand=description.name,
-        identity=description.identity,
+        hand=hand.name,
+        identity=hand.identity,
         made=datetime.datetime.now(datetime.UTC).isoformat(),
-        tendon=dict.fromkeys(description.tendon_names, zero),
-        drive={motor.name: f"{SERIAL_BASE + motor.node_id:#x}" for motor in description.motor},
+        tendon=dict.fromkeys(hand.tendon_names, zero),
+        drive={motor.name: f"{SERIAL_BASE + motor.node_id:#x}" for motor in hand.motor},
     )
-    write_calibration(path, calibration)
+    write_calibration(calibration_file, calibration)
 
 
-def modes_of_complete_log(log: Path) -> list[str]:
+def modes_of_complete_log(log_path: Path) -> list[str]:
     """Check that a log is complete, and return the text of each mode change in the log."""
-    with RunLog(log) as run:
+    with RunLog(log_path) as run:
         assert not run.warning
         assert run.end["reason"] == "done"
         return [event.event.text for event in run.events if event.event.name == "mode"]

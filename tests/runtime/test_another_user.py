@@ -44,7 +44,7 @@ SECOND_USER = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become
 UNCONFIRMED_TEXT = "no confirmation from the controller: switch the power off"
 
 
-def as_nobody(do) -> str:
+def call_as_nobody(function) -> str:
     """Call a function in a process of the user ``nobody``.
 
     Return the result of the function as text, or the name of the error that it raises.
@@ -57,7 +57,7 @@ def as_nobody(do) -> str:
             os.setgroups([])
             os.setresgid(NOBODY_UID, NOBODY_UID, NOBODY_UID)
             os.setresuid(NOBODY_UID, NOBODY_UID, NOBODY_UID)
-            answer = str(do())
+            answer = str(function())
         except OSError as error:
             answer = type(error).__name__
         finally:
@@ -89,41 +89,44 @@ def folder_of_nobody(shared_tmp: Path) -> Path:
     return shared_tmp / f"handctl-{os.geteuid()}"
 
 
-def check_refusals(word: str) -> None:
-    """Check that controller, simulator and all requests refuse the run directory for a reason with ``word``."""
+def check_refusals(expected_word: str) -> None:
+    """Check that controller, simulator and all requests refuse the run directory.
+
+    The reason contains ``expected_word``.
+    """
     for refused in (
         lambda: Mailbox("local:x"),
         lambda: StatusWatcher("local:x"),
         lambda: connect_to_hub("x"),
         run_dir,
     ):
-        with pytest.raises(BusError, match=word) as caught:
+        with pytest.raises(BusError, match=expected_word) as caught:
             refused()
         assert "\n" not in str(caught.value)
         assert "HANDCTL_RUN_DIR" in str(caught.value)
     with pytest.raises(UnconfirmedError, match=UNCONFIRMED_TEXT):
         request_action("local:x", "stop")
     for refused in (lambda: BusHub("x"), simulated.run_dir):
-        with pytest.raises(SimulatorError, match=word) as caught:
+        with pytest.raises(SimulatorError, match=expected_word) as caught:
             refused()
         assert "\n" not in str(caught.value)
 
 
 @SECOND_USER
-@pytest.mark.parametrize("mode", [0o777, 0o700])
-@pytest.mark.parametrize("deep", [False, True])
-def test_a_folder_that_another_user_made_is_refused(shared_tmp, mode, deep, capsys):
+@pytest.mark.parametrize("folder_mode", [0o777, 0o700])
+@pytest.mark.parametrize("at_run_folder", [False, True])
+def test_a_folder_that_another_user_made_is_refused(shared_tmp, folder_mode, at_run_folder, capsys):
     folder = folder_of_nobody(shared_tmp)
 
     def make():
         folder.mkdir()
-        if deep:
+        if at_run_folder:
             (folder / "handctl").mkdir()
-            (folder / "handctl").chmod(mode)
-        folder.chmod(mode)
+            (folder / "handctl").chmod(folder_mode)
+        folder.chmod(folder_mode)
         return "made"
 
-    assert as_nobody(make) == "made"
+    assert call_as_nobody(make) == "made"
     assert folder.stat().st_uid == NOBODY_UID
     check_refusals("belongs to user nobody|belongs to another user")
     assert main(["stop", "--bus", "local:x"]) == 71
@@ -147,38 +150,40 @@ def test_a_folder_above_that_another_user_owns_or_can_write_in_is_refused(shared
     check_refusals("above: belongs to")
 
 
-@pytest.mark.parametrize("deep", [False, True])
-def test_a_folder_that_others_can_write_in_is_refused(shared_tmp, deep):
-    folder = run_dir() if deep else run_dir().parent
+@pytest.mark.parametrize("at_run_folder", [False, True])
+def test_a_folder_that_others_can_write_in_is_refused(shared_tmp, at_run_folder):
+    folder = run_dir() if at_run_folder else run_dir().parent
     folder.chmod(0o777)
     check_refusals(r"is open to others \(mode 0777\)")
     folder.chmod(0o770)
     check_refusals(r"is open to others \(mode 0770\)")
 
 
-@pytest.mark.parametrize("make", [run_dir, simulated.run_dir])
-def test_a_new_or_readable_folder_is_made_private(shared_tmp, make):
+@pytest.mark.parametrize("make_folder", [run_dir, simulated.run_dir])
+def test_a_new_or_readable_folder_is_made_private(shared_tmp, make_folder):
     """handctl also makes a parent folder private that has the mode 0755.
 
     Earlier versions of handctl created the parent folder with this mode.
     """
-    folder = make()
+    folder = make_folder()
     assert folder == folder_of_nobody(shared_tmp) / "handctl"
     for path in (folder, folder.parent):
         assert stat.S_IMODE(path.stat().st_mode) == 0o700
         path.chmod(0o755)
-    assert make() == folder
+    assert make_folder() == folder
     assert [stat.S_IMODE(path.stat().st_mode) for path in (folder, folder.parent)] == [0o700, 0o700]
 
 
-@pytest.mark.parametrize("deep", [False, True])
-def test_a_link_is_refused(shared_tmp, deep):
+@pytest.mark.parametrize("at_run_folder", [False, True])
+def test_a_link_is_refused(shared_tmp, at_run_folder):
     """A run directory that is a symbolic link is refused, with any target and any owner of the link."""
     target = shared_tmp / "elsewhere"
     target.mkdir(mode=0o700)
-    if deep:
+    if at_run_folder:
         folder_of_nobody(shared_tmp).mkdir(mode=0o700)
-    link = folder_of_nobody(shared_tmp) / "handctl" if deep else folder_of_nobody(shared_tmp)
+    link = (
+        folder_of_nobody(shared_tmp) / "handctl" if at_run_folder else folder_of_nobody(shared_tmp)
+    )
     link.symlink_to(target)
     check_refusals("is a link")
 
@@ -186,7 +191,7 @@ def test_a_link_is_refused(shared_tmp, deep):
 @SECOND_USER
 def test_a_link_of_another_user_above_is_refused(shared_tmp, monkeypatch):
     (shared_tmp / "own").mkdir(mode=0o700)
-    assert as_nobody(lambda: (shared_tmp / "link").symlink_to(shared_tmp / "own")) == "None"
+    assert call_as_nobody(lambda: (shared_tmp / "link").symlink_to(shared_tmp / "own")) == "None"
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(shared_tmp / "link" / "run"))
     check_refusals("link: is a link")
 
@@ -214,15 +219,15 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
             select.select([over], [], [], 6.0)
             return link.recv(4096, socket.MSG_DONTWAIT).decode()
 
-    assert as_nobody(lambda: mailbox.rename(aside)) == "PermissionError"
-    assert as_nobody(
+    assert call_as_nobody(lambda: mailbox.rename(aside)) == "PermissionError"
+    assert call_as_nobody(
         lambda: socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).connect(str(mailbox))
     ) == ("PermissionError")
     for path in (folder, folder.parent):  # from here on, another user has access to the mailbox
         path.chmod(0o777)
     started, ready = os.pipe()
     over, finish = os.pipe()
-    attack = threading.Thread(target=lambda: received.append(as_nobody(take)))
+    attack = threading.Thread(target=lambda: received.append(call_as_nobody(take)))
     attack.start()
     os.read(started, 1)
     assert mailbox.stat().st_uid == NOBODY_UID, "the socket of the other user replaces the mailbox"
@@ -253,8 +258,8 @@ def test_requests_and_status_lines_of_another_user_are_ignored(shared_tmp):
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
             return out.sendto(text, str(path)) and "sent"
 
-    assert as_nobody(lambda: send(box.path, b'{"do": "stop"}')) == "sent"
-    assert as_nobody(lambda: send(watcher.path, b'{"mode": "DONE"}')) == "sent"
+    assert call_as_nobody(lambda: send(box.path, b'{"do": "stop"}')) == "sent"
+    assert call_as_nobody(lambda: send(watcher.path, b'{"mode": "DONE"}')) == "sent"
     assert watcher.next_line(0.1) is None
     assert box.read_requests() == ()
     send(box.path, b'{"do": "arm"}')
@@ -279,7 +284,7 @@ def test_a_hub_accepts_only_its_own_user(shared_tmp):
             link.connect(str(folder / "x.bus"))
             return "joined"
 
-    assert as_nobody(join) == "joined"
+    assert call_as_nobody(join) == "joined"
     hub.serve(hub.read_sockets())
     assert hub.clients == 0
     for path in (folder.parent, folder):
@@ -297,12 +302,12 @@ class AnsweringController:
     The thread sends the same event texts as a controller.
     """
 
-    def __init__(self, end_with: str = "DISARM -> DONE", deaf_after: str = "") -> None:
+    def __init__(self, final_action: str = "DISARM -> DONE", text_before_silence: str = "") -> None:
         self.box = Mailbox(LOCAL_BUS)
         self.taken = []
         self._on = True
-        self._end = end_with
-        self._deaf = deaf_after
+        self._end = final_action
+        self._deaf = text_before_silence
         self.thread = threading.Thread(target=self._run)
 
     def __enter__(self):
@@ -366,7 +371,7 @@ def short_confirmation_wait(monkeypatch):
 def test_stop_is_unconfirmed_if_the_controller_falls_silent(
     work_folder, short_confirmation_wait, capsys
 ):
-    with AnsweringController(deaf_after="RELAX"):
+    with AnsweringController(text_before_silence="RELAX"):
         assert main(["stop", "--bus", LOCAL_BUS]) == 71
     assert UNCONFIRMED_TEXT in capsys.readouterr().err
 
@@ -400,42 +405,51 @@ def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(work_folder
         other.close()
 
 
-def fill_mailbox(path: Path) -> int:
+def fill_mailbox(mailbox_path: Path) -> int:
     """Send datagrams to the mailbox at a path until it is full, and return the number of datagrams."""
     count = 0
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.setblocking(False)
         try:
             while True:
-                out.sendto(b'{"do": "arm"}', str(path))
+                out.sendto(b'{"do": "arm"}', str(mailbox_path))
                 count += 1
         except BlockingIOError:
             return count
 
 
-@pytest.mark.parametrize("word", ["stop", "cut", "clear"])
-@pytest.mark.parametrize("full", [False, True])
+@pytest.mark.parametrize("request_kind", ["stop", "cut", "clear"])
+@pytest.mark.parametrize("mailbox_is_full", [False, True])
 def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(
-    work_folder, short_confirmation_wait, word, full
+    work_folder, short_confirmation_wait, request_kind, mailbox_is_full
 ):
     box = Mailbox(LOCAL_BUS)
-    if full:
+    if mailbox_is_full:
         assert fill_mailbox(box.path)
     began = time.monotonic()
     with pytest.raises(UnconfirmedError, match=UNCONFIRMED_TEXT) as caught:
-        request_action(LOCAL_BUS, word)
+        request_action(LOCAL_BUS, request_kind)
     assert time.monotonic() - began < 2.4
     assert isinstance(caught.value, PowerError)
-    assert ("its mailbox is full" if full else "the controller is silent") in str(caught.value)
+    assert ("its mailbox is full" if mailbox_is_full else "the controller is silent") in str(
+        caught.value
+    )
     box.close()
 
 
 @pytest.mark.realtime
 def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(
-    work_folder, hand, calibrated, scale
+    work_folder, hand_truth_file, calibration_options, scale_options
 ):
     process = start_handctl(
-        "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale
+        "run",
+        *calibration_options,
+        "--task",
+        "long.toml",
+        "--json",
+        "--log",
+        "run.mcap",
+        *scale_options,
     )
     try:
         watcher = StatusWatcher(LOCAL_BUS)
@@ -458,9 +472,18 @@ def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(
 
 
 @pytest.mark.realtime
-def test_a_flooded_mailbox_still_takes_a_stop(work_folder, hand, calibrated, scale):
+def test_a_flooded_mailbox_still_takes_a_stop(
+    work_folder, hand_truth_file, calibration_options, scale_options
+):
     process = start_handctl(
-        "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale
+        "run",
+        *calibration_options,
+        "--task",
+        "long.toml",
+        "--json",
+        "--log",
+        "run.mcap",
+        *scale_options,
     )
     ended = threading.Event()
 

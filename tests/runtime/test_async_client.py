@@ -13,7 +13,7 @@ from tests.runtime.processes import LOCAL_BUS, modes_of_complete_log
 REALTIME = pytest.mark.realtime
 
 
-async def use_hand(*options):
+async def use_hand_as_client(*connect_options):
     """Move, stream, observe and cancel with a client.
 
     Meanwhile, another asyncio task counts, to show that the client does not block the event loop.
@@ -27,14 +27,14 @@ async def use_hand(*options):
             await asyncio.sleep(0.01)
 
     counting = asyncio.create_task(count())
-    async with library.connect_async("jamia", LOCAL_BUS, *options) as hand:
+    async with library.connect_async("jamia", LOCAL_BUS, *connect_options) as hand:
         counted = 0
         await hand.move(index=30.0)
         assert counted > 30, "other tasks go on while the hand moves"
         assert hand.observe().q_deg[:3] == pytest.approx(30.0, abs=3.0)
         with pytest.raises(ConfigError, match="no digit 'pinky'"):
             await hand.wait_for(contact="pinky")
-        seen = asyncio.create_task(watch(hand))
+        seen = asyncio.create_task(observe_hand(hand))
         async with await hand.stream(50, "digit", ["index"]) as stream:
             for i in range(50):
                 stream.send([30.0 + 10.0 * np.sin(2 * np.pi * i / 50)])
@@ -54,7 +54,7 @@ async def use_hand(*options):
     return hand.result, status, ticks, swing, at
 
 
-async def watch(hand):
+async def observe_hand(hand):
     """Observe a hand 200 times.
 
     Return the ticks of the observations, and the difference between the largest and the smallest
@@ -70,9 +70,11 @@ async def watch(hand):
 
 
 @REALTIME
-def test_a_program_moves_a_hand_with_asyncio(work_folder, hand, calibrated, scale):
-    options = ("--calibration", "c.toml", "--log", "live.mcap", *scale)
-    result, status, ticks, swing, at = asyncio.run(use_hand(*options))
+def test_a_program_moves_a_hand_with_asyncio(
+    work_folder, hand_truth_file, calibration_options, scale_options
+):
+    options = ("--calibration", "c.toml", "--log", "live.mcap", *scale_options)
+    result, status, ticks, swing, at = asyncio.run(use_hand_as_client(*options))
     assert result["failure"] == ""
     assert status.accepted > 45
     assert (status.refused, status.clipped) == (0, 0)
@@ -83,14 +85,16 @@ def test_a_program_moves_a_hand_with_asyncio(work_folder, hand, calibrated, scal
 
 
 @REALTIME
-def test_a_hand_is_opened_and_closed_without_a_block(work_folder, hand, calibrated, scale):
+def test_a_hand_is_opened_and_closed_without_a_block(
+    work_folder, hand_truth_file, calibration_options, scale_options
+):
     async def use():
-        options = ("--calibration", "c.toml", "--log", "live.mcap", *scale)
-        hand = await library.connect_async("jamia", LOCAL_BUS, *options).open()
-        phase = hand.observe().phase
-        await hand.close()
-        await hand.close()  # the second call has no effect
-        return phase, hand.result
+        options = ("--calibration", "c.toml", "--log", "live.mcap", *scale_options)
+        hand_truth_file = await library.connect_async("jamia", LOCAL_BUS, *options).open()
+        phase = hand_truth_file.observe().phase
+        await hand_truth_file.close()
+        await hand_truth_file.close()  # the second call has no effect
+        return phase, hand_truth_file.result
 
     phase, result = asyncio.run(use())
     assert (phase, result["failure"]) == ("live", "")
@@ -98,10 +102,12 @@ def test_a_hand_is_opened_and_closed_without_a_block(work_folder, hand, calibrat
 
 
 @REALTIME
-def test_an_exception_in_the_block_stops_the_hand(work_folder, hand, calibrated, scale):
+def test_an_exception_in_the_block_stops_the_hand(
+    work_folder, hand_truth_file, calibration_options, scale_options
+):
     async def fail():
         async with library.connect_async(
-            "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+            "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
         ):
             raise ZeroDivisionError
 
@@ -112,7 +118,9 @@ def test_an_exception_in_the_block_stops_the_hand(work_folder, hand, calibrated,
 
 @REALTIME
 @pytest.mark.parametrize("wait_s", [0.0, 0.5])
-def test_a_cancelled_start_leaves_no_armed_hand(work_folder, hand, calibrated, scale, wait_s):
+def test_a_cancelled_start_leaves_no_armed_hand(
+    work_folder, hand_truth_file, calibration_options, scale_options, wait_s
+):
     """Reproduce a defect: after a timeout at ``async with``, the controller still armed the hand.
 
     The body of the ``async with`` block had not begun, so nothing closed the client and released
@@ -121,7 +129,7 @@ def test_a_cancelled_start_leaves_no_armed_hand(work_folder, hand, calibrated, s
 
     async def connect_too_briefly():
         client = library.connect_async(
-            "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+            "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
         )
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(wait_s), client:

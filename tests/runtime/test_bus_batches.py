@@ -36,11 +36,11 @@ FD_SIZES = (0, 8, 12, 64)
 BUS_INDEX = 3
 
 
-def mixed_frames(count: int, seed: int) -> list[Frame]:
+def mixed_frames(frame_count: int, seed: int) -> list[Frame]:
     """Return classical and FD frames of various lengths in random order."""
     rng = random.Random(seed)
     frames = []
-    for number in range(count):
+    for number in range(frame_count):
         can_id = rng.choice((number & 0x7FF, number | EXTENDED_FLAG))
         fd = rng.random() < 0.5
         size = rng.choice(FD_SIZES if fd else CLASSICAL_SIZES)
@@ -50,8 +50,11 @@ def mixed_frames(count: int, seed: int) -> list[Frame]:
     return frames
 
 
-def equal_frames(size: int, flags: int) -> list[Frame]:
-    return [Frame(number, bytes([number + 1] * size), flags, BUS_INDEX) for number in range(11)]
+def equal_frames(payload_size: int, frame_flags: int) -> list[Frame]:
+    return [
+        Frame(number, bytes([number + 1] * payload_size), frame_flags, BUS_INDEX)
+        for number in range(11)
+    ]
 
 
 BATCH_BY_NAME = {
@@ -97,32 +100,34 @@ def udp_bus() -> Iterator[tuple[SocketCanBus, socket.socket]]:
         yield pair
 
 
-def drain_frames(bus: Bus, count: int) -> Frames:
+def drain_frames(bus: Bus, frame_count: int) -> Frames:
     parts = [bus.drain()]
     end = time.monotonic() + 20.0
-    while sum(map(len, parts)) < count and time.monotonic() < end:
+    while sum(map(len, parts)) < frame_count and time.monotonic() < end:
         time.sleep(0.001)
         parts.append(bus.drain())
     return join_frames(parts)
 
 
-def kernel_datagram(frame: Frame, garbage: bytes = b"") -> bytes:
+def kernel_datagram(frame: Frame, trailing_bytes: bytes = b"") -> bytes:
     """Return a frame as Linux may deliver it, with arbitrary bytes after the payload.
 
     The driver of a CAN adapter may leave such bytes there.
     """
     can_id, data, flags, *_ = frame
     if flags & FDF:
-        return FD_FRAME_STRUCT.pack(can_id, len(data), flags, data + garbage[: 64 - len(data)])
-    return CLASSICAL_FRAME_STRUCT.pack(can_id, len(data), data + garbage[: 8 - len(data)])
+        return FD_FRAME_STRUCT.pack(
+            can_id, len(data), flags, data + trailing_bytes[: 64 - len(data)]
+        )
+    return CLASSICAL_FRAME_STRUCT.pack(can_id, len(data), data + trailing_bytes[: 8 - len(data)])
 
 
-@pytest.mark.parametrize("name", BATCH_BY_NAME)
+@pytest.mark.parametrize("batch_name", BATCH_BY_NAME)
 def test_local_bus_carries_every_batch_both_ways(
-    local_bus: tuple[Bus, socket.socket], name: str
+    local_bus: tuple[Bus, socket.socket], batch_name: str
 ) -> None:
     bus, link = local_bus
-    batch = BATCH_BY_NAME[name]
+    batch = BATCH_BY_NAME[batch_name]
     whole = b"".join(frame_record(frame.can_id, frame.data, frame.flags) for frame in batch)
     assert bus.send(frames_as_records(batch)) == len(batch)
     sent = b""
@@ -136,12 +141,12 @@ def test_local_bus_carries_every_batch_both_ways(
     assert bus.take_events() == []
 
 
-@pytest.mark.parametrize("name", BATCH_BY_NAME)
+@pytest.mark.parametrize("batch_name", BATCH_BY_NAME)
 def test_can_socket_carries_every_batch_both_ways(
-    udp_bus: tuple[SocketCanBus, socket.socket], name: str
+    udp_bus: tuple[SocketCanBus, socket.socket], batch_name: str
 ) -> None:
     bus, far = udp_bus
-    batch = BATCH_BY_NAME[name]
+    batch = BATCH_BY_NAME[batch_name]
     assert bus.send(frames_as_records(batch)) == len(batch)
     assert [far.recv(100) for _ in batch] == [kernel_datagram(frame) for frame in batch]
     for frame in batch:
@@ -244,25 +249,27 @@ def test_a_record_split_within_an_odd_batch_is_reassembled(
     assert frame_contents(join_frames(parts)) == [frame[:4] for frame in batch]
 
 
-@pytest.mark.parametrize("size", [9, 12, 64])
+@pytest.mark.parametrize("payload_size", [9, 12, 64])
 def test_a_classical_frame_that_is_too_long_is_refused_as_record_too(
-    local_bus: tuple[Bus, socket.socket], udp_bus: tuple[SocketCanBus, socket.socket], size: int
+    local_bus: tuple[Bus, socket.socket],
+    udp_bus: tuple[SocketCanBus, socket.socket],
+    payload_size: int,
 ) -> None:
     good = [Frame(1, b"good")]
     for bus, link in (local_bus, udp_bus):
         for _ in range(2):
-            with pytest.raises(ValueError, match=f"payload of {size} bytes in frame 0x7"):
-                bus.send(frames_as_records([*good, Frame(7, bytes(size)), *good]))
+            with pytest.raises(ValueError, match=f"payload of {payload_size} bytes in frame 0x7"):
+                bus.send(frames_as_records([*good, Frame(7, bytes(payload_size)), *good]))
         assert bus.send(good) == 1
         assert link.recv(1000).startswith(struct.pack("<IB", 1, 4))
 
 
-@pytest.mark.parametrize("scale", [1.0, 0.1, 3.0])
+@pytest.mark.parametrize("time_scale", [1.0, 0.1, 3.0])
 def test_the_kernels_stamps_become_the_runs_time(
-    udp_bus: tuple[SocketCanBus, socket.socket], scale: float
+    udp_bus: tuple[SocketCanBus, socket.socket], time_scale: float
 ) -> None:
     bus, far = udp_bus
-    bus._stamp = lambda t_ns: int((t_ns - 1000) * scale)
+    bus._stamp = lambda t_ns: int((t_ns - 1000) * time_scale)
     time.sleep(0.3)  # the kernel adds time stamps after a delay
     for _ in range(3):
         before = time.monotonic_ns()
@@ -271,7 +278,9 @@ def test_the_kernels_stamps_become_the_runs_time(
         after = time.monotonic_ns()
         stamps = [frame.t_ns for frame in drain_frames(bus, 11)]
         slack = 5_000_000
-        assert (before - slack) * scale <= stamps[0] <= stamps[-1] <= (after + slack) * scale
+        assert (
+            (before - slack) * time_scale <= stamps[0] <= stamps[-1] <= (after + slack) * time_scale
+        )
         assert stamps == sorted(stamps)
         assert len(set(stamps)) > 1
 

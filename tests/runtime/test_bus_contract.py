@@ -21,7 +21,7 @@ def hub_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(params=["local", "virtual"])
-def medium(
+def bus_under_test(
     request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[BusUnderTest]:
     if request.param == "local":
@@ -34,7 +34,7 @@ def medium(
 
 
 @pytest.mark.parametrize(
-    ("spec", "message"),
+    ("bus_text", "expected_message"),
     [
         ("nonsense", "local:NAME"),
         ("local:", "local:NAME"),
@@ -45,10 +45,10 @@ def medium(
     ],
 )
 def test_a_bus_that_cannot_be_opened_is_one_line_with_the_command_to_type(
-    spec: str, message: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    bus_text: str, expected_message: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv(RUN_DIR_VARIABLE, str(tmp_path))
-    with pytest.raises((BusError, ConfigError), match=message) as caught:
-        open_bus(spec, 0, 1_000_000)
+    with pytest.raises((BusError, ConfigError), match=expected_message) as caught:
+        open_bus(bus_text, 0, 1_000_000)
     assert "\n" not in str(caught.value)
-    assert spec in str(caught.value)
+    assert bus_text in str(caught.value)

@@ -16,7 +16,7 @@ def event_kinds(events: BusEvents) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("can_id", "status", "expected"),
+    ("can_id", "status_byte", "expected_kinds"),
     [
         (0x001, 0, {"error_frame"}),
         (0x004, 0x01, {"error_frame"}),
@@ -32,12 +32,12 @@ def event_kinds(events: BusEvents) -> set[str]:
     ],
 )
 def test_error_frame_gives_the_events_of_its_class(
-    can_id: int, status: int, expected: set[str]
+    can_id: int, status_byte: int, expected_kinds: set[str]
 ) -> None:
     """The numbers in these cases are CAN_ERR_* and CAN_ERR_CRTL_* in the Linux header ``can/error.h``."""
     events = BusEvents("can0")
-    events.add_error_frame(ERROR_FLAG | can_id, bytes((0, status, 0, 0, 0, 0, 0, 0)))
-    assert event_kinds(events) == expected
+    events.add_error_frame(ERROR_FLAG | can_id, bytes((0, status_byte, 0, 0, 0, 0, 0, 0)))
+    assert event_kinds(events) == expected_kinds
 
 
 def test_an_error_frame_names_its_classes() -> None:
@@ -46,10 +46,10 @@ def test_an_error_frame_names_its_classes() -> None:
     assert events.take_events() == [("error_frame", "can0 protocol, no acknowledge", 1)]
 
 
-@pytest.mark.parametrize("data", [b"", b"\x01"])
-def test_a_short_error_frame_is_an_error_frame(data: bytes) -> None:
+@pytest.mark.parametrize("frame_data", [b"", b"\x01"])
+def test_a_short_error_frame_is_an_error_frame(frame_data: bytes) -> None:
     events = BusEvents("can0")
-    events.add_error_frame(ERROR_FLAG | 0x04, data)
+    events.add_error_frame(ERROR_FLAG | 0x04, frame_data)
     assert event_kinds(events) == {"error_frame"}
 
 
@@ -68,13 +68,13 @@ def test_passive_lasts_until_the_controller_reports_another_state() -> None:
     assert events.take_events() == []
 
 
-@pytest.mark.parametrize("end", ["restarted", "down"])
-def test_bus_off_lasts_until_a_restart(end: str) -> None:
+@pytest.mark.parametrize("restart_event", ["restarted", "down"])
+def test_bus_off_lasts_until_a_restart(restart_event: str) -> None:
     events = BusEvents("can0")
     events.add_error_frame(ERROR_FLAG | 0x44, bytes((0, 0x20)))
     events.take_events()
     assert event_kinds(events) == {"bus_off", "error_passive"}
-    if end == "restarted":
+    if restart_event == "restarted":
         events.add_error_frame(ERROR_FLAG | 0x100, bytes(8))
     else:
         events.count_failure(errno.ENETDOWN, "enobufs")

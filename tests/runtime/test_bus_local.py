@@ -56,17 +56,20 @@ def test_a_record_is_laid_out_as_agreed(scripted_bus: tuple[Bus, socket.socket])
     assert frame[:4] == (0x7FF, b"reply", 0, 2)
 
 
-@given(cuts=st.lists(st.integers(1, 200), min_size=1, max_size=40), count=st.integers(1, 20))
+@given(
+    cut_positions=st.lists(st.integers(1, 200), min_size=1, max_size=40),
+    frame_count=st.integers(1, 20),
+)
 def test_records_split_anywhere_are_reassembled(
-    torn_bus: tuple[Bus, socket.socket], cuts: list[int], count: int
+    torn_bus: tuple[Bus, socket.socket], cut_positions: list[int], frame_count: int
 ) -> None:
     bus, link = torn_bus
     stream = b"".join(
-        frame_record(number, bytes([number] * (number % 9))) for number in range(count)
+        frame_record(number, bytes([number] * (number % 9))) for number in range(frame_count)
     )
     frames: list[Frame] = []
     at = 0
-    for cut in cuts:
+    for cut in cut_positions:
         link.send(stream[at : at + cut])
         frames += bus.drain()
         at += cut
@@ -74,7 +77,7 @@ def test_records_split_anywhere_are_reassembled(
     link.send(stream[at:])
     frames += bus.drain()
     assert [(frame.can_id, frame.data) for frame in frames] == [
-        (n, bytes([n] * (n % 9))) for n in range(count)
+        (n, bytes([n] * (n % 9))) for n in range(frame_count)
     ]
 
 
@@ -106,20 +109,20 @@ def test_a_slow_hub_costs_frames_but_no_time_and_no_alignment(
 
 
 @pytest.mark.parametrize(
-    ("counters", "expected"),
+    ("drop_counters", "expected_dropped"),
     [([0, 0, 0], 0), ([0, 3, 3], 3), ([65_530, 4], 65_540), ([7, 7, 65_535, 1], 65_537)],
 )
 def test_frames_dropped_by_the_hub_are_reported_once(
-    scripted_bus: tuple[Bus, socket.socket], counters: list[int], expected: int
+    scripted_bus: tuple[Bus, socket.socket], drop_counters: list[int], expected_dropped: int
 ) -> None:
     bus, link = scripted_bus
     numbers = []
-    for counter in counters:
-        link.send(frame_record(1, b"", dropped=counter))
+    for counter in drop_counters:
+        link.send(frame_record(1, b"", dropped_frames=counter))
         assert len(bus.drain()) == 1
         numbers += bus.take_events()
     assert all(event[:2] == ("dropped", "local:x") for event in numbers)
-    assert sum(event[2] for event in numbers) == expected
+    assert sum(event[2] for event in numbers) == expected_dropped
 
 
 def test_a_lost_hub_is_reported_at_every_call(scripted_bus: tuple[Bus, socket.socket]) -> None:
@@ -149,10 +152,12 @@ def test_error_frames_become_events(scripted_bus: tuple[Bus, socket.socket]) -> 
     assert kinds == ["error_frame", "bus_off"]
 
 
-@given(stream=st.binary(min_size=RECORD_BYTES, max_size=5 * RECORD_BYTES))
-def test_no_bytes_from_a_hub_can_raise(torn_bus: tuple[Bus, socket.socket], stream: bytes) -> None:
+@given(hub_bytes=st.binary(min_size=RECORD_BYTES, max_size=5 * RECORD_BYTES))
+def test_no_bytes_from_a_hub_can_raise(
+    torn_bus: tuple[Bus, socket.socket], hub_bytes: bytes
+) -> None:
     bus, link = torn_bus
-    whole = stream[: len(stream) - len(stream) % RECORD_BYTES]
+    whole = hub_bytes[: len(hub_bytes) - len(hub_bytes) % RECORD_BYTES]
     link.send(whole)
     frames = bus.drain()
     bus.take_events()

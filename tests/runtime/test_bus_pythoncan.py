@@ -23,10 +23,10 @@ from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record, h
 class BrokenCanBus(can.BusABC):
     """A python-can interface whose calls fail with a given error, either always or the first few times."""
 
-    def __init__(self, error: Exception, times: int = 1_000_000) -> None:
+    def __init__(self, error: Exception, failure_count: int = 1_000_000) -> None:
         super().__init__("broken")
         self.error = error
-        self.times = times
+        self.times = failure_count
 
     def _fail(self) -> None:
         if self.times > 0:
@@ -62,7 +62,7 @@ def test_frames_that_an_adapter_echoes_are_not_received(virtual_bus: PythonCanBu
 
 
 @pytest.mark.parametrize(
-    ("error", "sending", "reading"),
+    ("error", "send_event", "read_event"),
     [
         (can.CanOperationError("full", errno.ENOBUFS), ("enobufs", 3), "enobufs"),
         (can.CanOperationError("down", errno.ENETDOWN), ("enetdown", 3), "enetdown"),
@@ -77,16 +77,16 @@ def test_frames_that_an_adapter_echoes_are_not_received(virtual_bus: PythonCanBu
     ],
 )
 def test_errors_are_events_of_the_fault_table(
-    virtual_bus: PythonCanBus, error: Exception, sending: tuple[str, int], reading: str
+    virtual_bus: PythonCanBus, error: Exception, send_event: tuple[str, int], read_event: str
 ) -> None:
     virtual_bus._bus.shutdown()
     virtual_bus._bus = BrokenCanBus(error)
     assert virtual_bus.send([Frame(1, b""), Frame(2, b""), Frame(3, b"")]) == 0
-    kind, number = sending
+    kind, number = send_event
     assert virtual_bus.take_events() == [(kind, "virtual:broken", number)]
     for _ in range(2):
         assert virtual_bus.drain() == []
-        assert virtual_bus.take_events() == [(reading, "virtual:broken", 1)]
+        assert virtual_bus.take_events() == [(read_event, "virtual:broken", 1)]
 
 
 def test_an_error_without_a_number_is_classified_by_its_cause(virtual_bus: PythonCanBus) -> None:
@@ -101,22 +101,22 @@ def test_an_error_without_a_number_is_classified_by_its_cause(virtual_bus: Pytho
 def test_garbage_of_a_serial_adapter_is_counted_and_skipped(virtual_bus: PythonCanBus) -> None:
     virtual_bus._bus.shutdown()
     virtual_bus._bus = BrokenCanBus(
-        ValueError("invalid literal for int() with base 16: 'xx'"), times=3
+        ValueError("invalid literal for int() with base 16: 'xx'"), failure_count=3
     )
     assert virtual_bus.drain() == []
     assert virtual_bus.take_events() == [("error_frame", "virtual:broken garbled", 3)]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def socket_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     made = tmp_path_factory.mktemp("tools")
     with hub_process("tools", made):
         yield made
 
 
 @pytest.fixture
-def handctl_bus(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bus]:
-    monkeypatch.setenv(RUN_DIR_VARIABLE, str(folder))
+def handctl_bus(socket_folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bus]:
+    monkeypatch.setenv(RUN_DIR_VARIABLE, str(socket_folder))
     opened = open_bus("local:tools", 0, 1_000_000)
     yield opened
     opened.close()
@@ -206,7 +206,7 @@ def test_a_notifier_in_an_event_loop_receives_a_complete_batch(handctl_bus: Bus)
 
 
 def test_python_cans_logger_writes_what_was_sent(
-    handctl_bus: Bus, folder: Path, tmp_path: Path
+    handctl_bus: Bus, socket_folder: Path, tmp_path: Path
 ) -> None:
     file = tmp_path / "seen.log"
     words = [sys.executable, "-m", "can.logger", "-i", "local", "-c", "tools", "-f", str(file)]

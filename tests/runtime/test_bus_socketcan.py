@@ -26,10 +26,10 @@ def udp_bus() -> Iterator[tuple[SocketCanBus, socket.socket]]:
         yield pair
 
 
-def wait_for_frames(bus: SocketCanBus, count: int) -> list[Frame]:
+def wait_for_frames(bus: SocketCanBus, frame_count: int) -> list[Frame]:
     frames = list(bus.drain())
     end = time.monotonic() + 20.0
-    while len(frames) < count and time.monotonic() < end:
+    while len(frames) < frame_count and time.monotonic() < end:
         time.sleep(0.001)
         frames += bus.drain()
     return frames

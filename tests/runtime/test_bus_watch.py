@@ -32,22 +32,23 @@ A negative angle makes the tendon of this spool slack.
 class SimulatedBuses:
     """The buses and the clock of a simulated hand in virtual time."""
 
-    def __init__(self, path):
-        self.hand = load_hand(str(path))
-        self.rig = LockstepHand(str(path), seed=3, period_ns=PERIOD_NS, homed=True)
+    def __init__(self, hand_path):
+        self.hand = load_hand(str(hand_path))
+        self.rig = LockstepHand(str(hand_path), seed=3, period_ns=PERIOD_NS, homed=True)
         self.motors = list(self.rig.world.plant.motors.values())
         self.t_ns = 0
         self.outgoing, self.incoming = [], []
         self.max_torque_N_m = 0.0
 
-    def wait(self, k):
+    def wait(self, tick_index):
         """Advance the time to tick k, and let the drives reply to the frames of the last tick.
 
         Return 0, the number of missed ticks.
         """
-        self.t_ns = k * PERIOD_NS
+        self.t_ns = tick_index * PERIOD_NS
         self.incoming = [
-            Frame(*frame) for frame in self.rig.step(max(0, k - 1) * PERIOD_NS, self.outgoing)
+            Frame(*frame)
+            for frame in self.rig.step(max(0, tick_index - 1) * PERIOD_NS, self.outgoing)
         ]
         self.outgoing = []
         self.max_torque_N_m = max(
@@ -65,8 +66,8 @@ class SimulatedBuses:
 class SimulatedBus:
     """One bus of the simulated hand."""
 
-    def __init__(self, buses, index):
-        self.buses, self.index = buses, index
+    def __init__(self, buses, bus_index):
+        self.buses, self.index = buses, bus_index
 
     def drain(self):
         return [frame for frame in self.buses.incoming if frame.bus == self.index]
@@ -78,8 +79,8 @@ class SimulatedBus:
         return []
 
 
-def watched_hand(path):
-    place = SimulatedBuses(path)
+def watched_hand(hand_path):
+    place = SimulatedBuses(hand_path)
     watch = BusWatch(
         make_drives(place.hand), make_sensors(place.hand), place.buses(), place, PERIOD_NS
     )
@@ -122,10 +123,10 @@ def test_two_buses_and_joint_encoders_are_read(tmp_path):
     assert all(abs(reading.value) < 0.1 for reading in watch.angles.values())
 
 
-@pytest.mark.parametrize("value", ["int32", "real32"])
-def test_amplifiers_are_set_up_and_read(value, tmp_path):
+@pytest.mark.parametrize("process_value", ["int32", "real32"])
+def test_amplifiers_are_set_up_and_read(process_value, tmp_path):
     path = tmp_path / "hand.toml"
-    path.write_text(hand_with_amplifiers(process_value=value).to_toml())
+    path.write_text(hand_with_amplifiers(process_value=process_value).to_toml())
     place, watch = watched_hand(path)
     for _ in range(120):
         watch.run_tick()
@@ -141,8 +142,8 @@ def test_amplifiers_are_set_up_and_read(value, tmp_path):
     assert saturated == [True, False, False, False]
 
 
-@pytest.mark.parametrize("missed", [0, 1, 50])
-def test_missed_ticks_are_skipped_and_not_executed_later(missed):
+@pytest.mark.parametrize("missed_ticks", [0, 1, 50])
+def test_missed_ticks_are_skipped_and_not_executed_later(missed_ticks):
     """Reproduce a defect: after a stall of the host, the requests of all missed ticks were sent at once."""
     place, watch = watched_hand("jamia")
     for _ in range(120):
@@ -152,15 +153,15 @@ def test_missed_ticks_are_skipped_and_not_executed_later(missed):
 
     def stall_once(k):
         waited.append(k)
-        late = missed if len(waited) == 1 else 0
+        late = missed_ticks if len(waited) == 1 else 0
         wait(k + late)
         return late * PERIOD_NS + 7
 
     place.wait = stall_once
     for _ in range(3):
         watch.run_tick()
-    assert waited == [120, 121 + missed, 122 + missed]
-    assert watch.k == 123 + missed
+    assert waited == [120, 121 + missed_ticks, 122 + missed_ticks]
+    assert watch.k == 123 + missed_ticks
     assert watch.silent_motors() == []
 
 
@@ -222,7 +223,7 @@ def test_a_table_is_printed_into_a_pipe(capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("command_words", "expected_message"),
     [
         ([], "--bus: missing"),
         (["--bus", "socketcan:can0"], "no hand is given"),
@@ -235,10 +236,10 @@ def test_a_table_is_printed_into_a_pipe(capsys):
         (["--bus", "local:d", "--time-scale", "0"], "--time-scale"),
     ],
 )
-def test_a_bad_argument_is_one_line(words, said, capsys):
-    assert main(["bus", "watch", *words]) == 2
+def test_a_bad_argument_is_one_line(command_words, expected_message, capsys):
+    assert main(["bus", "watch", *command_words]) == 2
     err = capsys.readouterr().err
-    assert said in err
+    assert expected_message in err
     assert err.count("\n") == 1
 
 

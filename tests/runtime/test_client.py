@@ -41,41 +41,41 @@ def unserved_client(work_folder):
     client.close()
 
 
-@pytest.mark.parametrize("number", [3, np.float32(3), np.float64(3), np.int64(3), Fraction(3)])
-def test_every_numeric_type_is_accepted(unserved_client, number, monkeypatch):
+@pytest.mark.parametrize("angle", [3, np.float32(3), np.float64(3), np.int64(3), Fraction(3)])
+def test_every_numeric_type_is_accepted(unserved_client, angle, monkeypatch):
     requests = []
     monkeypatch.setattr(unserved_client, "_set_goal", requests.append)
-    unserved_client.move(index=number, duration_s=number, wait=False)
-    unserved_client.hold(index=number, rate_N_per_s=number)
+    unserved_client.move(index=angle, duration_s=angle, wait=False)
+    unserved_client.hold(index=angle, rate_N_per_s=angle)
     assert requests[0] == {"do": "move", "angle_deg": {"index": 3.0}, "duration_s": 3.0}
     assert requests[1] == {"do": "hold", "tension_N": {"index": 3.0}, "rate_N_per_s": 3.0}
 
 
 @pytest.mark.parametrize(
-    "number", [float("nan"), 10**400, "3", True, np.True_, None, np.array([3.0, 4.0]), 1e9]
+    "invalid_angle", [float("nan"), 10**400, "3", True, np.True_, None, np.array([3.0, 4.0]), 1e9]
 )
-def test_an_invalid_angle_is_refused_before_it_is_sent(unserved_client, number):
+def test_an_invalid_angle_is_refused_before_it_is_sent(unserved_client, invalid_angle):
     """The client refuses an invalid angle before it sends a request.
 
     Without this check in the client, the controller would refuse the request, and relax the hand
     after three refused requests within a second.
     """
     with pytest.raises(ConfigError, match=r"move: angle_deg.index: .*; expected"):
-        unserved_client.move(index=number)
+        unserved_client.move(index=invalid_angle)
 
 
-def status_with_events(*texts):
+def status_with_events(*event_texts):
     return {
         "t_s": 1.5,
         "mode": "ACTIVE",
-        "events": [{"name": "request", "text": text} for text in texts],
+        "events": [{"name": "request", "text": text} for text in event_texts],
     }
 
 
 @pytest.mark.parametrize(
-    "theirs", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"]
+    "foreign_reply", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"]
 )
-def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, theirs):
+def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, foreign_reply):
     """Reproduce a defect: if two programs used one hand, each reported the refused requests of the other program."""
     sent = []
     monkeypatch.setattr(
@@ -86,9 +86,13 @@ def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, the
     )
 
     def heard(timeout):
-        yield status_with_events("asked: move by somebody", theirs)
+        yield status_with_events("asked: move by somebody", foreign_reply)
         yield status_with_events(
-            theirs, f"asked: move by {sent[-1]['by']}", reply, "asked: move by somebody", theirs
+            foreign_reply,
+            f"asked: move by {sent[-1]['by']}",
+            reply,
+            "asked: move by somebody",
+            foreign_reply,
         )
 
     monkeypatch.setattr(unserved_client._watcher, "status_lines", heard)
@@ -212,9 +216,17 @@ def test_arguments_for_a_controller_that_already_runs_are_refused(work_folder, m
 
 
 @REALTIME
-def test_a_program_moves_holds_and_reads_the_state(work_folder, hand, calibrated, scale):
+def test_a_program_moves_holds_and_reads_the_state(
+    work_folder, hand_truth_file, calibration_options, scale_options
+):
     with library.connect(
-        "jamia", f"main={LOCAL_BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia",
+        f"main={LOCAL_BUS}",
+        "--calibration",
+        "c.toml",
+        "--log",
+        "live.mcap",
+        *scale_options,
     ) as client:
         client.move(duration_s=0.4, wait=False, index=30.0)
         client.wait("live", 5.0)
@@ -251,14 +263,16 @@ def test_a_program_moves_holds_and_reads_the_state(work_folder, hand, calibrated
 
 
 @REALTIME
-def test_a_stopped_run_and_a_closed_client_are_named(work_folder, hand, calibrated, scale):
+def test_a_stopped_run_and_a_closed_client_are_named(
+    work_folder, hand_truth_file, calibration_options, scale_options
+):
     """Reproduce a defect: the message about a stopped run quoted an unrelated notice of the controller.
 
     Earlier defect: a client that was used after its ``with`` block raised the error "mmap closed or
     invalid".
     """
     with library.connect(
-        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
     ) as client:
         with library.connect("jamia", LOCAL_BUS) as other:
             ticks = other.observations()
@@ -285,13 +299,15 @@ def test_a_stopped_run_and_a_closed_client_are_named(work_folder, hand, calibrat
 
 
 @REALTIME
-def test_every_thread_gets_the_end_of_the_run(work_folder, hand, calibrated, scale):
+def test_every_thread_gets_the_end_of_the_run(
+    work_folder, hand_truth_file, calibration_options, scale_options
+):
     """Reproduce a defect: threads that shared a client raised "Bad file descriptor" and "flush of closed file".
 
     At the end of the run, all these threads read the output of the controller.
     """
     client = library.connect(
-        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
     ).open()
     calls = [client.state, lambda: client.observe(wait=True), client.state] * 2
     calls.append(lambda: client.move(index=10.0, duration_s=0.2))
@@ -313,9 +329,11 @@ def test_every_thread_gets_the_end_of_the_run(work_folder, hand, calibrated, sca
 
 
 @REALTIME
-def test_a_fault_is_reported_by_name(work_folder, hand, calibrated, scale):
+def test_a_fault_is_reported_by_name(
+    work_folder, hand_truth_file, calibration_options, scale_options
+):
     client = library.connect(
-        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
     )
     with client:
         assert (
@@ -332,9 +350,11 @@ def test_a_fault_is_reported_by_name(work_folder, hand, calibrated, scale):
 
 
 @REALTIME
-def test_a_fault_between_two_calls_is_reported_at_the_end(work_folder, hand, calibrated, scale):
+def test_a_fault_between_two_calls_is_reported_at_the_end(
+    work_folder, hand_truth_file, calibration_options, scale_options
+):
     client = library.connect(
-        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
     )
     client.wait("live", 60.0)
     assert (
@@ -349,13 +369,20 @@ def test_a_fault_between_two_calls_is_reported_at_the_end(work_folder, hand, cal
 
 @REALTIME
 def test_a_task_of_another_program_goes_on(
-    work_folder, hand, calibrated, processes, monkeypatch, scale
+    work_folder, hand_truth_file, calibration_options, started_processes, monkeypatch, scale_options
 ):
     monkeypatch.setattr("handctl.client.hand.ATTACH_TIMEOUT_S", 1.0)
     process = start_handctl(
-        "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale
+        "run",
+        *calibration_options,
+        "--task",
+        "long.toml",
+        "--json",
+        "--log",
+        "run.mcap",
+        *scale_options,
     )
-    processes.append(process)
+    started_processes.append(process)
     watcher = StatusWatcher(LOCAL_BUS)
     wait_for_phase("stay", watcher, process)
     watcher.close()
@@ -369,9 +396,9 @@ def test_a_task_of_another_program_goes_on(
     assert is_running(LOCAL_BUS)
 
 
-def start_program(processes, *words):
+def start_program(processes, *connect_options):
     """Start a program that connects to the hand and stays connected for a minute."""
-    code = CLIENT_PROGRAM.format(words=words)
+    code = CLIENT_PROGRAM.format(words=connect_options)
     program = subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -380,8 +407,10 @@ def start_program(processes, *words):
 
 
 @REALTIME
-def test_ctrl_c_while_it_starts_leaves_no_controller(work_folder, hand, processes, scale):
-    program = start_program(processes, "--log", "live.mcap", *scale)
+def test_ctrl_c_while_it_starts_leaves_no_controller(
+    work_folder, hand_truth_file, started_processes, scale_options
+):
+    program = start_program(started_processes, "--log", "live.mcap", *scale_options)
     wait_until(lambda: is_running(LOCAL_BUS))
     program.send_signal(signal.SIGINT)
     _, err = program.communicate(timeout=60.0)
@@ -393,9 +422,11 @@ def test_ctrl_c_while_it_starts_leaves_no_controller(work_folder, hand, processe
 
 @REALTIME
 def test_a_program_that_is_killed_leaves_no_armed_hand(
-    work_folder, hand, calibrated, processes, scale
+    work_folder, hand_truth_file, calibration_options, started_processes, scale_options
 ):
-    program = start_program(processes, "--calibration", "c.toml", "--log", "live.mcap", *scale)
+    program = start_program(
+        started_processes, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
+    )
     assert program.stdout.readline() == "live\n"
     program.kill()
     program.wait()

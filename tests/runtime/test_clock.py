@@ -40,21 +40,21 @@ class FakeMonotonicClock:
         self.now_ns += round(seconds * 1e9) + self.overshoot_ns
 
 
-@pytest.mark.parametrize("scale", [1.0, 0.1, 10.0, 0.37])
-@pytest.mark.parametrize("spin", [False, True])
+@pytest.mark.parametrize("time_scale", [1.0, 0.1, 10.0, 0.37])
+@pytest.mark.parametrize("busy_wait", [False, True])
 def test_deadlines_are_absolute_and_scaled(
-    monkeypatch: pytest.MonkeyPatch, scale: float, spin: bool
+    monkeypatch: pytest.MonkeyPatch, time_scale: float, busy_wait: bool
 ) -> None:
     wall = FakeMonotonicClock(monkeypatch, overshoot_ns=20_000)
-    clock = RealClock(PERIOD_NS, scale, spin)
+    clock = RealClock(PERIOD_NS, time_scale, busy_wait)
     clock.start()
     start = clock.start_ns
     for k in range(50):
         late = clock.wait(k)
-        assert wall.now_ns >= start + int(k * PERIOD_NS / scale), "never early"
-        assert 0 <= late <= 30_000 * scale + 200 * scale + 1
-        assert abs(clock.now_ns() - (k * PERIOD_NS + late)) <= 1000 * scale + 1
-    assert start - 5_000_000_000 == pytest.approx(PERIOD_NS / scale, rel=0.01), (
+        assert wall.now_ns >= start + int(k * PERIOD_NS / time_scale), "never early"
+        assert 0 <= late <= 30_000 * time_scale + 200 * time_scale + 1
+        assert abs(clock.now_ns() - (k * PERIOD_NS + late)) <= 1000 * time_scale + 1
+    assert start - 5_000_000_000 == pytest.approx(PERIOD_NS / time_scale, rel=0.01), (
         "tick 0 is one period after the start"
     )
 
@@ -121,9 +121,9 @@ class RecordingPeer:
     The simulator replies to each frame with an identifier that is larger by 0x10.
     """
 
-    def __init__(self, fail: str = "") -> None:
-        if fail:
-            raise ValueError(fail)
+    def __init__(self, failure_text: str = "") -> None:
+        if failure_text:
+            raise ValueError(failure_text)
         self.steps: list[tuple[int, list[Frame]]] = []
 
     def step(self, t_ns: int, frames: list[Frame]) -> list[tuple[int, bytes, int, int, int]]:

@@ -23,17 +23,17 @@ from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.virtual_bench import OPTIONS_BY_PROTOCOL, VirtualBench, drive_rig_on
 
 TORQUE_LIMIT_N_M = 0.1
-DOCUMENT = Path(__file__).parents[2] / "docs" / "evidence" / "drives.md"
+DRIVES_PAGE = Path(__file__).parents[2] / "docs" / "evidence" / "drives.md"
 DEFECT_TABLE_MARK = "**Defects.** The columns are the protocols of the hand file, the rows the defects of `--broken`."
 WITHOUT_ENDPOINTS = {"torque_feedback": True}
 """Options of an ODrive on a bench without endpoint numbers."""
 
 
 def check_results(
-    protocol, fault="", options=None, inertia=None, delay=0
+    protocol, drive_fault="", drive_options=None, shaft_inertia=None, delay_ticks=0
 ) -> tuple[dict[str, ConformanceCheck], VirtualBench, DriveRig]:
-    place = VirtualBench(protocol, fault, inertia, delay)
-    rig = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M, options)
+    place = VirtualBench(protocol, drive_fault, shaft_inertia, delay_ticks)
+    rig = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M, drive_options)
     return checks_of(rig), place, rig
 
 
@@ -42,19 +42,19 @@ def checks_of(rig: DriveRig) -> dict[str, ConformanceCheck]:
     return {check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))}
 
 
-def checks_of_three_runs(place, protocol, options=None):
+def checks_of_three_runs(virtual_bench, protocol, drive_options=None):
     """Run the checks three times on a drive, which is silent for two seconds after each run."""
     for _ in range(3):
-        rig = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M, options)
+        rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M, drive_options)
         found = checks_of(rig)
         assert release_drive(rig, 0.05)
-        place.pass_time(2.0)
+        virtual_bench.pass_time(2.0)
         yield found
 
 
 def read_defect_table() -> list[tuple[str, str, str]]:
     """Return the rows of the table of defects in the documentation, as (defect, column, result)."""
-    text = DOCUMENT.read_text(encoding="utf-8").split(DEFECT_TABLE_MARK)[1].strip()
+    text = DRIVES_PAGE.read_text(encoding="utf-8").split(DEFECT_TABLE_MARK)[1].strip()
     table = text.split("\n\n")[0].splitlines()
     head, _, *rows = (
         [cell.strip().replace("`", "") for cell in row.split("|")[1:-1]] for row in table
@@ -71,12 +71,14 @@ def protocol(request):
     return request.param
 
 
-def failed_checks(found):
-    return [name for name, check in found.items() if check.verdict is CheckVerdict.FAILED]
+def failed_checks(check_results):
+    return [name for name, check in check_results.items() if check.verdict is CheckVerdict.FAILED]
 
 
-def not_checked(found):
-    return [name for name, check in found.items() if check.verdict is CheckVerdict.NOT_CHECKED]
+def not_checked(check_results):
+    return [
+        name for name, check in check_results.items() if check.verdict is CheckVerdict.NOT_CHECKED
+    ]
 
 
 def test_a_good_drive_passes_every_conformance_check(protocol):
@@ -127,10 +129,12 @@ def test_a_good_drive_passes_three_times_running(protocol):
         assert release_drive(late, 0.05)
 
 
-@pytest.mark.parametrize("inertia", [2e-5, 1e-4, 2e-3])
-@pytest.mark.parametrize("delay", [1, 3])
-def test_a_light_shaft_and_a_slow_wire_pass_conformance(protocol, inertia, delay):
-    failures, place, _ = check_results(protocol, inertia=inertia, delay=delay)
+@pytest.mark.parametrize("shaft_inertia", [2e-5, 1e-4, 2e-3])
+@pytest.mark.parametrize("delay_ticks", [1, 3])
+def test_a_light_shaft_and_a_slow_wire_pass_conformance(protocol, shaft_inertia, delay_ticks):
+    failures, place, _ = check_results(
+        protocol, shaft_inertia=shaft_inertia, delay_ticks=delay_ticks
+    )
     assert failed_checks(failures) == []
     assert abs(place.bench.motors[0].omega) < 20.0
 
@@ -147,30 +151,32 @@ FAILED_CHECK = {
 }
 
 
-@pytest.mark.parametrize(("fault", "column", "result"), read_defect_table())
-def test_each_defect_is_found_or_not_as_the_documentation_says(fault, column, result):
+@pytest.mark.parametrize(("drive_fault", "protocol_column", "expected_result"), read_defect_table())
+def test_each_defect_is_found_or_not_as_the_documentation_says(
+    drive_fault, protocol_column, expected_result
+):
     """Reproduce three defects.
 
     A CubeMars drive that ignores commands passed all checks. An ODrive without endpoint options
     passed although its settings read back wrong, and failed although its watchdog worked.
     """
-    protocol = column.split()[0]
-    options = WITHOUT_ENDPOINTS if "without" in column else None
-    if result == "impossible":
+    protocol = protocol_column.split()[0]
+    options = WITHOUT_ENDPOINTS if "without" in protocol_column else None
+    if expected_result == "impossible":
         with pytest.raises(SimulatorError):
-            check_fault_has_effect(protocol, fault)
+            check_fault_has_effect(protocol, drive_fault)
         return
-    check_fault_has_effect(protocol, fault)
-    found, place, _ = check_results(protocol, fault, options)
-    check = found[FAILED_CHECK[fault]]
+    check_fault_has_effect(protocol, drive_fault)
+    found, place, _ = check_results(protocol, drive_fault, options)
+    check = found[FAILED_CHECK[drive_fault]]
     assert (
         check.verdict
         is {
             "found": CheckVerdict.FAILED,
             "not checked": CheckVerdict.NOT_CHECKED,
-        }[result]
+        }[expected_result]
     )
-    if result == "not checked":
+    if expected_result == "not checked":
         assert failed_checks(found) == []
     assert place.largest_torque <= TORQUE_LIMIT_N_M * 1.05
 
@@ -184,21 +190,21 @@ def test_the_documentation_has_each_defect_of_each_protocol():
 
 
 @pytest.mark.parametrize(
-    ("protocol", "identifier"), [("cubemars", "0x021"), ("robstride_mit", "0x000")]
+    ("protocol", "expected_identifier"), [("cubemars", "0x021"), ("robstride_mit", "0x000")]
 )
-def test_a_silent_motor_is_reported_with_the_expected_identifier(protocol, identifier):
+def test_a_silent_motor_is_reported_with_the_expected_identifier(protocol, expected_identifier):
     """Reproduce a defect: the reason was "stays in SILENT", which does not say what handctl waited for."""
     found, _, _ = check_results(protocol, "mute")
     check = found[FAILED_CHECK["mute"]]
-    assert check.reason == f"no reply; expected frames with the identifier {identifier}"
+    assert check.reason == f"no reply; expected frames with the identifier {expected_identifier}"
 
 
-@pytest.mark.parametrize("fault", ["", "deaf", "twin"])
-def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(fault):
-    place = VirtualBench("odrive", fault, firmware="0.5", usb_watchdog_s=0.1)
+@pytest.mark.parametrize("drive_fault", ["", "deaf", "twin"])
+def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(drive_fault):
+    place = VirtualBench("odrive", drive_fault, firmware="0.5", usb_watchdog_s=0.1)
     rig = drive_rig_on(place, "odrive", TORQUE_LIMIT_N_M, {"firmware": "0.5"})
     found = {check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.1))}
-    assert failed_checks(found)[:1] == ([FAILED_CHECK[fault]] if fault else [])
+    assert failed_checks(found)[:1] == ([FAILED_CHECK[drive_fault]] if drive_fault else [])
     assert not any("nan" in check.reason for check in found.values())
 
 
@@ -215,7 +221,7 @@ def test_a_drive_that_does_not_obey_is_left_to_its_watchdog(protocol):
 
 
 def test_a_blocked_shaft_is_no_failure(protocol):
-    failures, _, _ = check_results(protocol, inertia=100.0)
+    failures, _, _ = check_results(protocol, shaft_inertia=100.0)
     check = failures["turns the positive way by positive torque"]
     assert check.verdict is CheckVerdict.NOT_CHECKED
     assert "did not turn at +0.100 N m" in check.reason
@@ -224,20 +230,22 @@ def test_a_blocked_shaft_is_no_failure(protocol):
 ENDPOINT_OPTIONS = [key for key in OPTIONS_BY_PROTOCOL["odrive"] if key.startswith("endpoint_")]
 
 
-@pytest.mark.parametrize("given", [0, 2, 4])
-def test_an_odrive_names_the_options_without_which_a_check_is_not_made(given):
+@pytest.mark.parametrize("given_options", [0, 2, 4])
+def test_an_odrive_names_the_options_without_which_a_check_is_not_made(given_options):
     """Reproduce a defect: a good ODrive without endpoint options failed the check of its watchdog.
 
     The read-back of its settings passed, although handctl reads no setting without these options.
     """
     every_option = OPTIONS_BY_PROTOCOL["odrive"]
-    options = WITHOUT_ENDPOINTS | {key: every_option[key] for key in ENDPOINT_OPTIONS[:given]}
-    found, _, _ = check_results("odrive", options=options)
+    options = WITHOUT_ENDPOINTS | {
+        key: every_option[key] for key in ENDPOINT_OPTIONS[:given_options]
+    }
+    found, _, _ = check_results("odrive", drive_options=options)
     assert failed_checks(found) == []
-    expected = {0: ["readback", "watchdog"], 2: ["readback"], 4: []}[given]
+    expected = {0: ["readback", "watchdog"], 2: ["readback"], 4: []}[given_options]
     assert not_checked(found) == [FAILED_CHECK[fault] for fault in expected]
     for fault, missing in (
-        ("readback", ENDPOINT_OPTIONS[given:]),
+        ("readback", ENDPOINT_OPTIONS[given_options:]),
         ("watchdog", ENDPOINT_OPTIONS[:2]),
     ):
         if fault in expected:
@@ -301,13 +309,13 @@ def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
     assert node.mode == 1
 
 
-@pytest.mark.parametrize("answers", ["each", "error", "never"])
-def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answers):
+@pytest.mark.parametrize("clear_is_answered", ["each", "error", "never"])
+def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(clear_is_answered):
     """Reproduce a defect: the host waited for a reply to the clear command.
 
     Without this reply, the host never regarded the motor as ready.
     """
-    place = VirtualBench("mit", clear_answers=answers)
+    place = VirtualBench("mit", clear_answers=clear_is_answered)
     rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     place.bench.faults.inject("error node=33")
@@ -318,13 +326,13 @@ def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answer
     )
 
 
-@pytest.mark.parametrize("watchdog", ["commands", "frames", "always"])
-def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog):
+@pytest.mark.parametrize("watchdog_ms", ["commands", "frames", "always"])
+def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog_ms):
     """Register requests do not reset the watchdog.
 
     Earlier defect: the watchdog of a disabled motor fired, so the motor had a fault before arming.
     """
-    place = VirtualBench("mit", watchdog=watchdog)
+    place = VirtualBench("mit", watchdog=watchdog_ms)
     rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     seen = set()

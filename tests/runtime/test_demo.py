@@ -27,9 +27,9 @@ FAST_DEMO_OPTIONS = (
 """Command-line options of a demo with a time scale that is too fast for any machine."""
 
 
-def test_the_clock_of_the_demo_pauses_on_a_slow_machine(work_folder, processes):
-    processes.append(start_handctl("demo", *FAST_DEMO_OPTIONS))
-    code, result, err = process_result(processes.pop())
+def test_the_clock_of_the_demo_pauses_on_a_slow_machine(work_folder, started_processes):
+    started_processes.append(start_handctl("demo", *FAST_DEMO_OPTIONS))
+    code, result, err = process_result(started_processes.pop())
     assert code == 0, err
     assert result["failure"] == ""
     assert result["time_scale"] == 16.0
@@ -48,7 +48,7 @@ def test_the_clock_of_the_demo_pauses_on_a_slow_machine(work_folder, processes):
         )
 
 
-def test_a_strict_clock_does_not_pause(work_folder, processes):
-    processes.append(start_handctl("demo", "--strict-clock", *FAST_DEMO_OPTIONS))
-    code, _, err = process_result(processes.pop())
+def test_a_strict_clock_does_not_pause(work_folder, started_processes):
+    started_processes.append(start_handctl("demo", "--strict-clock", *FAST_DEMO_OPTIONS))
+    code, _, err = process_result(started_processes.pop())
     assert code == 1, err

@@ -33,39 +33,52 @@ PROTOCOL_MODES = [
 PROTOCOL_MODES.append(("mit", DriveMode.FORCE_POSITION))
 
 
-def bench_of(protocol, mode, fault="", direction=1, zero=0.0, limits=MOTION_LIMITS):
-    place = VirtualBench(protocol, fault)
+def bench_of(
+    protocol,
+    drive_mode,
+    drive_fault="",
+    motor_direction=1,
+    motor_zero=0.0,
+    motion_limits=MOTION_LIMITS,
+):
+    place = VirtualBench(protocol, drive_fault)
     motor = motor_on_bench(
         protocol,
         DRIVE_NODE_ID,
         TORQUE_LIMIT_N_M,
         OPTIONS_BY_PROTOCOL[protocol],
-        direction=direction,
-        zero_rad=zero,
+        direction=motor_direction,
+        zero_rad=motor_zero,
     )
     return (
         place,
-        DriveRig(make_mode_drive(motor, 0, mode, limits), place, place),
+        DriveRig(make_mode_drive(motor, 0, drive_mode, motion_limits), place, place),
         make_drive(motor, 0),
     )
 
 
-def goal_of(mode, target, for_s=2.0, travel=10.0):
-    return JogGoal(mode, target, for_s, MOTION_LIMITS, TORQUE_LIMIT_N_M, travel)
+def goal_of(drive_mode, target_value, for_s=2.0, travel_limit=10.0):
+    return JogGoal(drive_mode, target_value, for_s, MOTION_LIMITS, TORQUE_LIMIT_N_M, travel_limit)
 
 
-@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
-@pytest.mark.parametrize(("direction", "zero", "sign"), [(1, 0.0, 1), (-1, 0.7, 1), (1, -1.3, -1)])
-def test_a_drive_moves_in_its_own_mode_and_ends_at_rest(protocol, mode, direction, zero, sign):
-    place, rig, torque_drive = bench_of(protocol, mode, direction=direction, zero=zero)
-    motor = place.bench.motors[0]
-    result = jog_drive(rig, goal_of(mode, 2.0 * sign))
-    assert result.failure == ""
-    expected = 2.0 * sign if mode != DriveMode.VELOCITY else 2.0 * sign * 2.0
-    assert result.moved_rad == pytest.approx(
-        expected, rel=0.15 if mode == DriveMode.VELOCITY else 0.02
+@pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
+@pytest.mark.parametrize(
+    ("motor_direction", "motor_zero", "target_sign"), [(1, 0.0, 1), (-1, 0.7, 1), (1, -1.3, -1)]
+)
+def test_a_drive_moves_in_its_own_mode_and_ends_at_rest(
+    protocol, drive_mode, motor_direction, motor_zero, target_sign
+):
+    place, rig, torque_drive = bench_of(
+        protocol, drive_mode, motor_direction=motor_direction, motor_zero=motor_zero
     )
-    assert direction * motor.theta == pytest.approx(result.moved_rad, abs=0.05)
+    motor = place.bench.motors[0]
+    result = jog_drive(rig, goal_of(drive_mode, 2.0 * target_sign))
+    assert result.failure == ""
+    expected = 2.0 * target_sign if drive_mode != DriveMode.VELOCITY else 2.0 * target_sign * 2.0
+    assert result.moved_rad == pytest.approx(
+        expected, rel=0.15 if drive_mode == DriveMode.VELOCITY else 0.02
+    )
+    assert motor_direction * motor.theta == pytest.approx(result.moved_rad, abs=0.05)
     assert result.max_speed_rad_s < 1.1 * MOTION_LIMITS.speed
     assert result.final_speed_rad_s < 0.05
     assert release_drive(rig, 0.05, torque_drive)
@@ -98,43 +111,43 @@ def test_force_position_is_a_mode_of_damiao_motors(protocol):
         bench_of(protocol, DriveMode.FORCE_POSITION)
 
 
-@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e3, -1e3])
-def test_no_command_beyond_its_range_is_encoded(protocol, mode, value):
-    _, rig, _ = bench_of(protocol, mode)
+@pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
+@pytest.mark.parametrize("target_value", [math.nan, math.inf, -math.inf, 1e3, -1e3])
+def test_no_command_beyond_its_range_is_encoded(protocol, drive_mode, target_value):
+    _, rig, _ = bench_of(protocol, drive_mode)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0)
-    rig.idle_command = lambda state: state.position if "position" in mode.value else 0.0
+    rig.idle_command = lambda state: state.position if "position" in drive_mode.value else 0.0
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 5.0)
     with pytest.raises(ValueError, match="expected at most"):
-        rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, value)
+        rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, target_value)
 
 
-@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
-def test_a_drive_that_is_turned_away_stays_where_it_is_when_it_is_enabled(protocol, mode):
+@pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
+def test_a_drive_that_is_turned_away_stays_where_it_is_when_it_is_enabled(protocol, drive_mode):
     """The drive of this test starts at 5 rad.
 
     A position command of zero at the moment of enabling would therefore move the drive by 5 rad.
     """
-    place, rig, torque_drive = bench_of(protocol, mode)
+    place, rig, torque_drive = bench_of(protocol, drive_mode)
     place.bench.motors[0].theta = 5.0
-    result = jog_drive(rig, goal_of(mode, 0.0, 1.0, 0.2))
+    result = jog_drive(rig, goal_of(drive_mode, 0.0, 1.0, 0.2))
     assert result.failure == ""
     assert place.bench.motors[0].theta == pytest.approx(5.0, abs=0.01)
     assert release_drive(rig, 0.05, torque_drive)
 
 
-@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
-def test_travel_beyond_its_limit_stops_the_drive(protocol, mode):
-    place, rig, _ = bench_of(protocol, mode)
-    result = jog_drive(rig, goal_of(mode, 2.5, 4.0, 0.5))
+@pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
+def test_travel_beyond_its_limit_stops_the_drive(protocol, drive_mode):
+    place, rig, _ = bench_of(protocol, drive_mode)
+    result = jog_drive(rig, goal_of(drive_mode, 2.5, 4.0, 0.5))
     assert "expected at most 0.5" in result.failure
     assert rig.confirm_off(0.05)
     assert place.bench.motors[0].servo.kd == 0.0
 
 
-@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
-def test_a_shaft_driven_too_fast_stops_the_drive(protocol, mode):
-    place, rig, _ = bench_of(protocol, mode)
+@pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
+def test_a_shaft_driven_too_fast_stops_the_drive(protocol, drive_mode):
+    place, rig, _ = bench_of(protocol, drive_mode)
     wait = place.wait
 
     def wait_with_fast_shaft(k):
@@ -144,25 +157,25 @@ def test_a_shaft_driven_too_fast_stops_the_drive(protocol, mode):
         return wait(k)
 
     place.wait = wait_with_fast_shaft
-    result = jog_drive(rig, goal_of(mode, 0.1, 4.0, 1e6))
+    result = jog_drive(rig, goal_of(drive_mode, 0.1, 4.0, 1e6))
     assert "rad/s, expected at most 3" in result.failure or "error" in result.failure
     assert rig.confirm_off(0.05)
 
 
-@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
-def test_the_watchdog_disables_a_drive_if_the_host_falls_silent(protocol, mode):
-    place, rig, _ = bench_of(protocol, mode)
-    assert jog_drive(rig, goal_of(mode, 1.0, 0.5)).failure == ""
+@pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
+def test_the_watchdog_disables_a_drive_if_the_host_falls_silent(protocol, drive_mode):
+    place, rig, _ = bench_of(protocol, drive_mode)
+    assert jog_drive(rig, goal_of(drive_mode, 1.0, 0.5)).failure == ""
     rig.run_for(DriveTarget.LISTEN, 0.5)
     assert (place.bench.motors[0].servo.kd, place.bench.motors[0].servo.torque) == (0.0, 0.0)
     rig.run_for(DriveTarget.ENABLE, 0.3)
     assert rig.state.phase == DrivePhase.FAULT, "the fault is latched"
 
 
-@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
-def test_a_drive_that_sends_nothing_is_not_enabled(protocol, mode):
-    place, rig, _ = bench_of(protocol, mode, fault="mute")
-    assert jog_drive(rig, goal_of(mode, 1.0)).failure
+@pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
+def test_a_drive_that_sends_nothing_is_not_enabled(protocol, drive_mode):
+    place, rig, _ = bench_of(protocol, drive_mode, drive_fault="mute")
+    assert jog_drive(rig, goal_of(drive_mode, 1.0)).failure
     assert place.bench.motors[0].theta == 0.0
 
 
@@ -197,14 +210,14 @@ def test_a_blocked_cia402_drive_reports_its_following_error():
     assert result.moved_rad == pytest.approx(0.0, abs=0.01)
 
 
-def stall_host(place, rig, after_s, missed):
+def stall_host(virtual_bench, rig, after_s, missed_ticks):
     """Let the host miss consecutive ticks, ``after_s`` seconds after the drive was enabled.
 
     Return the time [ns] and the command of all ticks in which the drive is enabled.
     """
-    wait, advance_drive = place.wait, rig.drive.advance
+    wait, advance_drive = virtual_bench.wait, rig.drive.advance
     commands = []
-    stalls = [missed]
+    stalls = [missed_ticks]
 
     class NotedDrive:
         """Drive that stores the commands of the host."""
@@ -224,31 +237,35 @@ def stall_host(place, rig, after_s, missed):
             for n in range(stalls.pop()):
                 wait(k + n)
                 command = commands[-1][1]
-                place.send(advance_drive(rig.state, rig.t_ns, DriveTarget.ENABLE, command)[1])
-                place.pass_time(PERIOD_NS * 1e-9)
+                virtual_bench.send(
+                    advance_drive(rig.state, rig.t_ns, DriveTarget.ENABLE, command)[1]
+                )
+                virtual_bench.pass_time(PERIOD_NS * 1e-9)
         return wait(k)
 
-    drive, rig.drive, place.wait = rig.drive, NotedDrive(), wait_and_stall
+    drive, rig.drive, virtual_bench.wait = rig.drive, NotedDrive(), wait_and_stall
     return commands
 
 
-@pytest.mark.parametrize("missed", [1, 5, MAX_MISSED_TICKS])
+@pytest.mark.parametrize("missed_ticks", [1, 5, MAX_MISSED_TICKS])
 @pytest.mark.parametrize("after_s", [0.1, 1.98])
-@pytest.mark.parametrize("mode", [DriveMode.TORQUE, DriveMode.POSITION, DriveMode.VELOCITY])
-def test_a_ramp_keeps_its_time_although_ticks_are_missed(mode, after_s, missed):
+@pytest.mark.parametrize("drive_mode", [DriveMode.TORQUE, DriveMode.POSITION, DriveMode.VELOCITY])
+def test_a_ramp_keeps_its_time_although_ticks_are_missed(drive_mode, after_s, missed_ticks):
     """Reproduce a defect: after a stall of the host, the commands of all missed ticks were sent at once."""
     ramps = []
-    for stall in (0, missed):
-        place, rig, _ = bench_of("mit", mode)
+    for stall in (0, missed_ticks):
+        place, rig, _ = bench_of("mit", drive_mode)
         commands = stall_host(place, rig, after_s, stall)
-        target = {DriveMode.TORQUE: 0.005}.get(mode, 2.0)
-        goal = goal_of(mode, target)._replace(limits=MotionLimits(1e3, 10.0), max_travel_rad=1e4)
+        target = {DriveMode.TORQUE: 0.005}.get(drive_mode, 2.0)
+        goal = goal_of(drive_mode, target)._replace(
+            limits=MotionLimits(1e3, 10.0), max_travel_rad=1e4
+        )
         assert jog_drive(rig, goal).failure == ""
         ramps.append(commands)
     whole, ramp = ramps
     gaps = [after - before for (before, _), (after, _) in pairwise(ramp)]
     assert min(gaps) == PERIOD_NS, "no two commands in one period"
-    assert max(gaps) == (missed + 1) * PERIOD_NS
+    assert max(gaps) == (missed_ticks + 1) * PERIOD_NS
     at_time = dict(whole)
     late = gaps.index(max(gaps)) + 1
     # The command of the late tick was computed before the stall. All later commands follow the ramp
@@ -259,16 +276,16 @@ def test_a_ramp_keeps_its_time_although_ticks_are_missed(mode, after_s, missed):
     assert ramp[-1][1] == pytest.approx(whole[-1][1], abs=1e-6)
 
 
-@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
-def test_a_host_that_misses_too_many_ticks_ends_the_jog(protocol, mode):
+@pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
+def test_a_host_that_misses_too_many_ticks_ends_the_jog(protocol, drive_mode):
     """The jog ends because of the missed ticks.
 
     The watchdog of the drive cannot be the reason, because the drive gets commands during the
     stall.
     """
-    place, rig, _ = bench_of(protocol, mode)
+    place, rig, _ = bench_of(protocol, drive_mode)
     commands = stall_host(place, rig, 0.5, MAX_MISSED_TICKS + 1)
-    result = jog_drive(rig, goal_of(mode, 1.0))
+    result = jog_drive(rig, goal_of(drive_mode, 1.0))
     assert f"missed {MAX_MISSED_TICKS + 1} ticks in a row" in result.failure
     assert 0.4 < (commands[-1][0] - commands[0][0]) * 1e-9 < 0.7
     assert rig.confirm_off(0.05)
@@ -288,8 +305,8 @@ def test_the_host_ramp_has_no_jump_and_keeps_its_limits(distance, speed, acceler
 
 
 @pytest.mark.parametrize(
-    "limits", [MotionLimits(0.0, 1.0), MotionLimits(1.0, math.nan), MotionLimits(-1.0, 1.0)]
+    "motion_limits", [MotionLimits(0.0, 1.0), MotionLimits(1.0, math.nan), MotionLimits(-1.0, 1.0)]
 )
-def test_limits_are_positive(limits):
+def test_limits_are_positive(motion_limits):
     with pytest.raises(ConfigError, match="more than 0"):
-        bench_of("mit", DriveMode.VELOCITY, limits=limits)
+        bench_of("mit", DriveMode.VELOCITY, motion_limits=motion_limits)

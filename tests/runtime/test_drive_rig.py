@@ -28,14 +28,14 @@ def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("protocol", OPTIONS_BY_PROTOCOL)
-@pytest.mark.parametrize("missed", [1, 3, 100])
-def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed: int) -> None:
+@pytest.mark.parametrize("missed_ticks", [1, 3, 100])
+def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed_ticks: int) -> None:
     """Reproduce a defect: after a stall of the host, the rig sent the commands of all missed ticks at once."""
     place = VirtualBench(protocol)
     rig = drive_rig_on(place, protocol, 0.1)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0)
     first = rig.k
-    place.pass_time((missed + 0.5) * PERIOD_NS * 1e-9)
+    place.pass_time((missed_ticks + 0.5) * PERIOD_NS * 1e-9)
     times = []
     send = place.send
     place.send = lambda frames: times.append(place.now_ns()) or send(frames)  # type: ignore[method-assign]
@@ -43,8 +43,8 @@ def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed: 
         rig.run_tick(DriveTarget.POLL)
     # The time before the first tick is the half period that remains after the deadline of this
     # tick.
-    assert [t_ns // PERIOD_NS for t_ns in times] == [first - 1 + missed + i for i in range(5)]
-    assert rig.t_ns == (first - 1 + missed + 5) * PERIOD_NS
+    assert [t_ns // PERIOD_NS for t_ns in times] == [first - 1 + missed_ticks + i for i in range(5)]
+    assert rig.t_ns == (first - 1 + missed_ticks + 5) * PERIOD_NS
     assert rig.missed_ticks == 0
 
 
@@ -82,10 +82,10 @@ def test_a_good_drive_is_confirmed_off_at_any_time_of_its_setup(protocol: str, t
     assert rig.confirm_off(0.05)
 
 
-@pytest.mark.parametrize("missed", [0, 6, 20])
+@pytest.mark.parametrize("missed_ticks", [0, 6, 20])
 @pytest.mark.parametrize("delay_ticks", [0, 1])
 def test_the_velocity_after_missed_ticks_is_that_of_the_shaft(
-    missed: int, delay_ticks: int
+    missed_ticks: int, delay_ticks: int
 ) -> None:
     """Reproduce a defect.
 
@@ -105,7 +105,7 @@ def test_the_velocity_after_missed_ticks_is_that_of_the_shaft(
     rig = drive_rig_on(place, "mit", 0.1)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 2.0)
     rig.run_for(DriveTarget.POLL, 0.1)
-    place.pass_time(missed * PERIOD_NS * 1e-9)
+    place.pass_time(missed_ticks * PERIOD_NS * 1e-9)
     speeds = []
     for _ in range(20):
         rig.run_tick(DriveTarget.POLL)

@@ -61,12 +61,12 @@ class ClosableDisplay:
         self.closed = True
 
 
-def raise_error(*words, **options):
+def raise_error(*arguments, **options):
     raise StartError
 
 
 @pytest.fixture
-def recorders(tmp_path, monkeypatch):
+def started_recorders(tmp_path, monkeypatch):
     """Return the list of all recorders that a test starts."""
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / "h"))
     started = []
@@ -90,57 +90,57 @@ def plan_and_controller(tmp_path, start_display):
     return path, plan, run.make_controller(plan, TaskProgram(load_task(task)), None, True)
 
 
-def check_closed(recorder: Recorder, log: Path) -> None:
+def check_closed(recorder: Recorder, log_path: Path) -> None:
     """Check that a recorder process has ended, and that its log has an end mark."""
     assert recorder._child.poll() is not None
-    assert scan_path(log).complete
+    assert scan_path(log_path).complete
 
 
-def check_failed_lockstep_run(recorders, folder, start_display):
+def check_failed_lockstep_run(started_recorders, work_folder, start_display):
     """Check that a run in lockstep closes its recorder if its display fails."""
-    path, plan, controller = plan_and_controller(folder, start_display)
-    log = folder / "run.mcap"
+    path, plan, controller = plan_and_controller(work_folder, start_display)
+    log = work_folder / "run.mcap"
     with (
         SimulatorSettings(path, homed=True).lockstep_clock(plan.period_ns) as clock,
         pytest.raises(StartError),
     ):
         run.run_lockstep(plan, controller, log, clock)
-    (recorder,) = recorders
+    (recorder,) = started_recorders
     check_closed(recorder, log)
 
 
-@pytest.mark.parametrize("failing", ["display", "view", "handlers"])
+@pytest.mark.parametrize("failing_step", ["display", "view", "handlers"])
 def test_a_live_run_that_does_not_start_closes_its_recorder(
-    failing, recorders, tmp_path, monkeypatch
+    failing_step, started_recorders, tmp_path, monkeypatch
 ):
     buses = []
     monkeypatch.setattr(run, "open_bus", lambda *words: buses.append(ClosableBus()) or buses[-1])
     display = ClosableDisplay()
-    if failing == "view":
+    if failing_step == "view":
         monkeypatch.setattr(run, "_start_view", raise_error)
-    if failing == "handlers":
+    if failing_step == "handlers":
         monkeypatch.setattr(StopSignals, "handlers_installed", raise_error)
     _, plan, controller = plan_and_controller(
-        tmp_path, raise_error if failing == "display" else lambda plan: display
+        tmp_path, raise_error if failing_step == "display" else lambda plan: display
     )
     plan = replace(plan, buses=("local:x",))
     log = tmp_path / "run.mcap"
     with pytest.raises(StartError):
-        run.run_live(plan, controller, log, live_view=failing == "view")
-    (recorder,) = recorders
+        run.run_live(plan, controller, log, live_view=failing_step == "view")
+    (recorder,) = started_recorders
     check_closed(recorder, log)
-    assert display.closed == (failing != "display")
+    assert display.closed == (failing_step != "display")
     assert [bus.closed for bus in buses] == [True]
 
 
-def test_a_lockstep_run_that_does_not_start_closes_its_recorder(recorders, tmp_path):
-    check_failed_lockstep_run(recorders, tmp_path, raise_error)
+def test_a_lockstep_run_that_does_not_start_closes_its_recorder(started_recorders, tmp_path):
+    check_failed_lockstep_run(started_recorders, tmp_path, raise_error)
 
 
-def test_a_display_that_does_not_close_leaves_no_recorder(recorders, tmp_path):
+def test_a_display_that_does_not_close_leaves_no_recorder(started_recorders, tmp_path):
     display = ClosableDisplay()
     display.close = raise_error
-    check_failed_lockstep_run(recorders, tmp_path, lambda plan: display)
+    check_failed_lockstep_run(started_recorders, tmp_path, lambda plan: display)
 
 
 def test_bus_watch_closes_the_first_bus_if_the_second_does_not_open(tmp_path, monkeypatch, capsys):

@@ -26,7 +26,7 @@ def test_tips_and_angles_are_inverse_to_each_other():
 
 
 @pytest.mark.parametrize(
-    ("positions", "text"),
+    ("tip_positions", "expected_message"),
     [
         (np.zeros((2, 3)), r"positions of shape \(2, 3\); expected \(4, 3\)"),
         (
@@ -38,15 +38,15 @@ def test_tips_and_angles_are_inverse_to_each_other():
         ({"index": 3.0}, "for index"),
     ],
 )
-def test_wrong_positions_are_refused(positions, text):
-    with pytest.raises(ConfigError, match=text):
-        Fingertips(HAND).angles_deg(positions)
+def test_wrong_positions_are_refused(tip_positions, expected_message):
+    with pytest.raises(ConfigError, match=expected_message):
+        Fingertips(HAND).angles_deg(tip_positions)
 
 
-@pytest.mark.parametrize("digits", [["pinky"], ["index", "index"]])
-def test_wrong_digits_are_refused(digits):
+@pytest.mark.parametrize("digit_names", [["pinky"], ["index", "index"]])
+def test_wrong_digits_are_refused(digit_names):
     with pytest.raises(ConfigError, match="no digit on the palm, or twice"):
-        Fingertips(HAND, digits)
+        Fingertips(HAND, digit_names)
 
 
 class StreamOwner:

@@ -53,17 +53,17 @@ def small_disk(work_folder):
     subprocess.run(["umount", str(made)], check=True)
 
 
-def fill_disk(path):
+def fill_disk(file_path):
     """Fill the disk completely with a file."""
-    with path.open("wb", buffering=0) as file, contextlib.suppress(OSError):
+    with file_path.open("wb", buffering=0) as file, contextlib.suppress(OSError):
         while True:
             file.write(bytes(1 << 20))
-    with path.open("ab", buffering=0) as file, contextlib.suppress(OSError):
+    with file_path.open("ab", buffering=0) as file, contextlib.suppress(OSError):
         while True:
             file.write(bytes(4096))
 
 
-def seconds_until(process, word, timeout_s=20.0):
+def seconds_until(process, awaited_word, timeout_s=20.0):
     """Wait until a run prints a given word to standard error.
 
     Return the duration of the wait [s].
@@ -73,13 +73,15 @@ def seconds_until(process, word, timeout_s=20.0):
     while time.monotonic() - start < timeout_s:
         if select.select([process.stderr], [], [], 0.1)[0]:
             output += os.read(process.stderr.fileno(), 1 << 16)
-            if word in output:
+            if awaited_word in output:
                 return time.monotonic() - start
     raise AssertionError(output.decode())
 
 
-def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(work_folder, small_disk, scale):
-    simulated = start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale)
+def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(
+    work_folder, small_disk, scale_options
+):
+    simulated = start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale_options)
     words = (
         "--hand",
         "jamia",
@@ -89,7 +91,7 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(work_folder, sma
         "c.toml",
         "--task",
         "long.toml",
-        *scale,
+        *scale_options,
     )
     process = start_handctl("run", *words, "--log", str(small_disk / "run.mcap"))
     watcher = StatusWatcher(LOCAL_BUS)

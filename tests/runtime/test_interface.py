@@ -8,17 +8,21 @@ from handctl.runtime.buses.interface import rate_difference, wrong_rate_text
 from handctl.runtime.buses.link import parse_link
 
 
-def ip_output(nominal: int | None, data: int | None) -> str:
+def ip_output(nominal_bit_rate: int | None, data_bit_rate: int | None) -> str:
     """Return the output of iproute2 6.1 (shortened) about a CAN interface with given bit rates."""
-    info = {} if nominal is None else {"state": "ERROR-ACTIVE", "bittiming": {"bitrate": nominal}}
-    info |= {} if data is None else {"data_bittiming": {"bitrate": data}}
+    info = (
+        {}
+        if nominal_bit_rate is None
+        else {"state": "ERROR-ACTIVE", "bittiming": {"bitrate": nominal_bit_rate}}
+    )
+    info |= {} if data_bit_rate is None else {"data_bittiming": {"bitrate": data_bit_rate}}
     return json.dumps(
         [{"ifname": "can0", "mtu": 72, "linkinfo": {"info_kind": "can", "info_data": info}}]
     )
 
 
 @pytest.mark.parametrize(
-    ("nominal", "data", "required", "text"),
+    ("nominal_bit_rate", "data_bit_rate", "required_bit_rate", "expected_message"),
     [
         (None, None, None, ""),
         (1_000_000, None, None, ""),
@@ -35,13 +39,16 @@ def ip_output(nominal: int | None, data: int | None) -> str:
     ],
 )
 def test_a_bit_rate_other_than_the_hand_files_is_reported(
-    nominal: int | None, data: int | None, required: int | None, text: str
+    nominal_bit_rate: int | None,
+    data_bit_rate: int | None,
+    required_bit_rate: int | None,
+    expected_message: str,
 ) -> None:
-    link = parse_link(ip_output(nominal, data))
+    link = parse_link(ip_output(nominal_bit_rate, data_bit_rate))
     assert link
-    line = rate_difference("can0", link, 1_000_000, required)
-    assert text in line
-    assert bool(line) == bool(text)
+    line = rate_difference("can0", link, 1_000_000, required_bit_rate)
+    assert expected_message in line
+    assert bool(line) == bool(expected_message)
 
 
 def test_a_missing_interface_has_no_wrong_rate() -> None:

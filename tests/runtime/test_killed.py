@@ -16,9 +16,11 @@ CONTROLLER_COUNT = 500 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 8
 TIME_SCALE = 0.7
 
 
-def all_batches(times, seed, scale):
-    """Kill or stop ``times`` controllers, and return the verdict on each run."""
-    return [run for batch in disturb_in_batches(times, seed, scale) for run in batch]
+def all_batches(controller_count, seed, time_scale):
+    """Kill or stop ``controller_count`` controllers, and return the verdict on each run."""
+    return [
+        run for batch in disturb_in_batches(controller_count, seed, time_scale) for run in batch
+    ]
 
 
 @pytest.mark.timeout(300 + 15 * CONTROLLER_COUNT)

@@ -19,24 +19,25 @@ from handctl.runtime.diagnostics.link_findings import (
 MEGABIT_PER_S = 1_000_000
 
 
-def link_json(**changes) -> str:
+def link_json(**changed_values) -> str:
     """Return the output of ``ip -details -statistics -json`` about a good CAN interface, with some values changed."""
     data = {
         "state": "ERROR-ACTIVE",
         "berr_counter": {"tx": 0, "rx": 0},
         "restart_ms": 100,
         "bittiming": {"bitrate": MEGABIT_PER_S, "sample_point": "0.875"},
-    } | changes.get("data", {})
+    } | changed_values.get("data", {})
     link = {
         "ifname": "can0", "flags": ["NOARP", "UP", "LOWER_UP", "ECHO"], "mtu": 16, "txqlen": 128, "link_type": "can",
-        "linkinfo": {"info_kind": "can", "info_data": data, "info_xstats": changes.get("xstats", {"bus_off": 0})},
+        "linkinfo": {"info_kind": "can", "info_data": data,
+                     "info_xstats": changed_values.get("xstats", {"bus_off": 0})},
         "stats64": {"rx": {"dropped": 0}, "tx": {"dropped": 0}},
     }  # fmt: skip
-    return json.dumps([link | changes.get("link", {})])
+    return json.dumps([link | changed_values.get("link", {})])
 
 
-def bad_findings(text, data_bitrate=None):
-    link = parse_link(text)
+def bad_findings(ip_output, data_bitrate=None):
+    link = parse_link(ip_output)
     assert link is not None
     return [
         finding
@@ -52,7 +53,7 @@ def test_a_good_interface_has_only_good_findings():
 
 
 @pytest.mark.parametrize(
-    ("changes", "what", "fix"),
+    ("changed_values", "finding_subject", "correction"),
     [
         ({"link": {"flags": ["NOARP"]}}, "is down", "sudo ip link set can0 up"),
         (
@@ -73,10 +74,12 @@ def test_a_good_interface_has_only_good_findings():
         ({"link": {"stats64": {"tx": {"dropped": 9}}}}, "9 dropped transmit frames", "after a run"),
     ],
 )
-def test_each_finding_names_the_command_that_corrects_it(changes, what, fix):
-    (finding,) = bad_findings(link_json(**changes))
-    assert what in finding.observation
-    assert fix in finding.fix
+def test_each_finding_names_the_command_that_corrects_it(
+    changed_values, finding_subject, correction
+):
+    (finding,) = bad_findings(link_json(**changed_values))
+    assert finding_subject in finding.observation
+    assert correction in finding.fix
 
 
 def test_missing_fd_is_found_where_the_hand_needs_it():
@@ -107,22 +110,22 @@ def test_a_missing_interface_comes_with_the_command():
     assert "type vcan" in missing_interface_finding("vcan3", MEGABIT_PER_S, None).fix
 
 
-@pytest.mark.parametrize("text", ["", "[]", "Device does not exist", "{"])
-def test_invalid_output_of_ip_is_no_link(text):
-    assert parse_link(text) is None
+@pytest.mark.parametrize("ip_output", ["", "[]", "Device does not exist", "{"])
+def test_invalid_output_of_ip_is_no_link(ip_output):
+    assert parse_link(ip_output) is None
 
 
-def usb_interface(folder, driver="gs_usb", speed="12", serial="0042"):
+def usb_interface(folder, driver_name="gs_usb", usb_speed="12", serial_number="0042"):
     """Make a folder like /sys/class/net.
 
     The only interface in the folder is can0, which belongs to a USB adapter.
     """
     usb = folder / "usb1" / "1-1"
     (usb / "1-1:1.0").mkdir(parents=True)
-    (folder / "drivers" / driver).mkdir(parents=True)
-    (usb / "1-1:1.0" / "driver").symlink_to(folder / "drivers" / driver)
-    (usb / "speed").write_text(f"{speed}\n")
-    (usb / "serial").write_text(f"{serial}\n")
+    (folder / "drivers" / driver_name).mkdir(parents=True)
+    (usb / "1-1:1.0" / "driver").symlink_to(folder / "drivers" / driver_name)
+    (usb / "speed").write_text(f"{usb_speed}\n")
+    (usb / "serial").write_text(f"{serial_number}\n")
     (folder / "net" / "can0").mkdir(parents=True)
     (folder / "net" / "can0" / "device").symlink_to(usb / "1-1:1.0")
     return folder / "net"
@@ -145,7 +148,7 @@ def test_a_controller_without_usb_has_no_speed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("adapter", "kind", "good", "said"),
+    ("adapter_facts", "adapter_kind", "is_good", "expected_message"),
     [
         (UsbAdapter("gs_usb", 12.0, "0042"), "can", True, "at most 333 Hz"),
         (UsbAdapter("peak_usb", 480.0, "1"), "can", True, "USB 480 Mbit/s"),
@@ -154,9 +157,13 @@ def test_a_controller_without_usb_has_no_speed(tmp_path):
         (None, "slcan", False, "serial line"),
     ],
 )
-def test_each_adapter_type_has_a_finding(adapter, kind, good, said):
-    last = adapter_findings("can0", adapter, kind, [])[-1]
-    assert (last.good, said in last.observation, bool(last.fix)) == (good, True, not good)
+def test_each_adapter_type_has_a_finding(adapter_facts, adapter_kind, is_good, expected_message):
+    last = adapter_findings("can0", adapter_facts, adapter_kind, [])[-1]
+    assert (last.good, expected_message in last.observation, bool(last.fix)) == (
+        is_good,
+        True,
+        not is_good,
+    )
 
 
 def test_a_virtual_interface_has_no_adapter():

@@ -33,9 +33,9 @@ PROTOCOL_CASES = [
 ]
 
 
-@pytest.mark.parametrize(("protocol", "wire"), PROTOCOL_CASES)
+@pytest.mark.parametrize(("protocol", "wire_words"), PROTOCOL_CASES)
 def test_a_run_after_another_one_finds_drives_that_were_disarmed(
-    protocol: str, wire: list[str] | None, tmp_path: Path
+    protocol: str, wire_words: list[str] | None, tmp_path: Path
 ) -> None:
     path = hand_file(tmp_path, [protocol])
     task = tmp_path / "short.toml"
@@ -44,7 +44,9 @@ def test_a_run_after_another_one_finds_drives_that_were_disarmed(
     rate = default_rate(hand)
     plan = RunPlan(hand, Gains(), rate, (0.5,))
     failures = []
-    with SimulatorSettings(path, homed=True, wire=wire).lockstep_clock(plan.period_ns) as clock:
+    with SimulatorSettings(path, homed=True, wire=wire_words).lockstep_clock(
+        plan.period_ns
+    ) as clock:
         for number in range(RUN_COUNT):
             controller = make_controller(plan, TaskProgram(load_task(task)), None, True)
             failures.append(

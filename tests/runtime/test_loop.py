@@ -38,8 +38,8 @@ class ScriptedClock:
     def start(self) -> None:
         self.began += 1
 
-    def wait(self, k: int) -> int:
-        self.waits.append(k)
+    def wait(self, tick_index: int) -> int:
+        self.waits.append(tick_index)
         return self.late.pop(0) if self.late else 0
 
     def now_ns(self) -> int:
@@ -58,22 +58,22 @@ class FakeBus:
 
     index: int = 0
     capacity: int = 1000
-    waiting: list[list[Frame]] = field(default_factory=list)
+    frames_by_tick: list[list[Frame]] = field(default_factory=list)
     sent: list[tuple[Frame, ...]] = field(default_factory=list)
-    happened: list[tuple[str, str, int]] = field(default_factory=list)
+    pending_events: list[tuple[str, str, int]] = field(default_factory=list)
     drains: int = 0
 
     def drain(self) -> Frames:
         self.drains += 1
-        return frames_as_records(self.waiting.pop(0) if self.waiting else ())
+        return frames_as_records(self.frames_by_tick.pop(0) if self.frames_by_tick else ())
 
     def send(self, frames: Sequence[Frame]) -> int:
         self.sent.append(tuple(frames[: self.capacity]))
         return min(len(frames), self.capacity)
 
     def take_events(self) -> list[tuple[str, str, int]]:
-        events = self.happened
-        self.happened = []
+        events = self.pending_events
+        self.pending_events = []
         return events
 
 
@@ -179,7 +179,7 @@ def test_only_ticks_run_with_realtime_priority() -> None:
 
 
 @pytest.mark.parametrize(
-    ("late", "ticks", "missed", "left"),
+    ("lateness_by_tick", "executed_ticks", "missed_ticks", "remaining_lateness"),
     [
         ([0, PERIOD_NS - 1], [0, 1, 2, 3], 0, [0, PERIOD_NS - 1, 0, 0]),
         ([0, PERIOD_NS], [0, 2, 3, 4], 1, [0, 0, 0, 0]),
@@ -189,16 +189,19 @@ def test_only_ticks_run_with_realtime_priority() -> None:
     ],
 )
 def test_missed_deadlines_are_skipped_and_counted_never_caught_up(
-    late: list[int], ticks: list[int], missed: int, left: list[int]
+    lateness_by_tick: list[int],
+    executed_ticks: list[int],
+    missed_ticks: int,
+    remaining_lateness: list[int],
 ) -> None:
-    run = RecordedLoop(ticks=4, clock=ScriptedClock(list(late)))
+    run = RecordedLoop(ticks=4, clock=ScriptedClock(list(lateness_by_tick)))
     run.go()
-    assert [entry.k for entry, _ in run.recorded] == ticks
-    assert [entry.t_ns for entry, _ in run.recorded] == [k * PERIOD_NS for k in ticks]
-    assert [entry.late_ns for entry, _ in run.recorded] == left
-    assert run.loop.stats.missed_ticks == missed
+    assert [entry.k for entry, _ in run.recorded] == executed_ticks
+    assert [entry.t_ns for entry, _ in run.recorded] == [k * PERIOD_NS for k in executed_ticks]
+    assert [entry.late_ns for entry, _ in run.recorded] == remaining_lateness
+    assert run.loop.stats.missed_ticks == missed_ticks
     assert run.loop.stats.ticks == 4
-    assert list(run.loop.stats.tick_lateness_ns) == (late + [0] * 4)[:4], (
+    assert list(run.loop.stats.tick_lateness_ns) == (lateness_by_tick + [0] * 4)[:4], (
         "the statistics have the measured lateness"
     )
     waits = run.clock.waits
@@ -209,8 +212,8 @@ def test_received_frames_enter_one_tick_in_order() -> None:
     old = Frame(1, b"old")
     first = Frame(1, b"1")
     second = Frame(2, b"2", bus=1)
-    left = FakeBus(waiting=[[old], [first], []], happened=[("dropped", "a", 3)])
-    right = FakeBus(1, waiting=[[], [second]])
+    left = FakeBus(frames_by_tick=[[old], [first], []], pending_events=[("dropped", "a", 3)])
+    right = FakeBus(1, frames_by_tick=[[], [second]])
     run = RecordedLoop(
         3,
         buses=[left, right],
@@ -259,7 +262,7 @@ def raise_error(*_: object) -> None:
 
 
 @pytest.mark.parametrize(
-    "stage",
+    "failing_stage",
     [
         "tick",
         "record_tick",
@@ -275,31 +278,33 @@ def raise_error(*_: object) -> None:
         "take_events",
     ],
 )
-def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
+def test_any_error_cuts_the_drives_and_is_raised_again(failing_stage: str) -> None:
     left = FakeBus()
     right = FakeBus(1)
     run = RecordedLoop(5, buses=[left, right], frames=(Frame(9, b"torque"),))
-    if stage == "tick":
+    if failing_stage == "tick":
         run.fail = lambda entry: raise_error() if entry.k == 2 else None
-    elif hasattr(run.loop, stage):
-        setattr(run.loop, stage, raise_error)
+    elif hasattr(run.loop, failing_stage):
+        setattr(run.loop, failing_stage, raise_error)
     else:
-        owner = run.clock if stage == "wait" else left
-        whole = getattr(owner, stage)
-        setattr(owner, stage, lambda *words: raise_error() if run.recorded else whole(*words))
+        owner = run.clock if failing_stage == "wait" else left
+        whole = getattr(owner, failing_stage)
+        setattr(
+            owner, failing_stage, lambda *words: raise_error() if run.recorded else whole(*words)
+        )
     # the frames that disable the drives were not sent
-    with pytest.raises(PowerError if stage == "send" else StageError):
+    with pytest.raises(PowerError if failing_stage == "send" else StageError):
         run.go()
     assert right.sent[-1] == (CUT_FRAMES[1],)
-    if stage != "send":
+    if failing_stage != "send":
         assert left.sent[-1] == (CUT_FRAMES[0],)
     assert gc.isenabled()
 
 
-def poll_times(run: RecordedLoop, answers: list[tuple[str, ...]]) -> list[int]:
+def times_of_polls(recorded_loop: RecordedLoop, motors_by_poll: list[tuple[str, ...]]) -> list[int]:
     """Let a loop fail in its third tick, and return the times at which it then polled the drives [ns].
 
-    ``answers`` lists, for each poll, the drives that have not confirmed that they are disabled.
+    ``motors_by_poll`` lists, for each poll, the drives that have not confirmed that they are disabled.
     """
     times: list[int] = []
 
@@ -307,17 +312,21 @@ def poll_times(run: RecordedLoop, answers: list[tuple[str, ...]]) -> list[int]:
         state: int, t_ns: int, heard: list[Frame]
     ) -> tuple[int, tuple[Frame, ...], tuple[str, ...]]:
         times.append(t_ns)
-        return state, (Frame(3, b"off"),), answers.pop(0) if answers else ("index", "thumb")
+        return (
+            state,
+            (Frame(3, b"off"),),
+            motors_by_poll.pop(0) if motors_by_poll else ("index", "thumb"),
+        )
 
-    run.loop.disable_drives = let_go
-    run.fail = lambda entry: raise_error() if entry.k == 2 else None
-    run.go()
+    recorded_loop.loop.disable_drives = let_go
+    recorded_loop.fail = lambda entry: raise_error() if entry.k == 2 else None
+    recorded_loop.go()
     return times
 
 
-@pytest.mark.parametrize("stage", ["send", "publish_tick"])
+@pytest.mark.parametrize("failing_stage", ["send", "publish_tick"])
 def test_an_error_after_the_commands_disables_from_the_state_with_these_commands(
-    stage: str,
+    failing_stage: str,
 ) -> None:
     """Reproduce a defect.
 
@@ -341,7 +350,7 @@ def test_an_error_after_the_commands_disables_from_the_state_with_these_commands
         return 0
 
     run.loop.disable_drives = disable
-    if stage == "send":
+    if failing_stage == "send":
         bus.send = fail_once  # type: ignore[method-assign]
     else:
         run.loop.publish_tick = fail_once  # type: ignore[assignment]
@@ -354,7 +363,7 @@ def test_after_an_error_drives_are_polled_until_each_reports_off() -> None:
     bus = FakeBus()
     answers = [("index", "thumb"), ("thumb",), ()]
     with pytest.raises(StageError):
-        poll_times(RecordedLoop(5, buses=[bus]), answers)
+        times_of_polls(RecordedLoop(5, buses=[bus]), answers)
     assert answers == []
     assert [sent for sent in bus.sent if sent] == [
         CUT_FRAMES,
@@ -368,7 +377,7 @@ def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
     with pytest.raises(
         PowerError, match="REMOVE POWER: not confirmed disabled: index, thumb"
     ) as message:
-        poll_times(run, [])
+        times_of_polls(run, [])
     assert isinstance(message.value.__cause__, StageError)
     assert len(run.clock.waits) == 3 + 501, "half a second of ticks"
 
@@ -427,9 +436,9 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
     assert right.sent.count((CUT_FRAMES[1],)) == 1
 
 
-@pytest.mark.parametrize("refusing", [0, 1])
+@pytest.mark.parametrize("refusing_bus", [0, 1])
 def test_a_bus_that_refuses_every_cut_delays_no_other(
-    refusing: int, monkeypatch: pytest.MonkeyPatch
+    refusing_bus: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A bus that refuses the disabling frames is tried again for a limited time.
 
@@ -439,7 +448,7 @@ def test_a_bus_that_refuses_every_cut_delays_no_other(
     monkeypatch.setattr(loop.time, "sleep", pauses.append)
     tries: list[tuple[int, int]] = []
     buses = [FakeBus(), FakeBus(1)]
-    buses[refusing].capacity = 0
+    buses[refusing_bus].capacity = 0
     for index, bus in enumerate(buses):
 
         def send(
@@ -456,10 +465,10 @@ def test_a_bus_that_refuses_every_cut_delays_no_other(
     run.fail = lambda entry: raise_error() if entry.k == 2 else None
     with pytest.raises(StageError):
         run.go()
-    other = 1 - refusing
+    other = 1 - refusing_bus
     assert [pause for index, pause in tries if index == other] == [0]
     assert buses[other].sent[-1] == (CUT_FRAMES[other],)
-    assert [pause for index, pause in tries if index == refusing] == list(
+    assert [pause for index, pause in tries if index == refusing_bus] == list(
         range(loop.CUT_SEND_TRIES)
     )
 
@@ -473,17 +482,17 @@ def test_a_failed_tick_sends_nothing_else() -> None:
     assert [entry.k for entry, _ in run.recorded] == [0, 1]
 
 
-@pytest.mark.parametrize("failing", [False, True])
-def test_garbage_collection_is_off_in_the_loop_only(failing: bool) -> None:
+@pytest.mark.parametrize("with_failure", [False, True])
+def test_garbage_collection_is_off_in_the_loop_only(with_failure: bool) -> None:
     seen = []
     run = RecordedLoop(3)
     run.fail = lambda entry: (
         seen.append((gc.isenabled(), gc.get_freeze_count() > 0))
-        or (raise_error() if failing and entry.k else None)
+        or (raise_error() if with_failure and entry.k else None)
     )
     before = gc.get_freeze_count()
     assert gc.isenabled()
-    if failing:
+    if with_failure:
         with pytest.raises(StageError):
             run.go()
     else:

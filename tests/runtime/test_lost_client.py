@@ -23,37 +23,37 @@ from tests.runtime.processes import LOCAL_BUS, READY_TIMEOUT_S
 
 REALTIME = pytest.mark.realtime
 LEASE_S = 0.6
-HELD_N = 12.0
+HELD_TENSION_N = 12.0
 CLIENT_PROGRAM = f"""
 import handctl, time
 with handctl.connect("jamia", {LOCAL_BUS!r}, **{{options}}) as hand:
-    hand.hold(index={HELD_N})
+    hand.hold(index={HELD_TENSION_N})
     hand.wait_for(phase="live")
     print("held", flush=True)
     time.sleep(100)
 """
 
 
-def start_holding_client(**options):
+def start_holding_client(**connect_options):
     """Start another client in a separate process.
 
     This client requests a tension, and then does nothing.
     """
-    command = [sys.executable, "-c", CLIENT_PROGRAM.format(options=options)]
+    command = [sys.executable, "-c", CLIENT_PROGRAM.format(options=connect_options)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert select.select([process.stdout], [], [], READY_TIMEOUT_S)[0]
     assert process.stdout.readline() == "held\n"
     return process
 
 
-def wait_for_end(client, seconds):
+def wait_for_end(client, timeout_s):
     """Wait until the run ends, and return the reason why it ended.
 
-    The wait takes at most ``seconds`` on the clock of the hand.
+    The wait takes at most ``timeout_s`` on the clock of the hand.
     """
     start = client.observe().t_s
     try:
-        while client.observe().t_s < start + seconds:
+        while client.observe().t_s < start + timeout_s:
             time.sleep(0.02)
     except DriveError as error:
         return str(error)
@@ -62,26 +62,28 @@ def wait_for_end(client, seconds):
 
 @REALTIME
 @pytest.mark.parametrize(
-    "how",
+    "client_end",
     ["suspended", *[pytest.param(how, marks=pytest.mark.nightly) for how in ("killed", "hangs")]],
 )
-def test_a_lost_client_makes_the_hand_relax(work_folder, hand, calibrated, scale, how):
+def test_a_lost_client_makes_the_hand_relax(
+    work_folder, hand_truth_file, calibration_options, scale_options, client_end
+):
     """Reproduce a defect: without a time limit, the hand kept the tension of a client that was lost."""
-    factor = float(scale[1])
+    factor = float(scale_options[1])
     client = library.connect(
-        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
     ).open()
     try:
         other = start_holding_client(
-            lease_s=LEASE_S, **({"watchdog_s": LEASE_S} if how == "hangs" else {})
+            lease_s=LEASE_S, **({"watchdog_s": LEASE_S} if client_end == "hangs" else {})
         )
         try:
-            if how != "hangs":
+            if client_end != "hangs":
                 time.sleep(3.0 * LEASE_S / factor)
                 assert client.observe(wait=True).named("tension_N")[
                     "index_tendon"
-                ] == pytest.approx(HELD_N, abs=2.0)
-                other.send_signal(signal.SIGKILL if how == "killed" else signal.SIGSTOP)
+                ] == pytest.approx(HELD_TENSION_N, abs=2.0)
+                other.send_signal(signal.SIGKILL if client_end == "killed" else signal.SIGSTOP)
             said = wait_for_end(client, 8.0 * LEASE_S)
         finally:
             other.kill()
@@ -99,35 +101,37 @@ def test_a_lost_client_makes_the_hand_relax(work_folder, hand, calibrated, scale
         assert not [
             row for row in log.events if row.event.name == "request" and "alive" in row.event.text
         ]
-    tension = read_truth(hand).column("tension/index_tendon")
-    assert tension.max() > HELD_N - 3.0
+    tension = read_truth(hand_truth_file).column("tension/index_tendon")
+    assert tension.max() > HELD_TENSION_N - 3.0
     assert tension[-10:].max() < 6.0
 
 
 @REALTIME
 @pytest.mark.nightly
-def test_a_program_that_waits_keeps_its_hold(work_folder, hand, calibrated, scale):
+def test_a_program_that_waits_keeps_its_hold(
+    work_folder, hand_truth_file, calibration_options, scale_options
+):
     """A thread of the client renews its lease while the program waits.
 
     A client without a lease sends no signs of life.
     """
-    factor = float(scale[1])
-    options = ("--calibration", "c.toml", "--log", "live.mcap", *scale)
+    factor = float(scale_options[1])
+    options = ("--calibration", "c.toml", "--log", "live.mcap", *scale_options)
     with library.connect("jamia", LOCAL_BUS, *options, lease_s=LEASE_S) as client:
-        client.hold(index=HELD_N)
+        client.hold(index=HELD_TENSION_N)
         time.sleep(4.0 * LEASE_S / factor)
         assert client.observe(wait=True).mode == "ACTIVE"
         client.hold()
         with library.connect("jamia", LOCAL_BUS, lease_s=None) as other:
             other.take_over()
-            other.hold(index=HELD_N)
+            other.hold(index=HELD_TENSION_N)
             time.sleep(4.0 * LEASE_S / factor)
             assert client.observe(wait=True).mode == "ACTIVE"
     assert client.result["failure"] == ""
 
 
 @pytest.mark.parametrize(
-    ("options", "line"),
+    ("request_options", "expected_message"),
     [
         ({"lease_s": 0.1}, r"lease_s: 0.1; expected 0.2 to 3600 s, or None"),
         ({"lease_s": "2"}, r"lease_s: '2'; expected"),
@@ -136,9 +140,9 @@ def test_a_program_that_waits_keeps_its_hold(work_folder, hand, calibrated, scal
         ({"lease_s": None, "watchdog_s": 1.0}, r"watchdog_s: no lease; expected lease_s"),
     ],
 )
-def test_a_wrong_lease_is_one_line(options, line):
-    with pytest.raises(ConfigError, match=line):
-        library.connect("jamia", LOCAL_BUS, **options)
+def test_a_wrong_lease_is_one_line(request_options, expected_message):
+    with pytest.raises(ConfigError, match=expected_message):
+        library.connect("jamia", LOCAL_BUS, **request_options)
 
 
 def test_a_watchdog_stops_the_signs_of_life(work_folder):

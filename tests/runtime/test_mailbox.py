@@ -37,10 +37,10 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "run"
 
 
-def send_request(name: str, text: str) -> None:
+def send_request(bus_name: str, request_text: str) -> None:
     """Send a request to the mailbox of a bus without waiting for a reply, as any program of this user can."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
-        out.sendto(text.encode(), str(mailbox_path(name)))
+        out.sendto(request_text.encode(), str(mailbox_path(bus_name)))
 
 
 def test_requests_come_in_order_and_once() -> None:
@@ -97,9 +97,9 @@ def test_a_second_controller_is_refused_and_disturbs_nothing() -> None:
     other.close()
 
 
-@pytest.mark.parametrize("stage", ["unlink", "credentials", "bind"])
+@pytest.mark.parametrize("failing_stage", ["unlink", "credentials", "bind"])
 def test_a_mailbox_that_fails_leaves_no_lock_and_no_socket(
-    stage: str, monkeypatch: pytest.MonkeyPatch
+    failing_stage: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Reproduce a defect: a failed start did not release its lock.
 
@@ -108,9 +108,9 @@ def test_a_mailbox_that_fails_leaves_no_lock_and_no_socket(
     path = mailbox_path("local:x")
     open_before = set(os.listdir("/proc/self/fd"))
     with monkeypatch.context() as patch:
-        if stage == "unlink":
+        if failing_stage == "unlink":
             path.mkdir()
-        elif stage == "bind":
+        elif failing_stage == "bind":
             patch.setattr(Path, "unlink", lambda self, missing_ok: None)
             path.touch()
         else:
@@ -118,7 +118,7 @@ def test_a_mailbox_that_fails_leaves_no_lock_and_no_socket(
         with pytest.raises(BusError, match="cannot receive requests"):
             Mailbox("local:x")
     assert set(os.listdir("/proc/self/fd")) == open_before
-    if stage == "unlink":
+    if failing_stage == "unlink":
         path.rmdir()
     Mailbox("local:x").close()
 

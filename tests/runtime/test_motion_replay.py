@@ -14,7 +14,7 @@ import pytest
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import StatusWatcher
-from tests.replay.grasp_repetition import mean_angle_differences, tensions_held
+from tests.replay.grasp_repetition import mean_angle_differences, mean_held_tensions
 from tests.replay.short_runs import CYLINDER_SCENE
 from tests.runtime.processes import (
     LOCAL_BUS,
@@ -38,12 +38,12 @@ def work_folder(work_folder):
     return work_folder
 
 
-def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale):
+def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale_options):
     simulated = start_hand(
-        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale
+        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale_options
     )
     try:
-        words = ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml", *scale)
+        words = ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml", *scale_options)
         done = run_handctl(
             "replay", "drive", str(GOLDEN_LOG), *words, "--log", "again.mcap", "--json"
         )
@@ -63,13 +63,13 @@ def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale):
         apart = mean_angle_differences(before, after)
         assert np.percentile(apart, 99, axis=0).max() < 1.0
         assert apart.max() < 2.0, "a digit may leave the object one tick late"
-        old, new = tensions_held(before, after)
+        old, new = mean_held_tensions(before, after)
     np.testing.assert_allclose(new, old, rtol=0.05)
 
 
-def test_an_interrupted_replay_reports_its_progress(work_folder, scale):
+def test_an_interrupted_replay_reports_its_progress(work_folder, scale_options):
     simulated = start_hand(
-        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale
+        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale_options
     )
     words = (
         "--hand",
@@ -78,7 +78,7 @@ def test_an_interrupted_replay_reports_its_progress(work_folder, scale):
         LOCAL_BUS,
         "--calibration",
         "c.toml",
-        *scale,
+        *scale_options,
         "--log",
         "half.mcap",
         "--json",

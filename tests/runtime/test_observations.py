@@ -57,19 +57,19 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def numbers_of(k: int) -> PackedTelemetry:
+def telemetry_of_tick(tick_index: int) -> PackedTelemetry:
     """Return telemetry in which each number depends on the tick and on its own index."""
     places, first = TelemetryPlaces(), 0
     for name in TELEMETRY_FIELDS:
         places[name] = slice(first, first + AXIS_LENGTHS[TELEMETRY_AXES[name]])
         first = places[name].stop
-    return PackedTelemetry(1000.0 * k + np.arange(first), places)
+    return PackedTelemetry(1000.0 * tick_index + np.arange(first), places)
 
 
 NO_STREAM = StreamStatus()
 
 
-def ticks_of(reader: ObservationReader) -> list[int]:
+def unread_ticks(reader: ObservationReader) -> list[int]:
     """Return the ticks of all records that the reader has not yet read."""
     ticks = list[int]()
     while (record := reader.next_record()) is not None:
@@ -77,18 +77,24 @@ def ticks_of(reader: ObservationReader) -> list[int]:
     return ticks
 
 
-def write_observation(writer: ObservationWriter, k: int, status: StreamStatus = NO_STREAM) -> None:
+def write_observation(
+    writer: ObservationWriter, tick_index: int, status: StreamStatus = NO_STREAM
+) -> None:
     """Write the record of tick k into the ring of observations."""
-    out = TickOut((), HandMode.ACTIVE, "live", SafetyAction.WARN, numbers_of(k), (), bytes(8))
-    writer.write_record(TickIn(k, 2_000_000 * k, 7), out, status, time.monotonic_ns())
+    out = TickOut(
+        (), HandMode.ACTIVE, "live", SafetyAction.WARN, telemetry_of_tick(tick_index), (), bytes(8)
+    )
+    writer.write_record(
+        TickIn(tick_index, 2_000_000 * tick_index, 7), out, status, time.monotonic_ns()
+    )
 
 
-@pytest.mark.parametrize("code", [errno.ENOSPC, errno.ENOMEM, errno.EFBIG])
+@pytest.mark.parametrize("error_number", [errno.ENOSPC, errno.ENOMEM, errno.EFBIG])
 def test_a_full_disk_is_an_error_and_leaves_no_file(
-    code: int, monkeypatch: pytest.MonkeyPatch
+    error_number: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse_space(*_: int) -> None:
-        raise OSError(code, os.strerror(code))
+        raise OSError(error_number, os.strerror(error_number))
 
     monkeypatch.setattr(os, "posix_fallocate", refuse_space)
     with pytest.raises(BusError, match="cannot write observations"):
@@ -113,7 +119,7 @@ def test_a_record_comes_back_with_every_field() -> None:
     assert [record[name].item() for name in record.dtype.names or () if name.startswith("stream_")] == [
         5, 0.25, 6, 7, 8, 9, 10,
     ]  # fmt: skip
-    packed = numbers_of(41)
+    packed = telemetry_of_tick(41)
     np.testing.assert_array_equal(record["q_rad"], packed.q)
     np.testing.assert_array_equal(record["tip_force_sigma_N"], packed.tip_force_sigma)
     assert 0 <= time.monotonic_ns() - int(record["published_ns"]) < 5e9
@@ -121,13 +127,13 @@ def test_a_record_comes_back_with_every_field() -> None:
     writer.close()
 
 
-@pytest.mark.parametrize("name", ["jamia", "n_plus_1"])
-def test_an_observation_is_copied_pickled_and_listed(name: str) -> None:
+@pytest.mark.parametrize("attribute_name", ["jamia", "n_plus_1"])
+def test_an_observation_is_copied_pickled_and_listed(attribute_name: str) -> None:
     """Reproduce a defect: ``copy.copy`` and ``pickle`` ended in a RecursionError, and ``dir`` left out all fields.
 
     Programs put observations into queues of processes, and notebooks complete names with ``dir``.
     """
-    hand = load_hand(name)
+    hand = load_hand(attribute_name)
     axes = {"joint": len(hand.joints), "tendon": len(hand.tendon), "motor": len(hand.motor)}
     record = np.zeros((), observation_dtype(axes | {"digit": len(hand.digit)}))
     record["q_rad"] = np.arange(len(hand.joints))
@@ -146,10 +152,10 @@ def test_a_reader_gets_every_tick_once_and_a_late_one_misses_the_oldest() -> Non
     reader = ObservationReader("local:x")
     for k in range(10):
         write_observation(writer, k)
-    assert ticks_of(reader) == list(range(10))
+    assert unread_ticks(reader) == list(range(10))
     for k in range(10, 10 + 2 * RING_RECORDS):
         write_observation(writer, k)
-    late = ticks_of(reader)
+    late = unread_ticks(reader)
     assert late == list(range(10 + 2 * RING_RECORDS - len(late), 10 + 2 * RING_RECORDS))
     assert RING_RECORDS - 4 <= len(late) < RING_RECORDS
     reader.close()
@@ -263,7 +269,7 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
 
 
 @pytest.mark.parametrize(
-    "data",
+    "datagram",
     [
         b"", b"HCT1", b"x" * 1000, HEADER_STRUCT.pack(b"HCT0", 1, 1, 0, 0, 0),
         HEADER_STRUCT.pack(TARGET_MAGIC, 1, 1, 2, 0, 0) + bytes(8),
@@ -271,9 +277,9 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
         HEADER_STRUCT.pack(TARGET_MAGIC, 1, 1, 65, 0, 0) + bytes(8 * 65),
     ],
 )  # fmt: skip
-def test_a_datagram_of_another_form_is_dropped(data: bytes) -> None:
+def test_a_datagram_of_another_form_is_dropped(datagram: bytes) -> None:
     box, sender = TargetBox("local:x", int), TargetSender("local:x", 1, 1)
-    sender._socket.send(data)
+    sender._socket.send(datagram)
     assert box.read_targets() == ()
     sender._socket.send(
         HEADER_STRUCT.pack(TARGET_MAGIC, 1, 1, 1, 2**63 - 1, -(2**63)) + struct.pack("<d", 5.0)

@@ -30,23 +30,34 @@ from tests.runtime.processes import (
 pytestmark = pytest.mark.realtime
 
 
-def run_short(work_folder, processes, scale):
+def run_short_task(work_folder, started_processes, scale_options):
     """Commission a new simulated hand and run a short task.
 
     Return the result of ``handctl run`` and the path of its log.
     """
     truth = work_folder / "hand.truth"
     log = work_folder / "run.mcap"
-    processes.append(start_hand(truth, "--hand", "jamia", *scale))
-    words = ("--task", "short.toml", "--json", "--log", str(log), *scale, "--truth", str(truth))
-    processes.append(start_handctl("run", "--hand", "jamia", "--bus", LOCAL_BUS, *words))
-    result = process_result(processes.pop())
-    end_process(processes.pop())
+    started_processes.append(start_hand(truth, "--hand", "jamia", *scale_options))
+    words = (
+        "--task",
+        "short.toml",
+        "--json",
+        "--log",
+        str(log),
+        *scale_options,
+        "--truth",
+        str(truth),
+    )
+    started_processes.append(start_handctl("run", "--hand", "jamia", "--bus", LOCAL_BUS, *words))
+    result = process_result(started_processes.pop())
+    end_process(started_processes.pop())
     return result, log
 
 
-def test_a_run_commissions_moves_and_reports_its_result(work_folder, processes, scale):
-    (code, result, err), log = run_short(work_folder, processes, scale)
+def test_a_run_commissions_moves_and_reports_its_result(
+    work_folder, started_processes, scale_options
+):
+    (code, result, err), log = run_short_task(work_folder, started_processes, scale_options)
     assert code == 0, err
     assert err.startswith("commissioning jamia first: there is no jamia.calibration.toml")
     assert result["failure"] == ""
@@ -61,12 +72,19 @@ def test_a_run_commissions_moves_and_reports_its_result(work_folder, processes, 
     assert not [name for name in socket_names() if name.endswith(".requests")]
 
 
-def start_long(processes, calibrated, *more):
+def start_long_task(started_processes, calibration_options, *extra_options):
     """Start a run that stays in its last phase until it is stopped, and wait until it reaches this phase."""
     process = start_handctl(
-        "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *more
+        "run",
+        *calibration_options,
+        "--task",
+        "long.toml",
+        "--json",
+        "--log",
+        "run.mcap",
+        *extra_options,
     )
-    processes.append(process)
+    started_processes.append(process)
     watcher = StatusWatcher(LOCAL_BUS)
     try:
         wait_for_phase("stay", watcher, process)
@@ -75,9 +93,13 @@ def start_long(processes, calibrated, *more):
     return process
 
 
-def test_a_stop_from_another_process_ends_the_run(work_folder, hand, calibrated, processes, scale):
-    process = start_long(processes, calibrated, *scale)
-    second = run_handctl("run", *calibrated, "--task", "long.toml", *scale, "--log", "second.mcap")
+def test_a_stop_from_another_process_ends_the_run(
+    work_folder, hand_truth_file, calibration_options, started_processes, scale_options
+):
+    process = start_long_task(started_processes, calibration_options, *scale_options)
+    second = run_handctl(
+        "run", *calibration_options, "--task", "long.toml", *scale_options, "--log", "second.mcap"
+    )
     assert second.returncode == 1
     assert second.stderr.startswith(f"handctl: bus {LOCAL_BUS}: another controller runs here")
     assert second.stderr.count("\n") == 1
@@ -93,9 +115,9 @@ def test_a_stop_from_another_process_ends_the_run(work_folder, hand, calibrated,
 
 
 def test_the_first_ctrl_c_relaxes_disables_and_confirms(
-    work_folder, hand, calibrated, processes, scale
+    work_folder, hand_truth_file, calibration_options, started_processes, scale_options
 ):
-    process = start_long(processes, calibrated, *scale)
+    process = start_long_task(started_processes, calibration_options, *scale_options)
     process.send_signal(signal.SIGINT)
     code, result, err = process_result(process)
     assert (code, result["failure"]) == (0, ""), err
@@ -112,8 +134,10 @@ def test_the_first_ctrl_c_relaxes_disables_and_confirms(
         assert len(set(phases)) == 1, "all drives report the same phase, disabled"
 
 
-def test_the_second_ctrl_c_cuts(work_folder, hand, calibrated, processes, scale):
-    process = start_long(processes, calibrated, *scale)
+def test_the_second_ctrl_c_cuts(
+    work_folder, hand_truth_file, calibration_options, started_processes, scale_options
+):
+    process = start_long_task(started_processes, calibration_options, *scale_options)
     process.send_signal(signal.SIGINT)
     process.send_signal(signal.SIGTERM)  # Linux may merge two SIGINT signals into one
     code, _, err = process_result(process)
@@ -125,16 +149,16 @@ def test_the_second_ctrl_c_cuts(work_folder, hand, calibrated, processes, scale)
     ]
 
 
-def test_a_missing_motor_is_named(work_folder, hand, processes, scale):
+def test_a_missing_motor_is_named(work_folder, hand_truth_file, started_processes, scale_options):
     content = hand_content("jamia")
     content["motor"][2]["node_id"] = 9
     (work_folder / "mine.toml").write_text(toml_text(content))
     write_homed_calibration(work_folder / "c.toml", load_hand("mine.toml"))
-    words = ("--hand", "mine.toml", "--bus", LOCAL_BUS, "--calibration", "c.toml", *scale)
+    words = ("--hand", "mine.toml", "--bus", LOCAL_BUS, "--calibration", "c.toml", *scale_options)
     refused = run_handctl("run", *words, "--task", "short.toml", "--log", "run.mcap", "--json")
     assert refused.returncode == 1
     assert refused.stderr == "handctl: no answer from ring_motor\n"
-    truth = read_truth(hand)
+    truth = read_truth(hand_truth_file)
     assert (
         max(
             truth.values[:, truth.columns.index(f"motor/{name}_motor")].max()

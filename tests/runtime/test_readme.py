@@ -15,24 +15,26 @@ README_TEXT = (Path(__file__).parents[2] / "README.md").read_text()
 LOAD_PROGRAM = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
 
 
-def readme_blocks(language: str, *containing: str) -> list[str]:
+def readme_blocks(language: str, *required_texts: str) -> list[str]:
     """Return the code blocks of the README in the language ``language`` that contain all given texts."""
     texts = re.findall(rf"^```{language}\n(.*?)^```$", README_TEXT, re.MULTILINE | re.DOTALL)
-    return [block for block in texts if all(text in block for text in containing)]
+    return [block for block in texts if all(text in block for text in required_texts)]
 
 
 @pytest.mark.realtime
 @pytest.mark.alone
-@pytest.mark.parametrize("busy", [2])
-def test_the_program_in_the_readme_runs_beside_busy_ones(work_folder, processes, busy):
+@pytest.mark.parametrize("busy_processes", [2])
+def test_the_program_in_the_readme_runs_beside_busy_ones(
+    work_folder, started_processes, busy_processes
+):
     (program,) = readme_blocks("python", "handctl.connect")
     (commands,) = readme_blocks("", "handctl sim", "--bus local:lab")
     (line,) = [line for line in commands.splitlines() if line.startswith("handctl sim")]
     simulator = start_handctl(*shlex.split(line.split("#")[0])[1:])
-    processes.append(simulator)
-    processes.extend(
+    started_processes.append(simulator)
+    started_processes.extend(
         subprocess.Popen([sys.executable, "-c", LOAD_PROGRAM], stdout=subprocess.PIPE, text=True)
-        for _ in range(busy)
+        for _ in range(busy_processes)
     )
     (work_folder / "example.py").write_text(program)
     wait_until_ready(simulator)

@@ -8,7 +8,7 @@ import time
 import pytest
 
 from handctl.hand.hand_loading import load_hand
-from tests.runtime.killed_controllers import SyncListener, read_syncs
+from tests.runtime.killed_controllers import SyncListener, read_sync_records
 from tests.runtime.processes import (
     LOCAL_BUS,
     end_process,
@@ -32,10 +32,10 @@ RUN_OPTIONS = (
 )
 
 
-def test_a_second_controller_is_refused_and_the_first_goes_on(work_folder, scale):
+def test_a_second_controller_is_refused_and_the_first_goes_on(work_folder, scale_options):
     write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
-    simulated = start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale)
-    first = start_handctl("run", *RUN_OPTIONS, "--log", "first.mcap", *scale)
+    simulated = start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale_options)
+    first = start_handctl("run", *RUN_OPTIONS, "--log", "first.mcap", *scale_options)
     try:
         with SyncListener() as listener:
             until = time.monotonic() + 60.0
@@ -43,7 +43,7 @@ def test_a_second_controller_is_refused_and_the_first_goes_on(work_folder, scale
                 assert first.poll() is None, first.communicate()
                 assert time.monotonic() < until
                 listener.listen(0.01)
-            second = run_handctl("run", *RUN_OPTIONS, "--log", "second.mcap", *scale)
+            second = run_handctl("run", *RUN_OPTIONS, "--log", "second.mcap", *scale_options)
             assert second.returncode == 1
             assert "another controller runs here" in second.stderr
             assert second.stderr.count("\n") == 1
@@ -57,5 +57,5 @@ def test_a_second_controller_is_refused_and_the_first_goes_on(work_folder, scale
     finally:
         end_process(first)
         end_process(simulated)
-    assert read_syncs(work_folder / "first.mcap")[0] == ""
+    assert read_sync_records(work_folder / "first.mcap")[0] == ""
     assert not (work_folder / "second.mcap").exists()

@@ -35,15 +35,17 @@ class SharedClockPair:
         between: function that is called at the end of each sleep.
     """
 
-    def __init__(self, path, monkeypatch: pytest.MonkeyPatch, scale: float = 1.0) -> None:
+    def __init__(
+        self, socket_folder, monkeypatch: pytest.MonkeyPatch, time_scale: float = 1.0
+    ) -> None:
         self.now = 5_000_000_000
         self.overshoots: list[int] = []
         self.between: Callable[[], None] = lambda: None
         monkeypatch.setattr(time, "monotonic_ns", lambda: self.now)
         monkeypatch.setattr(time, "sleep", self.sleep)
-        self.simulator = simulated.SharedClock(scale)
-        self.simulator.publish(path)
-        self.controller = SharedClock(PERIOD_NS, scale, file=ClockFile(path))
+        self.simulator = simulated.SharedClock(time_scale)
+        self.simulator.publish(socket_folder)
+        self.controller = SharedClock(PERIOD_NS, time_scale, file=ClockFile(socket_folder))
 
     def sleep(self, seconds: float) -> None:
         self.now += round(seconds * 1e9) + (self.overshoots.pop() if self.overshoots else 10_000)
@@ -258,25 +260,29 @@ def test_only_buses_of_this_machine_share_a_clock() -> None:
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("victim", ["simulator", "controller"])
-def test_a_short_stop_of_a_process_is_no_fault(hand, calibrated, processes, victim) -> None:
+@pytest.mark.parametrize("stopped_process", ["simulator", "controller"])
+def test_a_short_stop_of_a_process_is_no_fault(
+    hand_truth_file, calibration_options, started_processes, stopped_process
+) -> None:
     """The test repeatedly stops a process for 20 ms, as a busy machine may do.
 
     Without the shared clock, ten ticks would be late after each such stop.
     """
-    processes.append(
-        start_handctl("run", *calibrated, "--task", "short.toml", "--log", "run.mcap", "--json")
+    started_processes.append(
+        start_handctl(
+            "run", *calibration_options, "--task", "short.toml", "--log", "run.mcap", "--json"
+        )
     )
-    simulator, controller = processes[-2:]
+    simulator, controller = started_processes[-2:]
     with closing(StatusWatcher(LOCAL_BUS)) as watcher:
         wait_for_phase("bend", watcher, controller)
-    process = simulator if victim == "simulator" else controller
+    process = simulator if stopped_process == "simulator" else controller
     for _ in range(5):
         process.send_signal(signal.SIGSTOP)
         time.sleep(0.02)
         process.send_signal(signal.SIGCONT)
         time.sleep(0.05)
-    code, result, err = process_result(processes.pop())
+    code, result, err = process_result(started_processes.pop())
     assert code == 0, err
     assert (result["missed"], result["frames_late"], result["frames_lost"]) == (0, 0, 0)
     assert result["clock_paused_s"] > 0.05

@@ -29,18 +29,32 @@ PAGE_TEXT = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_t
 
 
 @pytest.fixture
-def live_hand(work_folder, hand, calibrated, scale):
+def live_hand(work_folder, hand_truth_file, calibration_options, scale_options):
     """Return a client that has started the controller of a simulated hand."""
     with library.connect(
-        "jamia", f"main={LOCAL_BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia",
+        f"main={LOCAL_BUS}",
+        "--calibration",
+        "c.toml",
+        "--log",
+        "live.mcap",
+        *scale_options,
     ) as client:
         yield client
 
 
 @REALTIME
-def test_a_stream_is_followed_observed_logged_and_repeated(work_folder, hand, calibrated, scale):
+def test_a_stream_is_followed_observed_logged_and_repeated(
+    work_folder, hand_truth_file, calibration_options, scale_options
+):
     with library.connect(
-        "jamia", f"main={LOCAL_BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia",
+        f"main={LOCAL_BUS}",
+        "--calibration",
+        "c.toml",
+        "--log",
+        "live.mcap",
+        *scale_options,
     ) as client:
         client.move(index=30.0)
         seen, ready = [], threading.Event()
@@ -221,11 +235,11 @@ def test_a_program_may_reuse_the_array_of_a_target(fake_stream):
 @pytest.mark.realtime
 @pytest.mark.alone
 @pytest.mark.parametrize("example", range(3))
-def test_the_programs_of_the_page_run(work_folder, processes, scale, example):
+def test_the_programs_of_the_page_run(work_folder, started_processes, scale_options, example):
     programs = re.findall(r"^```python[^\n]*\n(.*?)^```$", PAGE_TEXT, re.MULTILINE | re.DOTALL)
     assert len(programs) == 3
-    simulator = start_handctl("sim", "--hand", "jamia", "--bus", "local:lab", *scale)
-    processes.append(simulator)
+    simulator = start_handctl("sim", "--hand", "jamia", "--bus", "local:lab", *scale_options)
+    started_processes.append(simulator)
     assert select.select([simulator.stdout], [], [], READY_TIMEOUT_S)[0]
     (work_folder / "example.py").write_text(programs[example])
     ran = subprocess.run(

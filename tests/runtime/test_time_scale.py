@@ -12,10 +12,12 @@ from tests.runtime.processes import LOCAL_BUS, run_handctl, start_hand, time_sca
 
 
 @pytest.fixture
-def slow_hand(work_folder, processes):
+def slow_hand(work_folder, started_processes):
     """Start a simulated hand at 0.3 of real time."""
-    processes.append(start_hand(work_folder / "truth", "--hand", "jamia", *time_scale_options(0.3)))
-    return processes[-1]
+    started_processes.append(
+        start_hand(work_folder / "truth", "--hand", "jamia", *time_scale_options(0.3))
+    )
+    return started_processes[-1]
 
 
 def time_scale_of(**choice):

@@ -52,7 +52,7 @@ class TickInput(NamedTuple):
     The input also contains events of the buses and of the host.
     """
 
-    rows: Mapping[str, dict[object, float]] = MappingProxyType({})
+    state_rows: Mapping[str, dict[object, float]] = MappingProxyType({})
     reports: tuple[EventReport, ...] = ()
 
 
@@ -65,7 +65,7 @@ class FaultCase(NamedTuple):
     Attributes:
         input_with_fault: input that shows the fault.
         input_below_limit: input that is just below the limit of the fault.
-        instance: name of the part that has the fault. debounce: number of ticks with the fault
+        faulty_part: name of the part that has the fault. debounce: number of ticks with the fault
             until it is reported. action: action that the fault demands. latched: True if only an
             operator can clear the fault.
         only_while_armed: True if the fault is reported only while a drive is armed.
@@ -73,47 +73,50 @@ class FaultCase(NamedTuple):
 
     input_with_fault: TickInput
     input_below_limit: TickInput
-    instance: str
-    debounce: int
+    faulty_part: str
+    debounce_ticks: int
     action: SafetyAction
-    latched: bool
+    is_latched: bool
     only_while_armed: bool = False
 
 
-def state_rows(**cells: object) -> TickInput:
+def state_rows(**values_by_field: object) -> TickInput:
     """Return an input with values of the state.
 
     For a field of the whole run, the value is one number. For other fields, the value has one
     number by index.
     """
-    return TickInput({name: c if isinstance(c, dict) else {...: c} for name, c in cells.items()})  # type: ignore[misc]
+    return TickInput(
+        {name: c if isinstance(c, dict) else {...: c} for name, c in values_by_field.items()}
+    )  # type: ignore[misc]
 
 
-def frame_ages(field: str, **late: int) -> TickInput:
+def frame_ages(field: str, **age_by_node: int) -> TickInput:
     """Return an input with old frames.
 
     Each keyword names a node, and its value is the age [ticks] of the latest frame of this node:
     motor 1 (m1=...), load cell 1 (t1=...) or joint encoder 1 (j1=...).
     """
-    first = TENDON_COUNT if field == "group_ns" and min(late)[0] == "j" else 0
+    first = TENDON_COUNT if field == "group_ns" and min(age_by_node)[0] == "j" else 0
     return state_rows(
         **{
             field: {
-                first + int(name[1:]): NOW_NS - ticks * PERIOD_NS for name, ticks in late.items()
+                first + int(name[1:]): NOW_NS - ticks * PERIOD_NS
+                for name, ticks in age_by_node.items()
             }
         }
     )
 
 
-def late_motors(**late: int) -> TickInput:
-    return frame_ages("feedback_ns", **late)
+def late_motor_frames(**age_by_motor: int) -> TickInput:
+    return frame_ages("feedback_ns", **age_by_motor)
 
 
-def late_sensors(**late: int) -> TickInput:
-    return frame_ages("group_ns", **late)
+def late_sensor_frames(**age_by_sensor: int) -> TickInput:
+    return frame_ages("group_ns", **age_by_sensor)
 
 
-def lost_frames(**number: int) -> TickInput:
+def lost_frames(**lost_frames_by_node: int) -> TickInput:
     """Return an input in which nodes have lost frames in the ticks before the present tick.
 
     Each keyword names a node, and its value is the number of frames that this node has lost: motor
@@ -122,46 +125,57 @@ def lost_frames(**number: int) -> TickInput:
     return state_rows(
         lost={
             (0, LOAD_CELLS_NODE if name == "cells" else int(name[1:])): (1 << n) - 1
-            for name, n in number.items()
+            for name, n in lost_frames_by_node.items()
         }
     )
 
 
-def malformed_frames(node: int, before: int) -> TickInput:
-    """Return an input with one frame of a wrong length from a node now, and ``before`` such frames in earlier ticks."""
-    return state_rows(misread_now={node: 1}, misshapen={node: (1 << before) - 1})
+def malformed_frames(node_index: int, earlier_frames: int) -> TickInput:
+    """Return an input with one frame of a wrong length from a node now.
 
-
-def filtered_residuals(row: int, **values: float) -> TickInput:
-    """Return an input with one kind of filtered residual, for the named tendons or motors."""
-    return state_rows(residual={(row, int(name[1:])): value for name, value in values.items()})
-
-
-def measured_tensions(**values: float) -> TickInput:
-    return state_rows(measured_tension={int(name[1:]): value for name, value in values.items()})
-
-
-def drive_temperatures(**values: float) -> TickInput:
-    return state_rows(temperature={int(name[1:]): value for name, value in values.items()})
-
-
-def drive_error(motor: int, cause: DriveFaultCause, code: int = 9) -> TickInput:
+    In earlier ticks, ``earlier_frames`` such frames have arrived.
+    """
     return state_rows(
-        phase={motor: int(DrivePhase.FAULT)},
-        fault_cause={motor: int(cause)},
-        fault_code={motor: code},
+        misread_now={node_index: 1}, misshapen={node_index: (1 << earlier_frames) - 1}
     )
 
 
-def event_report(kind: str, where: str = "can0", number: int = 1) -> TickInput:
-    return TickInput(reports=((kind, where, float(number)),))
+def filtered_residuals(residual_row: int, **residual_by_part: float) -> TickInput:
+    """Return an input with one kind of filtered residual, for the named tendons or motors."""
+    return state_rows(
+        residual={(residual_row, int(name[1:])): value for name, value in residual_by_part.items()}
+    )
+
+
+def measured_tensions(**tension_by_tendon: float) -> TickInput:
+    return state_rows(
+        measured_tension={int(name[1:]): value for name, value in tension_by_tendon.items()}
+    )
+
+
+def drive_temperatures(**temperature_by_motor: float) -> TickInput:
+    return state_rows(
+        temperature={int(name[1:]): value for name, value in temperature_by_motor.items()}
+    )
+
+
+def drive_error(motor_index: int, cause: DriveFaultCause, error_code: int = 9) -> TickInput:
+    return state_rows(
+        phase={motor_index: int(DrivePhase.FAULT)},
+        fault_cause={motor_index: int(cause)},
+        fault_code={motor_index: error_code},
+    )
+
+
+def event_report(event_kind: str, place_name: str = "can0", report_value: int = 1) -> TickInput:
+    return TickInput(reports=((event_kind, place_name, float(report_value)),))
 
 
 def merge_inputs(*tick_input: TickInput) -> TickInput:
     """Combine several inputs into one input of the same tick."""
     cells: dict[str, dict[object, float]] = {}
     for one in tick_input:
-        for name, values in one.rows.items():
+        for name, values in one.state_rows.items():
             larger = min if name.endswith("_ns") and name != "late_ns" else max
             mine = cells.setdefault(name, {})
             for index, value in values.items():
@@ -173,24 +187,33 @@ def merge_inputs(*tick_input: TickInput) -> TickInput:
 
 def without_torque(tick_input: TickInput) -> TickInput:
     """Return a copy of an input in the mode of a hand that is ready to be armed."""
-    return TickInput({**tick_input.rows, "mode": {...: int(HandMode.READY)}}, tick_input.reports)
-
-
-def slack_tendon(before: int, tendon: int = 3) -> TickInput:
-    """Return an input with a tendon that is slack now, and was slack in the last ``before`` ticks."""
-    return state_rows(
-        slack_ticks={tendon: before}, taut_ago={tendon: 5}, residual={(TENSION, tendon): 0.0}
+    return TickInput(
+        {**tick_input.state_rows, "mode": {...: int(HandMode.READY)}}, tick_input.reports
     )
 
 
-def derailed_tendon(tendon: int, deg: float) -> TickInput:
-    """Return an input in which the angles of a tendon's joint and spool disagree by ``deg`` [deg].
+def slack_tendon(earlier_slack_ticks: int, tendon_index: int = 3) -> TickInput:
+    """Return an input with a tendon that is slack now, and was slack in the last ``earlier_slack_ticks`` ticks."""
+    return state_rows(
+        slack_ticks={tendon_index: earlier_slack_ticks},
+        taut_ago={tendon_index: 5},
+        residual={(TENSION, tendon_index): 0.0},
+    )
+
+
+def derailed_tendon(tendon_index: int, deviation_deg: float) -> TickInput:
+    """Return an input in which the angles of a tendon's joint and spool disagree by ``deviation_deg`` [deg].
 
     The two angles disagree in the third reading in a row.
     """
-    excursion = -20.0 / 1e5 - 0.02 * np.radians(deg)
-    return state_rows(joints_read=1, taut_s={tendon: 1.0}, slip_from={tendon: 0.0}, derailed={tendon: 2.0},
-                measured_excursion={tendon: excursion})  # fmt: skip
+    excursion = -20.0 / 1e5 - 0.02 * np.radians(deviation_deg)
+    return state_rows(
+        joints_read=1,
+        taut_s={tendon_index: 1.0},
+        slip_from={tendon_index: 0.0},
+        derailed={tendon_index: 2.0},
+        measured_excursion={tendon_index: excursion},
+    )
 
 
 def open_stream(silence_ns: int) -> TickInput:
@@ -201,26 +224,26 @@ def open_stream(silence_ns: int) -> TickInput:
     return state_rows(streaming=2, stream_sent_ns=NOW_NS - silence_ns)
 
 
-def stuck_motor(motor: int, goal: float) -> TickInput:
-    return state_rows(motor_value={motor: 0.0}, motor_stuck={motor: 50},
-                      motor_anchor={(0, motor): 0.0, (1, motor): 20.0},
-                followed={motor: goal})  # fmt: skip
+def stuck_motor(motor_index: int, goal_change_m: float) -> TickInput:
+    return state_rows(motor_value={motor_index: 0.0}, motor_stuck={motor_index: 50},
+                      motor_anchor={(0, motor_index): 0.0, (1, motor_index): 20.0},
+                followed={motor_index: goal_change_m})  # fmt: skip
 
 
-def stuck_joint(joint: int, deg: float) -> TickInput:
-    turned = np.radians(deg) / 50.0 + 20.0 / 1e5
-    return state_rows(joint_value={joint: 0.3}, joint_stuck={joint: 50}, joint_anchor={joint: 0.0},
-                measured_joint={joint: 0.3}, measured_travel={joint: turned})  # fmt: skip
+def stuck_joint(joint_index: int, spool_turn_deg: float) -> TickInput:
+    turned = np.radians(spool_turn_deg) / 50.0 + 20.0 / 1e5
+    return state_rows(joint_value={joint_index: 0.3}, joint_stuck={joint_index: 50}, joint_anchor={joint_index: 0.0},
+                measured_joint={joint_index: 0.3}, measured_travel={joint_index: turned})  # fmt: skip
 
 
-def replayed_readings(tendon: int, run: int) -> TickInput:
-    """Return an input in which the last ``run`` load-cell readings repeat those of 16 ticks earlier."""
-    past = {(age, tendon): 20.0 + (age - 15) / 16.0 for age in range(64)}
-    return state_rows(past=past, same={(15, tendon): run - 1})
+def replayed_readings(tendon_index: int, repeated_readings: int) -> TickInput:
+    """Return an input in which the last ``repeated_readings`` load-cell readings repeat those of 16 ticks earlier."""
+    past = {(age, tendon_index): 20.0 + (age - 15) / 16.0 for age in range(64)}
+    return state_rows(past=past, same={(15, tendon_index): repeated_readings - 1})
 
 
-def alone_on_the_bus(heard: bool) -> TickInput:
-    reports = filter_error_frames([("error_frame", "can0 no acknowledge", 3.0)], heard)
+def first_bus_mode_input(other_node_heard: bool) -> TickInput:
+    reports = filter_error_frames([("error_frame", "can0 no acknowledge", 3.0)], other_node_heard)
     return TickInput({"mode": {...: int(HandMode.INVENTORY)}}, tuple(reports))
 
 
@@ -230,30 +253,32 @@ AFTER_CUT_ROWS = {"mode": {...: int(HandMode.CUT)}, "cut_ticks": {...: 49}}
 """Values of the state of a hand whose motors were disabled 100 ms ago."""
 
 
-def pulled_after_cut(tension: float) -> TickInput:
+def tension_after_cut(tension_N: float) -> TickInput:
     return TickInput(
-        {**AFTER_CUT_ROWS, "measured_tension": {...: 5.0, 0: tension}, "cut_from": {0: 30.0}}
+        {**AFTER_CUT_ROWS, "measured_tension": {...: 5.0, 0: tension_N}, "cut_from": {0: 30.0}}
     )
 
 
-def swinging_tension(tendon: int, before: float) -> TickInput:
-    return state_rows(swing_square={tendon: 90.0}, swing_s={tendon: before})
+def swinging_tension(tendon_index: int, before: float) -> TickInput:
+    return state_rows(swing_square={tendon_index: 90.0}, swing_s={tendon_index: before})
 
 
-def partial_torque_reports(motor: int, part: float) -> TickInput:
-    """Return an input with a motor that reports only a fraction ``part`` of the changes in its command."""
+def partial_torque_reports(motor_index: int, reported_fraction: float) -> TickInput:
+    """Return an input with a motor that reports only a fraction ``reported_fraction`` of the changes in its command."""
     return state_rows(
         report_moments={
-            (row, motor): value for row, value in enumerate((1.0, part, part, 1.0, 0.95))
+            (row, motor_index): value
+            for row, value in enumerate((1.0, reported_fraction, reported_fraction, 1.0, 0.95))
         }
     )
 
 
 PASS, WARN, HOLD, RELAX, CUT = SafetyAction
 CASE_BY_FAULT = {
-    "B01": FaultCase(late_motors(m1=1), INPUT_AT_REST, "m1", 1, WARN, False, True),
-    "B02": FaultCase(late_motors(m0=6), late_motors(**dict.fromkeys(EIGHT_TENDON_LIMITS.motors, 5)), "m0", 1, RELAX,
-                     True, True),
+    "B01": FaultCase(late_motor_frames(m1=1), INPUT_AT_REST, "m1", 1, WARN, False, True),
+    "B02": FaultCase(late_motor_frames(m0=6),
+                     late_motor_frames(**dict.fromkeys(EIGHT_TENDON_LIMITS.motors, 5)), "m0", 1,
+                     RELAX, True, True),
     "B03a": FaultCase(lost_frames(m1=21), lost_frames(m0=20, m1=20, cells=20), "m1", 1, HOLD, False, True),
     "B03b": FaultCase(lost_frames(cells=41), lost_frames(m0=40, m1=40, cells=40), "load cells", 1, RELAX, True, True),
     "B04": FaultCase(state_rows(stale_now=1), INPUT_AT_REST, "load cells", 1, WARN, False, True),
@@ -272,14 +297,16 @@ CASE_BY_FAULT = {
     "B14": FaultCase(event_report("enetdown"), event_report("enobufs"), "can0", 1, CUT, True),
     "B15": FaultCase(event_report("enobufs"), event_report("dropped"), "can0", 2, RELAX, True),
     "B16": FaultCase(event_report("enodev"), event_report("enetdown"), "can0", 1, CUT, True),
-    "B17": FaultCase(late_motors(m0=4), late_motors(**dict.fromkeys(EIGHT_TENDON_LIMITS.motors, 4)), "m0", 1, RELAX,
-                     True, True),
-    "B18": FaultCase(alone_on_the_bus(False), alone_on_the_bus(True), "can0 no acknowledge", 20, RELAX, True),
+    "B17": FaultCase(late_motor_frames(m0=4),
+                     late_motor_frames(**dict.fromkeys(EIGHT_TENDON_LIMITS.motors, 4)), "m0", 1,
+                     RELAX, True, True),
+    "B18": FaultCase(first_bus_mode_input(False), first_bus_mode_input(True), "can0 no acknowledge", 20, RELAX, True),
     "N01": FaultCase(drive_error(1, DriveFaultCause.DROPPED_OUT), drive_error(1, DriveFaultCause.OTHER), "m1", 1,
                      RELAX, True, True),
-    "N02": FaultCase(late_sensors(t1=6), late_sensors(**dict.fromkeys(EIGHT_TENDON_LIMITS.tendons, 5)), "t1", 1, RELAX,
-                     True, True),
-    "N02b": FaultCase(late_sensors(j1=16), late_sensors(j1=15), "j1", 1, RELAX, True, True),
+    "N02": FaultCase(late_sensor_frames(t1=6),
+                     late_sensor_frames(**dict.fromkeys(EIGHT_TENDON_LIMITS.tendons, 5)), "t1",
+                     1, RELAX, True, True),
+    "N02b": FaultCase(late_sensor_frames(j1=16), late_sensor_frames(j1=15), "j1", 1, RELAX, True, True),
     "N04": FaultCase(stuck_motor(5, 0.6e-3), stuck_motor(5, 0.49e-3), "m5", 1, RELAX, True, True),
     "N05a": FaultCase(state_rows(jump={0: 0.4}), INPUT_AT_REST, "m0", 1, WARN, False),
     "N05b": FaultCase(state_rows(jump={0: 0.4}, dropped={0: 2.0}), state_rows(jump={0: 0.4}, dropped={0: 1.0}), "m0",
@@ -309,9 +336,9 @@ CASE_BY_FAULT = {
     ),
     "N14b": FaultCase(swinging_tension(1, 0.25), swinging_tension(1, 0.25 - 1.5 * PERIOD_S), "t1", 1, RELAX, True,
                       True),
-    "N15": FaultCase(lost_frames(m7=0)._replace(rows={"lost": {(0, 7): 0b1010101010101}}),
-                lost_frames(m7=0)._replace(rows={"lost": {(0, 7): 0b10101010101}}), "m7", 1, WARN, False, True),
-    "N16": FaultCase(pulled_after_cut(30.0), pulled_after_cut(14.9), "t0", 1, CUT, True, True),
+    "N15": FaultCase(lost_frames(m7=0)._replace(state_rows={"lost": {(0, 7): 0b1010101010101}}),
+                lost_frames(m7=0)._replace(state_rows={"lost": {(0, 7): 0b10101010101}}), "m7", 1, WARN, False, True),
+    "N16": FaultCase(tension_after_cut(30.0), tension_after_cut(14.9), "t0", 1, CUT, True, True),
     "N17": FaultCase(partial_torque_reports(1, 0.1), partial_torque_reports(1, 0.2), "m1", 1, RELAX, True, True),
     "T01": FaultCase(state_rows(measured_tension={3: 0.0}, speed={3: 0.1}),
                      state_rows(measured_tension={3: 0.0}, speed={3: 0.03}),
@@ -320,10 +347,9 @@ CASE_BY_FAULT = {
     "T02b": FaultCase(slack_tendon(250), slack_tendon(249), "t3", 1, RELAX, True, True),
     "T03": FaultCase(measured_tensions(t1=50.1), measured_tensions(t0=139.9, t1=50.0), "t1", 1, RELAX, True),
     "T03b": FaultCase(measured_tensions(t1=60.1), measured_tensions(t0=159.9, t1=60.0), "t1", 1, CUT, True),
-    "T03c": FaultCase(measured_tensions(t1=50.1)._replace(rows=measured_tensions(t1=50.1).rows | RELAXING_ROWS),
-                 measured_tensions(t0=139.9,
-                                   t1=50.0)._replace(rows=measured_tensions(t0=139.9, t1=50.0).rows | RELAXING_ROWS),
-                 "t1", 1, CUT, True, True),
+    "T03c": FaultCase(merge_inputs(measured_tensions(t1=50.1), TickInput(RELAXING_ROWS)),
+                      merge_inputs(measured_tensions(t0=139.9, t1=50.0), TickInput(RELAXING_ROWS)), "t1", 1,
+                      CUT, True, True),
     "T04a": FaultCase(filtered_residuals(BALANCE, t0=5.1), filtered_residuals(BALANCE, t1=5.0), "t0", 1, WARN, False,
                       True),
     "T04b": FaultCase(filtered_residuals(BALANCE, t1=10.1), filtered_residuals(BALANCE, t0=10.0), "t1", 1, RELAX, True,
@@ -385,4 +411,4 @@ def reset_for_input(monitor: SyntheticMonitor, tick_input: TickInput) -> StateRo
     Return the values of ``tick_input`` that must be set for one tick.
     """
     monitor.reset_to_rest()
-    return dict(tick_input.rows)
+    return dict(tick_input.state_rows)

@@ -56,15 +56,16 @@ StateRows = dict[str, Any]
 """Values of the state by the name of a field: one value for all elements of the field, or values by index."""
 
 
-def synthetic_limits(tendons: int) -> SafetyLimits:
+def synthetic_limits(tendon_count: int) -> SafetyLimits:
     """Return limits of a generated hand with the tendons t0, t1, ...
 
     Each tendon has one motor and one joint.
     """
-    names = [tuple(f"{letter}{i}" for i in range(tendons)) for letter in "tmj"]
+    names = [tuple(f"{letter}{i}" for i in range(tendon_count)) for letter in "tmj"]
     return SafetyLimits(
-        *names, tension_trip=(140.0,) * tendons, drive_limit=(160.0,) * tendons, tension_rail=244.0, tension_low=-5.0,
-        silent_ticks=6, one_silent_ticks=4, stalled_ticks=5, frames=64, noise=1e-4,
+        *names, tension_trip=(140.0,) * tendon_count, drive_limit=(160.0,) * tendon_count,
+        tension_rail=244.0, tension_low=-5.0, silent_ticks=6, one_silent_ticks=4, stalled_ticks=5,
+        frames=64, noise=1e-4,
     )  # fmt: skip
 
 
@@ -137,27 +138,27 @@ class SyntheticMonitor:
             one_silent_ticks=limits.one_silent_ticks, stalled_ticks=limits.stalled_ticks, frames_limit=limits.frames,
         )  # fmt: skip
 
-    def set_constants(self, **values: Any) -> None:
+    def set_constants(self, **constant_by_name: Any) -> None:
         """Set constants of the hand by name."""
-        for name, value in values.items():
+        for name, value in constant_by_name.items():
             self.constants_layout.view(self.constants, name)[...] = value
 
-    def set_rows(self, rows: StateRows) -> None:
+    def set_rows(self, value_by_field: StateRows) -> None:
         """Set rows of the state by name."""
-        for name, value in rows.items():
+        for name, value in value_by_field.items():
             if isinstance(value, dict):
                 for index, one in value.items():
                     self.view(name)[index] = one
             else:
                 self.view(name)[...] = value
 
-    def view(self, name: str) -> Any:
+    def view(self, field_name: str) -> Any:
         """Return a field of the state as a view that can be changed."""
-        return self.layout.view(self.block, name)
+        return self.layout.view(self.block, field_name)
 
-    def field_values(self, name: str) -> list[Any]:
+    def field_values(self, field_name: str) -> list[Any]:
         """Return a field of the state as a list."""
-        return list(self.view(name).tolist())
+        return list(self.view(field_name).tolist())
 
     def reset_to_rest(self) -> None:
         """Reset all values to those of a hand at rest.
@@ -178,12 +179,14 @@ class SyntheticMonitor:
         """Return the tables of the constants in the form that interpreted functions need."""
         return _uncompiled(constant_tables)(self.constants, self.constants_layout.places)
 
-    def tick(self, rows: StateRows | None = None, **more: Any) -> dict[str, dict[str, float]]:
+    def tick(
+        self, value_by_field: StateRows | None = None, **more_values: Any
+    ) -> dict[str, dict[str, float]]:
         """Set values of the state, and run the fault detectors for one tick.
 
         Return the value of each finding by fault and by part of the hand.
         """
-        self.set_rows({**(rows or {}), **more})
+        self.set_rows({**(value_by_field or {}), **more_values})
         self.demanded_action, self.found_values = tick_stages.find_faults(
             self.block,
             self.layout.places,
@@ -199,12 +202,12 @@ class SyntheticMonitor:
             )
         return reported
 
-    def observe_readings(self, rows: StateRows | None = None) -> None:
+    def observe_readings(self, value_by_field: StateRows | None = None) -> None:
         """Convert received values to measurements, and reject impossible positions.
 
         In a tick, this happens before the detectors run.
         """
-        self.set_rows(rows or {})
+        self.set_rows(value_by_field or {})
         tick_stages.observe_tick(
             self.block,
             self.layout.places,
@@ -212,9 +215,9 @@ class SyntheticMonitor:
             self.constants_layout.places,
         )
 
-    def store_commands(self, rows: StateRows | None = None) -> None:
+    def store_commands(self, value_by_field: StateRows | None = None) -> None:
         """Store the commands of this tick, as the end of a tick does."""
-        self.set_rows(rows or {})
+        self.set_rows(value_by_field or {})
         tick_stages.store_commands(
             self.block,
             self.layout.places,
@@ -223,19 +226,19 @@ class SyntheticMonitor:
         )
 
     def judge(
-        self, rows: StateRows | None = None, reports: Iterable[EventReport] = ()
+        self, value_by_field: StateRows | None = None, reports: Iterable[EventReport] = ()
     ) -> TickVerdict:
         """Return the verdict of the safety monitor on one tick.
 
         The verdict depends on the findings, the latched faults, and events of buses and host.
         """
-        self.tick(rows)
+        self.tick(value_by_field)
         return self.conclude(self.demanded_action, reports)
 
-    def conclude(self, demanded: int, reports: Iterable[EventReport]) -> TickVerdict:
+    def conclude(self, demanded_action: int, reports: Iterable[EventReport]) -> TickVerdict:
         """Latch the findings of a tick, add events of buses and host, and select the action."""
         fresh = faults_counting_since_now(self.limits, self.found_values, self.view("fault_ticks"))
-        verdict = judge_tick(self.latched, self.reported_faults, fresh, demanded, reports)
+        verdict = judge_tick(self.latched, self.reported_faults, fresh, demanded_action, reports)
         self.latched, self.reported_faults = verdict.latched, verdict.reported_faults
         return verdict
 
@@ -246,7 +249,7 @@ class SyntheticMonitor:
         clear_latched_faults(state)
         self.latched, self.reported_faults = state.latched, state.decisions.reported_faults
 
-    def instance_name(self, kind: str, i: int) -> str:
+    def instance_name(self, part_kind: str, part_index: int) -> str:
         """Return the name of the part that has a fault, or an empty text for a fault of the whole hand."""
         names = {
             TENDON_INSTANCE: self.limits.tendons,
@@ -254,8 +257,8 @@ class SyntheticMonitor:
             JOINT_INSTANCE: self.limits.joints,
         }
         return (
-            {**names, NODE_INSTANCE: (*self.limits.motors, LOAD_CELLS)}[kind][i]
-            if kind in {*names, NODE_INSTANCE}
+            {**names, NODE_INSTANCE: (*self.limits.motors, LOAD_CELLS)}[part_kind][part_index]
+            if part_kind in {*names, NODE_INSTANCE}
             else ""
         )
 
@@ -265,14 +268,14 @@ class SyntheticMonitor:
         return constants
 
 
-def _uncompiled(function: Any) -> Any:
+def _uncompiled(kernel_helper: Any) -> Any:
     """Return an uncompiled copy of a function that only kernels call.
 
     The copy calls uncompiled copies of the other functions that only kernels call.
     """
-    if not hasattr(function, "py_func"):
-        return function
-    code = function.py_func
+    if not hasattr(kernel_helper, "py_func"):
+        return kernel_helper
+    code = kernel_helper.py_func
     known = dict(code.__globals__)
     known |= {
         name: _uncompiled(known[name])
@@ -282,11 +285,11 @@ def _uncompiled(function: Any) -> Any:
     return FunctionType(code.__code__, known, code.__name__, code.__defaults__)
 
 
-def call_interpreted(function: Any, *arguments: Any) -> Any:
+def call_interpreted(kernel_helper: Any, *arguments: Any) -> Any:
     """Run a kernel helper as Python code, without compiling it.
 
     A kernel helper is a function that only kernels call. A kernel helper may call other kernel
     helpers of its module.
     """
     with np.errstate(all="ignore"):
-        return _uncompiled(function)(*arguments)
+        return _uncompiled(kernel_helper)(*arguments)

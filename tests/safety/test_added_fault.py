@@ -35,13 +35,13 @@ print(json.dumps({
 """
 
 
-def add_fault_of_page(package: Path) -> None:
+def add_fault_of_page(package_folder: Path) -> None:
     """Add the example fault of the how-to page to a copy of the package."""
     declaration, detector = re.findall(r"```python\n(.*?) *```", ADDING_A_FAULT_PAGE, re.DOTALL)
-    kind = package / "safety" / "faults" / "tendon.py"
+    kind = package_folder / "safety" / "faults" / "tendon.py"
     with kind.open("a", encoding="utf-8") as file:
         file.write("\n" + dedent(" " * 4 + declaration.lstrip()))
-    path = package / "core" / "detectors" / "tendon_faults.py"
+    path = package_folder / "core" / "detectors" / "tendon_faults.py"
     source = path.read_text(encoding="utf-8")
     place = "        tension = monitored_tension(x, c, n, True)\n"
     assert place in source
@@ -54,9 +54,9 @@ def add_fault_of_page(package: Path) -> None:
     path.write_text(source, encoding="utf-8")
 
 
-@pytest.mark.parametrize("interpreted", ["1", pytest.param("0", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("numba_disabled", ["1", pytest.param("0", marks=pytest.mark.nightly)])
 def test_a_fault_is_declared_once_and_found_by_one_detector(
-    tmp_path: Path, interpreted: str
+    tmp_path: Path, numba_disabled: str
 ) -> None:
     package = tmp_path / "handctl"
     shutil.copytree(
@@ -66,7 +66,7 @@ def test_a_fault_is_declared_once_and_found_by_one_detector(
     path = os.pathsep.join(map(str, (tmp_path, REPOSITORY)))
     more = {
         "PYTHONPATH": path,
-        "NUMBA_DISABLE_JIT": interpreted,
+        "NUMBA_DISABLE_JIT": numba_disabled,
         "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
     }
     words = [sys.executable, "-W", "ignore", "-c", TRY_FAULT_CODE]

@@ -31,8 +31,12 @@ def test_causes_of_a_drive_s_error() -> None:
         drive_error(1, DriveFaultCause.HOT, 11),
         drive_error(2, DriveFaultCause.LOST, 12),
     )
-    assert rested_monitor().tick(tick_input.rows)["N11"] == {"m0": 9.0, "m1": 11.0, "m2": 12.0}
-    assert "N11" not in rested_monitor().tick(without_torque(tick_input).rows)
+    assert rested_monitor().tick(tick_input.state_rows)["N11"] == {
+        "m0": 9.0,
+        "m1": 11.0,
+        "m2": 12.0,
+    }
+    assert "N11" not in rested_monitor().tick(without_torque(tick_input).state_rows)
     rows = {
         cause: DETECTOR_ROWS[row][0].id
         for cause, row in zip(DriveFaultCause, ROW_OF_CAUSE, strict=True)
@@ -46,9 +50,13 @@ def test_causes_of_a_drive_s_error() -> None:
 
 def test_a_tension_above_its_limit_is_detected() -> None:
     nan = float("nan")
-    assert rested_monitor().tick(measured_tensions(t0=140.0, t1=50.5).rows)["T03"] == {"t1": 50.5}
-    assert "T03" not in rested_monitor().tick(measured_tensions(t0=140.0, t1=50.0).rows)
-    assert rested_monitor().tick(measured_tensions(t0=150.0, t1=nan, t2=140.5).rows)["T03"] == {
+    assert rested_monitor().tick(measured_tensions(t0=140.0, t1=50.5).state_rows)["T03"] == {
+        "t1": 50.5
+    }
+    assert "T03" not in rested_monitor().tick(measured_tensions(t0=140.0, t1=50.0).state_rows)
+    assert rested_monitor().tick(measured_tensions(t0=150.0, t1=nan, t2=140.5).state_rows)[
+        "T03"
+    ] == {
         "t0": 150.0,
         "t2": 140.5,
     }
@@ -75,7 +83,7 @@ def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("entry", "last"), [
+@pytest.mark.parametrize(("catalogue_row", "last_columns"), [
     (CatalogueRow("B12", "t", "fault table", ticks=1, required=1), "2 ms, 1 ticks | campaign |"),
     (CatalogueRow("B12", "t", "fault table", ticks=2, odrive_ms=9), "4 ms, 2 ticks, ODrive 9 ms more | campaign |"),
     (CatalogueRow("B12", "t", "fault table", tested="x.py"), "1 tick | x.py |"),
@@ -83,15 +91,15 @@ def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
     (CatalogueRow("B12", "t", "files", tested="x.py"), "before torque | x.py |"),
     (CatalogueRow("B12", "t", "files", ms=4), "4 ms, 2 ticks | campaign |"),
 ])  # fmt: skip
-def test_catalogue_row_has_all_columns(entry: CatalogueRow, last: str) -> None:
-    head, line, row = catalogue_markdown((entry,)).splitlines()
+def test_catalogue_row_has_all_columns(catalogue_row: CatalogueRow, last_columns: str) -> None:
+    head, line, row = catalogue_markdown((catalogue_row,)).splitlines()
     protocols = [PROTOCOL_TRAITS[name].title for name in GUARDED_PROTOCOLS]
     assert (
         head
         == f"| id | fault | judged by | {' | '.join(protocols)} | latest reaction | tested by |"
     )
     assert line == "|---|---|---" + "|---" * len(protocols) + "|---|---|"
-    assert row == f"| B12 | t | B12 CUT | {'detected | ' * len(protocols)}{last}"
+    assert row == f"| B12 | t | B12 CUT | {'detected | ' * len(protocols)}{last_columns}"
 
 
 def test_a_fault_that_no_tick_judges_names_its_place() -> None:

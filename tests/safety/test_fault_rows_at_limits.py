@@ -12,7 +12,7 @@ from tests.safety.fault_cases import (
     RELAXING_ROWS,
     TickInput,
     event_report,
-    late_motors,
+    late_motor_frames,
     lost_frames,
     measured_tensions,
     merge_inputs,
@@ -26,10 +26,10 @@ NAN = math.nan
 INPUT_WITHOUT_TENSIONS = measured_tensions(**dict.fromkeys(EIGHT_TENDON_LIMITS.tendons, NAN))
 
 
-def findings_of(id_: str, tick_input: TickInput) -> list[tuple[str, float]]:
+def findings_of_fault(fault_id: str, tick_input: TickInput) -> list[tuple[str, float]]:
     """Run the detectors for one tick, and return the findings of one fault as pairs of a part and a value."""
     monitor = rested_monitor()
-    return list(monitor.tick(reset_for_input(monitor, tick_input)).get(id_, {}).items())
+    return list(monitor.tick(reset_for_input(monitor, tick_input)).get(fault_id, {}).items())
 
 
 def test_a_latched_fault_remains_in_a_tick_without_symptoms() -> None:
@@ -42,11 +42,11 @@ def test_a_latched_fault_remains_in_a_tick_without_symptoms() -> None:
 
 
 def test_a_finding_has_its_measured_value() -> None:
-    _, verdicts = check_ticks(event_report("bus_off", number=7))
+    _, verdicts = check_ticks(event_report("bus_off", report_value=7))
     assert [finding.value for verdict in verdicts for finding in verdict.findings] == [7.0]
-    assert findings_of("N15", TickInput({"lost": {(0, 0): 0b1010101010101}})) == [("m0", 0.5)], (
-        "half of its answers"
-    )
+    assert findings_of_fault("N15", TickInput({"lost": {(0, 0): 0b1010101010101}})) == [
+        ("m0", 0.5)
+    ], "half of its answers"
     reports = second_controller_reports(["0x123"])
     assert [(f.id, name, value) for f, name, value in locate_reports(reports)] == [
         ("H13", "0x123", 1.0)
@@ -54,23 +54,23 @@ def test_a_finding_has_its_measured_value() -> None:
 
 
 def test_no_replies_are_expected_in_ticks_missed_by_the_host() -> None:
-    everybody = late_motors(**dict.fromkeys(EIGHT_TENDON_LIMITS.motors, 3))
-    assert findings_of("B01", merge_inputs(everybody, state_rows(missed=3))) == []
-    assert findings_of("B01", merge_inputs(everybody, state_rows(missed=3), late_motors(m1=4))) == [
-        ("m1", 4)
-    ]
-    assert findings_of("B01", late_motors(m0=1)) == [("m0", 1)]
+    everybody = late_motor_frames(**dict.fromkeys(EIGHT_TENDON_LIMITS.motors, 3))
+    assert findings_of_fault("B01", merge_inputs(everybody, state_rows(missed=3))) == []
+    assert findings_of_fault(
+        "B01", merge_inputs(everybody, state_rows(missed=3), late_motor_frames(m1=4))
+    ) == [("m1", 4)]
+    assert findings_of_fault("B01", late_motor_frames(m0=1)) == [("m0", 1)]
 
 
 def test_a_node_without_reply_is_reported_after_the_stated_number_of_ticks() -> None:
     most = EIGHT_TENDON_LIMITS.one_silent_ticks
-    assert findings_of("B17", late_motors(m0=most - 1)) == []
-    assert findings_of("B17", late_motors(m1=most)) == [("m1", float(most))]
+    assert findings_of_fault("B17", late_motor_frames(m0=most - 1)) == []
+    assert findings_of_fault("B17", late_motor_frames(m1=most)) == [("m1", float(most))]
 
 
 def test_losses_of_a_hundred_ticks_are_reported_with_their_number() -> None:
-    assert findings_of("B03a", lost_frames(m1=21)) == [("m1", 21.0)]
-    assert findings_of(
+    assert findings_of_fault("B03a", lost_frames(m1=21)) == [("m1", 21.0)]
+    assert findings_of_fault(
         "B03b", merge_inputs(lost_frames(m1=20), TickInput({"lost": {(1, 1): (1 << 21) - 1}}))
     ) == [("m1", 41.0)]
 
@@ -78,24 +78,27 @@ def test_losses_of_a_hundred_ticks_are_reported_with_their_number() -> None:
 def test_a_tension_at_the_rail_is_a_load_cell_fault_and_below_it_a_tendon_fault() -> None:
     rail = EIGHT_TENDON_LIMITS.tension_rail
     for row in ("T03", "T03b"):
-        found = findings_of(row, measured_tensions(t0=math.nextafter(rail, 0.0), t1=0.0))
+        found = findings_of_fault(row, measured_tensions(t0=math.nextafter(rail, 0.0), t1=0.0))
         assert [name for name, _ in found] == ["t0"], row
-        assert findings_of(row, measured_tensions(t0=rail, t1=0.0)) == [], row
+        assert findings_of_fault(row, measured_tensions(t0=rail, t1=0.0)) == [], row
 
 
 def test_over_tension_remains_at_the_rail_and_below_it_only_after_relaxing() -> None:
     high = merge_inputs(INPUT_WITHOUT_TENSIONS, INPUT_AT_REST)
-    high.rows["measured_tension"][1] = EIGHT_TENDON_LIMITS.tension_rail + 1.0
-    assert findings_of("T03c", high) == []
-    assert findings_of("T03c", TickInput(high.rows | RELAXING_ROWS)) == [
+    high.state_rows["measured_tension"][1] = EIGHT_TENDON_LIMITS.tension_rail + 1.0
+    assert findings_of_fault("T03c", high) == []
+    assert findings_of_fault("T03c", TickInput(high.state_rows | RELAXING_ROWS)) == [
         ("t1", EIGHT_TENDON_LIMITS.tension_rail + 1.0)
     ]
-    assert findings_of("T03c", TickInput(INPUT_WITHOUT_TENSIONS.rows | RELAXING_ROWS)) == []
+    assert (
+        findings_of_fault("T03c", TickInput(INPUT_WITHOUT_TENSIONS.state_rows | RELAXING_ROWS))
+        == []
+    )
 
 
-@pytest.mark.parametrize("row", ["T03", "T03b", "T06"])
-def test_unread_tensions_cause_no_fault(row: str) -> None:
-    assert findings_of(row, INPUT_WITHOUT_TENSIONS) == []
+@pytest.mark.parametrize("fault_id", ["T03", "T03b", "T06"])
+def test_unread_tensions_cause_no_fault(fault_id: str) -> None:
+    assert findings_of_fault(fault_id, INPUT_WITHOUT_TENSIONS) == []
     one = merge_inputs(INPUT_WITHOUT_TENSIONS, INPUT_AT_REST)
-    one.rows["measured_tension"][0] = 243.0 if row != "T06" else 300.0
-    assert [name for name, _ in findings_of(row, one)] == ["t0"], "one of them"
+    one.state_rows["measured_tension"][0] = 243.0 if fault_id != "T06" else 300.0
+    assert [name for name, _ in findings_of_fault(fault_id, one)] == ["t0"], "one of them"

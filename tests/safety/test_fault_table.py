@@ -48,35 +48,35 @@ SAFETY_PAGE = Path(__file__).parents[2] / "docs/explanation/safety.md"
 
 
 def check_ticks(
-    *ticks: TickInput, monitor: SyntheticMonitor | None = None
+    *tick_inputs: TickInput, monitor: SyntheticMonitor | None = None
 ) -> tuple[SyntheticMonitor, list[TickVerdict]]:
     """Judge several ticks one after the other, and return the monitor and the verdicts."""
     monitor = monitor or rested_monitor()
     return monitor, [
         monitor.judge(reset_for_input(monitor, tick_input), tick_input.reports)
-        for tick_input in ticks
+        for tick_input in tick_inputs
     ]
 
 
 def check_fault_alone(
-    id_: str, *ticks: TickInput, monitor: SyntheticMonitor | None = None
+    fault_id: str, *tick_inputs: TickInput, monitor: SyntheticMonitor | None = None
 ) -> tuple[SyntheticMonitor, list[SafetyAction], list[tuple[str, str]]]:
     """Judge several ticks with regard to one fault.
 
     Return the monitor, the action that this fault demands in each tick, and its findings.
     """
     monitor, actions, reported = monitor or rested_monitor(), [], []
-    for tick_input in ticks:
+    for tick_input in tick_inputs:
         verdict = monitor.judge(reset_for_input(monitor, tick_input), tick_input.reports)
-        found = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_]
+        found = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id]
         present = [int(monitor.view("fault_ticks")[row].max()) for row in found]
-        present += [one.ticks for one in verdict.reported_faults if one.id == id_]
-        counts = max(present, default=0) >= FAULT_BY_ID[id_].debounce or id_ in {
+        present += [one.ticks for one in verdict.reported_faults if one.id == fault_id]
+        counts = max(present, default=0) >= FAULT_BY_ID[fault_id].debounce or fault_id in {
             mark.id for mark in verdict.latched
         }
-        actions.append(FAULT_BY_ID[id_].action if counts else SafetyAction.PASS)
+        actions.append(FAULT_BY_ID[fault_id].action if counts else SafetyAction.PASS)
         assert verdict.action >= actions[-1], "the largest wins"
-        reported += [(f.fault.id, f.instance) for f in verdict.findings if f.fault.id == id_]
+        reported += [(f.fault.id, f.instance) for f in verdict.findings if f.fault.id == fault_id]
     return monitor, actions, reported
 
 
@@ -91,14 +91,18 @@ def test_hand_without_disturbance_has_no_fault() -> None:
     assert not any(verdict.findings for verdict in verdicts)
 
 
-@pytest.mark.parametrize("id_", CASE_BY_FAULT)
-def test_a_fault_counts_after_its_ticks_and_is_reported_once(id_: str) -> None:
-    case = CASE_BY_FAULT[id_]
-    _, actions, reported = check_fault_alone(id_, *[case.input_with_fault] * (case.debounce - 1))
-    assert (actions, reported) == ([SafetyAction.PASS] * (case.debounce - 1), [])
-    _, actions, reported = check_fault_alone(id_, *[case.input_with_fault] * (case.debounce + 5))
-    assert actions == [SafetyAction.PASS] * (case.debounce - 1) + [case.action] * 6
-    assert reported == [(id_, case.instance)]
+@pytest.mark.parametrize("fault_id", CASE_BY_FAULT)
+def test_a_fault_counts_after_its_ticks_and_is_reported_once(fault_id: str) -> None:
+    case = CASE_BY_FAULT[fault_id]
+    _, actions, reported = check_fault_alone(
+        fault_id, *[case.input_with_fault] * (case.debounce_ticks - 1)
+    )
+    assert (actions, reported) == ([SafetyAction.PASS] * (case.debounce_ticks - 1), [])
+    _, actions, reported = check_fault_alone(
+        fault_id, *[case.input_with_fault] * (case.debounce_ticks + 5)
+    )
+    assert actions == [SafetyAction.PASS] * (case.debounce_ticks - 1) + [case.action] * 6
+    assert reported == [(fault_id, case.faulty_part)]
 
 
 def test_a_drive_with_a_small_limit_disobeys_at_a_tenth_of_it() -> None:
@@ -108,63 +112,71 @@ def test_a_drive_with_a_small_limit_disobeys_at_a_tenth_of_it() -> None:
     assert reported == [("N14", "m1")]
 
 
-@pytest.mark.parametrize("id_", CASE_BY_FAULT)
-def test_just_below_its_threshold_it_never_counts(id_: str) -> None:
-    _, actions, reported = check_fault_alone(id_, *[CASE_BY_FAULT[id_].input_below_limit] * 100)
+@pytest.mark.parametrize("fault_id", CASE_BY_FAULT)
+def test_just_below_its_threshold_it_never_counts(fault_id: str) -> None:
+    _, actions, reported = check_fault_alone(
+        fault_id, *[CASE_BY_FAULT[fault_id].input_below_limit] * 100
+    )
     assert set(actions) == {SafetyAction.PASS}
     assert not reported
 
 
-@pytest.mark.parametrize("id_", OTHER_SIGNS_BY_FAULT)
-def test_every_sign_of_a_fault_is_detected(id_: str) -> None:
-    for tick_input in OTHER_SIGNS_BY_FAULT[id_]:
-        _, actions, _ = check_fault_alone(id_, *[tick_input] * CASE_BY_FAULT[id_].debounce)
-        assert actions[-1] == CASE_BY_FAULT[id_].action
+@pytest.mark.parametrize("fault_id", OTHER_SIGNS_BY_FAULT)
+def test_every_sign_of_a_fault_is_detected(fault_id: str) -> None:
+    for tick_input in OTHER_SIGNS_BY_FAULT[fault_id]:
+        _, actions, _ = check_fault_alone(
+            fault_id, *[tick_input] * CASE_BY_FAULT[fault_id].debounce_ticks
+        )
+        assert actions[-1] == CASE_BY_FAULT[fault_id].action
 
 
-@pytest.mark.parametrize("id_", CASE_BY_FAULT)
-def test_interrupted_fault_counts_from_zero(id_: str) -> None:
-    case = CASE_BY_FAULT[id_]
-    if case.debounce == 1:
+@pytest.mark.parametrize("fault_id", CASE_BY_FAULT)
+def test_interrupted_fault_counts_from_zero(fault_id: str) -> None:
+    case = CASE_BY_FAULT[fault_id]
+    if case.debounce_ticks == 1:
         return
-    almost = [case.input_with_fault] * (case.debounce - 1)
-    _, actions, _ = check_fault_alone(id_, *almost, INPUT_AT_REST, *almost, INPUT_AT_REST)
+    almost = [case.input_with_fault] * (case.debounce_ticks - 1)
+    _, actions, _ = check_fault_alone(fault_id, *almost, INPUT_AT_REST, *almost, INPUT_AT_REST)
     assert set(actions) == {SafetyAction.PASS}
 
 
-@pytest.mark.parametrize("id_", CASE_BY_FAULT)
-def test_latched_fault_stays_until_cleared(id_: str) -> None:
-    case = CASE_BY_FAULT[id_]
-    monitor, _, _ = check_fault_alone(id_, *[case.input_with_fault] * case.debounce)
-    _, actions, reported = check_fault_alone(id_, *[INPUT_AT_REST] * 100, monitor=monitor)
-    assert set(actions) == {case.action if case.latched else SafetyAction.PASS}
+@pytest.mark.parametrize("fault_id", CASE_BY_FAULT)
+def test_latched_fault_stays_until_cleared(fault_id: str) -> None:
+    case = CASE_BY_FAULT[fault_id]
+    monitor, _, _ = check_fault_alone(fault_id, *[case.input_with_fault] * case.debounce_ticks)
+    _, actions, reported = check_fault_alone(fault_id, *[INPUT_AT_REST] * 100, monitor=monitor)
+    assert set(actions) == {case.action if case.is_latched else SafetyAction.PASS}
     assert not reported
     monitor.clear_latched()
-    _, actions, _ = check_fault_alone(id_, INPUT_AT_REST, monitor=monitor)
+    _, actions, _ = check_fault_alone(fault_id, INPUT_AT_REST, monitor=monitor)
     assert actions == [SafetyAction.PASS]
     _, actions, reported = check_fault_alone(
-        id_, *[case.input_with_fault] * case.debounce, monitor=monitor
+        fault_id, *[case.input_with_fault] * case.debounce_ticks, monitor=monitor
     )
     assert actions[-1] == case.action, "it can come again"
-    assert [name for name, _ in reported] == [id_], "and is reported again"
+    assert [name for name, _ in reported] == [fault_id], "and is reported again"
 
 
-@pytest.mark.parametrize("id_", [id_ for id_, case in CASE_BY_FAULT.items() if case.latched])
-def test_clearing_a_present_fault_has_no_effect(id_: str) -> None:
-    case = CASE_BY_FAULT[id_]
-    monitor, _, _ = check_fault_alone(id_, *[case.input_with_fault] * (case.debounce + 3))
+@pytest.mark.parametrize(
+    "fault_id", [id_ for id_, case in CASE_BY_FAULT.items() if case.is_latched]
+)
+def test_clearing_a_present_fault_has_no_effect(fault_id: str) -> None:
+    case = CASE_BY_FAULT[fault_id]
+    monitor, _, _ = check_fault_alone(
+        fault_id, *[case.input_with_fault] * (case.debounce_ticks + 3)
+    )
     monitor.clear_latched()
-    _, actions, _ = check_fault_alone(id_, case.input_with_fault, monitor=monitor)
+    _, actions, _ = check_fault_alone(fault_id, case.input_with_fault, monitor=monitor)
     assert actions == [case.action]
-    _, actions, _ = check_fault_alone(id_, INPUT_AT_REST, monitor=monitor)
+    _, actions, _ = check_fault_alone(fault_id, INPUT_AT_REST, monitor=monitor)
     assert actions == [case.action], "it has latched again"
 
 
-@pytest.mark.parametrize("id_", CASE_BY_FAULT)
-def test_a_silent_drive_is_no_fault_while_torque_is_off(id_: str) -> None:
-    case = CASE_BY_FAULT[id_]
+@pytest.mark.parametrize("fault_id", CASE_BY_FAULT)
+def test_a_silent_drive_is_no_fault_while_torque_is_off(fault_id: str) -> None:
+    case = CASE_BY_FAULT[fault_id]
     _, actions, _ = check_fault_alone(
-        id_, *[without_torque(case.input_with_fault)] * (case.debounce + 1)
+        fault_id, *[without_torque(case.input_with_fault)] * (case.debounce_ticks + 1)
     )
     assert actions[-1] == (SafetyAction.PASS if case.only_while_armed else case.action)
 
@@ -183,7 +195,7 @@ def test_each_row_is_one_line_for_the_operator() -> None:
         assert fault.detection
         assert "\n" not in fault.title + fault.detection
         assert fault.clears in ("by the operator", "by itself")
-        assert fault.latched == CASE_BY_FAULT[fault.id].latched
+        assert fault.latched == CASE_BY_FAULT[fault.id].is_latched
         assert fault.action < SafetyAction.RELAX or fault.latched, (
             "only a person ends a relax or a cut"
         )
@@ -269,25 +281,27 @@ def test_a_fault_is_either_found_or_reported() -> None:
     }
 
 
-@pytest.mark.parametrize(("seconds", "period", "least", "ticks"), [
+@pytest.mark.parametrize(("duration_s", "period_s", "minimum_ticks", "expected_ticks"), [
     (0.030, 0.005, 4, 6), (0.030, 0.002, 4, 15), (0.030, 0.01, 4, 4), (0.025, 0.002, 3, 13), (0.025, 0.02, 3, 3),
 ])  # fmt: skip
-def test_a_time_is_rounded_to_ticks(seconds: float, period: float, least: int, ticks: int) -> None:
-    assert ticks_for(seconds, period, least) == ticks
+def test_a_time_is_rounded_to_ticks(
+    duration_s: float, period_s: float, minimum_ticks: int, expected_ticks: int
+) -> None:
+    assert ticks_for(duration_s, period_s, minimum_ticks) == expected_ticks
 
 
-def trace_fault(id_: str) -> list[tuple[SafetyAction, int]]:
+def trace_fault(fault_id: str) -> list[tuple[SafetyAction, int]]:
     """Return the action and the number of findings of one fault in each tick.
 
     The first ticks are before the onset of the fault.
 
     In this test, interpreted code debounces the fault.
     """
-    case, monitor, seen = CASE_BY_FAULT[id_], rested_monitor(), []
-    kept = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_}
+    case, monitor, seen = CASE_BY_FAULT[fault_id], rested_monitor(), []
+    kept = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id}
     for tick_input in [
         case.input_below_limit,
-        *[case.input_with_fault] * (case.debounce + 1),
+        *[case.input_with_fault] * (case.debounce_ticks + 1),
         INPUT_AT_REST,
     ]:
         rows, before = reset_for_input(monitor, tick_input), monitor.view("fault_ticks").copy()
@@ -299,7 +313,7 @@ def trace_fault(id_: str) -> list[tuple[SafetyAction, int]]:
         demanded = call_interpreted(
             compiled_judge.debounce_faults, monitor.state_tables, monitor.found_values
         )
-        reports = tick_input.reports if judgement.FAULT_BY_ID[id_].reports else ()
+        reports = tick_input.reports if judgement.FAULT_BY_ID[fault_id].reports else ()
         verdict = monitor.conclude(demanded, reports)
         seen.append((verdict.action, len(verdict.findings)))
     return seen
@@ -328,13 +342,13 @@ def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
     return declare_fault
 
 
-@pytest.mark.parametrize("id_", CASE_BY_FAULT)
-def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
+@pytest.mark.parametrize("fault_id", CASE_BY_FAULT)
+def test_a_changed_row_would_be_noticed(fault_id: str, declare_changed) -> None:
     """If the declaration of a fault is changed by one step in one place, the test cases of this fault fail.
 
     The failure shows that the test cases notice wrong declarations.
     """
-    fault = FAULT_BY_ID[id_]
+    fault = FAULT_BY_ID[fault_id]
     other = ENDED_BY_ITSELF if fault.latched else ENDED_BY_OPERATOR
     changed = [replace(fault, debounce=fault.debounce + 1), replace(fault, clears=other)]
     changed += [replace(fault, debounce=fault.debounce - 1)] if fault.debounce > 1 else []
@@ -344,7 +358,7 @@ def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
         if 0 <= fault.action + step <= 4
     ]
     declare_changed(fault)
-    right = trace_fault(id_)
+    right = trace_fault(fault_id)
     for mutant in changed:
         if (mutant.action, mutant.latched) == (
             SafetyAction.PASS,
@@ -352,7 +366,7 @@ def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
         ) or fault.action == mutant.action == SafetyAction.PASS:
             continue  # a latched fault without an action has no effect
         declare_changed(mutant)
-        assert trace_fault(id_) != right, mutant
+        assert trace_fault(fault_id) != right, mutant
 
 
 THRESHOLD_STEPS = {
@@ -362,18 +376,18 @@ THRESHOLD_STEPS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("id_", THRESHOLD_STEPS)
-@pytest.mark.parametrize("sign", [-1, 1])
-def test_a_moved_threshold_would_be_noticed(id_: str, sign: int) -> None:
-    name, step = next(iter(THRESHOLD_STEPS[id_].items()))
+@pytest.mark.parametrize("fault_id", THRESHOLD_STEPS)
+@pytest.mark.parametrize("step_sign", [-1, 1])
+def test_a_moved_threshold_would_be_noticed(fault_id: str, step_sign: int) -> None:
+    name, step = next(iter(THRESHOLD_STEPS[fault_id].items()))
     moved: SafetyLimits = replace(
-        EIGHT_TENDON_LIMITS, **{name: getattr(EIGHT_TENDON_LIMITS, name) + sign * step}
+        EIGHT_TENDON_LIMITS, **{name: getattr(EIGHT_TENDON_LIMITS, name) + step_sign * step}
     )
-    case, monitor = CASE_BY_FAULT[id_], rested_monitor()
+    case, monitor = CASE_BY_FAULT[fault_id], rested_monitor()
     monitor.replace_limits(moved)
     _, actions, _ = check_fault_alone(
-        id_,
-        *[case.input_with_fault if sign > 0 else case.input_below_limit] * case.debounce,
+        fault_id,
+        *[case.input_with_fault if step_sign > 0 else case.input_below_limit] * case.debounce_ticks,
         monitor=monitor,
     )
-    assert actions[-1] == (SafetyAction.PASS if sign > 0 else case.action)
+    assert actions[-1] == (SafetyAction.PASS if step_sign > 0 else case.action)

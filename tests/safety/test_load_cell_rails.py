@@ -12,10 +12,13 @@ from tests.safety.synthetic_monitor import SyntheticMonitor, synthetic_limits
 RAIL_LIMITS = replace(synthetic_limits(2), tension_rail=243.9, tension_low=-4.0)
 
 
-@pytest.mark.parametrize("rail", [243.9, 249.0, -4.0, -6.0])
-def test_a_cell_at_a_rail_relaxes_the_hand_at_the_third_tick(rail: float) -> None:
+@pytest.mark.parametrize("rail_tension_N", [243.9, 249.0, -4.0, -6.0])
+def test_a_cell_at_a_rail_relaxes_the_hand_at_the_third_tick(rail_tension_N: float) -> None:
     monitor = SyntheticMonitor(RAIL_LIMITS)
-    actions = [monitor.judge(measured_tensions(t0=5.0, t1=rail).rows).action for _ in range(3)]
+    actions = [
+        monitor.judge(measured_tensions(t0=5.0, t1=rail_tension_N).state_rows).action
+        for _ in range(3)
+    ]
     assert actions == [SafetyAction.PASS, SafetyAction.PASS, SafetyAction.RELAX]
     assert [(mark.id, mark.instance) for mark in monitor.latched] == [("T06", "t1")]
 
@@ -24,7 +27,10 @@ def test_a_cell_at_a_rail_relaxes_the_hand_at_the_third_tick(rail: float) -> Non
 def test_tensions_possible_for_a_tendon_are_no_fault(tension: float) -> None:
     monitor = SyntheticMonitor(RAIL_LIMITS)
     for _ in range(10):
-        assert monitor.judge(measured_tensions(t0=5.0, t1=tension).rows).action == SafetyAction.PASS
+        assert (
+            monitor.judge(measured_tensions(t0=5.0, t1=tension).state_rows).action
+            == SafetyAction.PASS
+        )
 
 
 def test_a_saturated_load_cell_is_reported_once_with_its_reading_for_any_tare() -> None:
@@ -33,7 +39,7 @@ def test_a_saturated_load_cell_is_reported_once_with_its_reading_for_any_tare() 
     An intact load cell may also read -3 N for a moment.
     """
     tick_input = merge_inputs(measured_tensions(t1=-3.0), state_rows(saturated={1: 1}))
-    assert SyntheticMonitor(RAIL_LIMITS).tick(tick_input.rows)["T06"] == {"t1": -3.0}
-    assert "T06" not in SyntheticMonitor(RAIL_LIMITS).tick(without_torque(tick_input).rows)
+    assert SyntheticMonitor(RAIL_LIMITS).tick(tick_input.state_rows)["T06"] == {"t1": -3.0}
+    assert "T06" not in SyntheticMonitor(RAIL_LIMITS).tick(without_torque(tick_input).state_rows)
     high = merge_inputs(measured_tensions(t0=250.0, t1=244.0), state_rows(saturated={1: 1}))
-    assert SyntheticMonitor(RAIL_LIMITS).tick(high.rows)["T06"] == {"t0": 250.0, "t1": 244.0}
+    assert SyntheticMonitor(RAIL_LIMITS).tick(high.state_rows)["T06"] == {"t0": 250.0, "t1": 244.0}

@@ -28,20 +28,20 @@ from tests.safety.synthetic_monitor import (
 NAN = np.nan
 
 
-def loss_bits(text: str) -> int:
+def loss_bits(bits_text: str) -> int:
     """Return the number whose bits a text of 0 and 1 describes.
 
     The last character of the text stands for the newest tick.
     """
-    return int(text, 2)
+    return int(bits_text, 2)
 
 
-def window_words(window: int) -> tuple[int, int]:
+def window_words(loss_window: int) -> tuple[int, int]:
     """Return the two words that store a window of losses.
 
     One has the newer half of the window, and the other the older half.
     """
-    return window & frame_losses.WORD_MASK, window >> frame_losses.BITS_PER_WORD
+    return loss_window & frame_losses.WORD_MASK, loss_window >> frame_losses.BITS_PER_WORD
 
 
 class LossWindows(SyntheticMonitor):
@@ -50,9 +50,9 @@ class LossWindows(SyntheticMonitor):
     A window has one bit per tick, which is set if a frame was lost.
     """
 
-    def __init__(self, motor: int = 0, cells: int = 0, **constants: Any) -> None:
+    def __init__(self, motor_losses: int = 0, cell_losses: int = 0, **constants: Any) -> None:
         super().__init__(synthetic_limits(1), **constants)
-        pairs = (window_words(motor), window_words(cells))
+        pairs = (window_words(motor_losses), window_words(cell_losses))
         self.set_rows(
             {
                 "lost": {
@@ -62,15 +62,18 @@ class LossWindows(SyntheticMonitor):
         )
 
     def run_tick_without_replies(
-        self, motor: bool = False, cells: bool = False, **rows: Any
+        self, motor_missed: bool = False, cells_missed: bool = False, **value_by_field: Any
     ) -> tuple[int, int]:
         """Run one tick in which the given nodes have not replied.
 
         Return the windows of losses of motor and load cell.
         """
         self.tick(
-            {"feedback_ns": NOW_NS - motor * PERIOD_NS, "group_ns": NOW_NS - cells * PERIOD_NS},
-            **rows,
+            {
+                "feedback_ns": NOW_NS - motor_missed * PERIOD_NS,
+                "group_ns": NOW_NS - cells_missed * PERIOD_NS,
+            },
+            **value_by_field,
         )
         return self.loss_windows
 
@@ -86,7 +89,7 @@ class LossWindows(SyntheticMonitor):
 HALF_WINDOW = LOSS_WINDOW_TICKS // 2
 
 
-@pytest.mark.parametrize(("before", "now", "after"), [
+@pytest.mark.parametrize(("windows_before", "missed_now", "windows_after"), [
     ((0, 0), (False, False), (0, 0)),
     ((0, 0), (True, False), (0b1, 0b0)),
     ((0, 0), (True, True), (0b1, 0b1)),
@@ -98,8 +101,8 @@ HALF_WINDOW = LOSS_WINDOW_TICKS // 2
     ((1 << (LOSS_WINDOW_TICKS - 2), 0), (False, False), (1 << (LOSS_WINDOW_TICKS - 1), 0)),
     ((1 << (HALF_WINDOW - 1), 1 << HALF_WINDOW), (False, True), (1 << HALF_WINDOW, 1 << HALF_WINDOW + 1 | 1)),
 ])  # fmt: skip
-def test_window_shifts_by_one_bit_per_tick(before, now, after):
-    assert LossWindows(*before).run_tick_without_replies(*now) == after
+def test_window_shifts_by_one_bit_per_tick(windows_before, missed_now, windows_after):
+    assert LossWindows(*windows_before).run_tick_without_replies(*missed_now) == windows_after
 
 
 def test_lost_replies_are_counted_per_window():
@@ -125,50 +128,50 @@ def test_lost_replies_are_counted_per_window():
     )
 
 
-@pytest.mark.parametrize(("pattern", "half"), [
+@pytest.mark.parametrize(("reply_pattern", "misses_every_second"), [
     ("01" * 10, True), ("10" * 10, True), ("01" * 9 + "11", False), ("01" * 9 + "00", True), ("0" * 20, False),
     ("1" * 20, False), ("1" + "01" * 10, True), ("0011" * 5, False), ("01" * 7 + "000000", True),
     ("01" * 6 + "00000000", False), ("1" + "01" * 6 + "0000000", True), ("11" + "01" * 8 + "00", True),
     ("11" + "01" * 7 + "1100", False), ("1110" + "01" * 8, False),
     ("11" + "01" * 8 + "0000", True), ("01010010101010010101", True),
 ])  # fmt: skip
-def test_missing_every_second_tick_is_detected(pattern, half):
+def test_missing_every_second_tick_is_detected(reply_pattern, misses_every_second):
     assert (
         call_interpreted(
-            frame_losses.misses_every_second, LossWindows(loss_bits(pattern)).state_tables, 0
+            frame_losses.misses_every_second, LossWindows(loss_bits(reply_pattern)).state_tables, 0
         )
-        is half
+        is misses_every_second
     )
 
 
 def test_the_count_of_unknown_frames_decays_in_a_second():
     def unknown_count_after(
-        unknown: float, new_unknown_frames: int = 0, rate: float = 100.0
+        unknown_count: float, new_unknown_frames: int = 0, control_rate_hz: float = 100.0
     ) -> float:
-        window = LossWindows(period=1.0 / rate)
-        window.run_tick_without_replies(strange=new_unknown_frames, unknown=unknown)
+        window = LossWindows(period=1.0 / control_rate_hz)
+        window.run_tick_without_replies(strange=new_unknown_frames, unknown=unknown_count)
         return float(window.view("unknown").item())
 
     assert unknown_count_after(0.0, 3) == 3.0
     assert unknown_count_after(3.0, 2) == pytest.approx(3.0 * 0.99 + 2.0)
     assert unknown_count_after(1.02e-3) > 0.0
     assert unknown_count_after(1.01e-3) == 0.0
-    assert unknown_count_after(2e-3, rate=2.0) == 0.0, "a thousandth is forgotten"
+    assert unknown_count_after(2e-3, control_rate_hz=2.0) == 0.0, "a thousandth is forgotten"
 
 
-def refusal_counter(rate: float) -> Any:
+def refusal_counter(control_rate_hz: float) -> Any:
     """Return a function that is told how many targets were refused in tick k.
 
     The function returns the ticks of all refusals that are recent enough to count.
     """
     window = LossWindows()
     state = ControllerState(window.layout, window.block, ControllerDecisions((), None))  # type: ignore[arg-type]
-    controller: Any = SimpleNamespace(model=SimpleNamespace(period=1.0 / rate))
+    controller: Any = SimpleNamespace(model=SimpleNamespace(period=1.0 / control_rate_hz))
 
-    def count_refusals(refused: int, k: int) -> tuple[int, ...]:
-        window.set_rows({"k": k})
+    def count_refusals(refused_count: int, tick_index: int) -> tuple[int, ...]:
+        window.set_rows({"k": tick_index})
         Controller._count_refusals(
-            controller, state, (TickEvent("warn", "request", "", ""),) * refused
+            controller, state, (TickEvent("warn", "request", "", ""),) * refused_count
         )
         lately = state.decisions.refusals
         assert int(window.view("refused").item()) == len(lately)
@@ -188,7 +191,7 @@ def test_refused_goals_are_those_of_the_last_second():
 def test_lost_and_malformed_replies_are_counted_separately():
     window = LossWindows()
     window.set_rows({"misread_now": {1: 1}})
-    assert window.run_tick_without_replies(motor=True) == (1, 0)
+    assert window.run_tick_without_replies(motor_missed=True) == (1, 0)
     assert window.field_values("misshapen") == [0, 1]
     assert window.run_tick_without_replies(misread_now=0) == (2, 0)
     assert window.field_values("misshapen") == [0, 2]
@@ -200,17 +203,21 @@ class ScreenedPositions(SyntheticMonitor):
     Each motor has its own largest permitted step in a period [rad].
     """
 
-    def __init__(self, limits: list[float], **before: list[float]) -> None:
-        super().__init__(synthetic_limits(len(limits)), step_limit=limits)
-        self.set_rows(before)
+    def __init__(self, step_limits: list[float], **value_by_field: list[float]) -> None:
+        super().__init__(synthetic_limits(len(step_limits)), step_limit=step_limits)
+        self.set_rows(value_by_field)
 
-    def screen_positions(self, value: list[float], missed: int = 0) -> list[float]:
+    def screen_positions(
+        self, reported_positions: list[float], missed_ticks: int = 0
+    ) -> list[float]:
         """Check one position per motor, and return how far each motor has jumped.
 
         A missing position is NaN.
         """
-        given = np.array(value)
-        self.observe_readings({"answered": ~np.isnan(given), "position": given, "missed": missed})
+        given = np.array(reported_positions)
+        self.observe_readings(
+            {"answered": ~np.isnan(given), "position": given, "missed": missed_ticks}
+        )
         return self.field_values("jump")
 
 
@@ -223,17 +230,21 @@ def test_the_first_position_is_accepted_wherever_it_is():
     assert positions.field_values("accepted_gap") == [0.0, 0.0, 1.0]
 
 
-@pytest.mark.parametrize(("value", "gap", "wrong"), [
+@pytest.mark.parametrize(("reported_position", "missed_readings", "expected_jump"), [
     (1.1, 0, 0.0), (1.125, 0, 0.0), (1.13, 0, 0.13), (0.8, 0, 0.2),
     (1.25, 1, 0.0), (1.26, 1, 0.26),       # after one missed reading, the step may be twice as large
     (1.5, 3, 0.0), (1.51, 3, 0.51),
 ])  # fmt: skip
-def test_an_impossible_step_is_rejected_and_the_allowed_step_grows(value, gap, wrong):
-    positions = ScreenedPositions([0.125], accepted=[1.0], accepted_gap=[float(gap)])
-    assert positions.screen_positions([value])[0] == pytest.approx(wrong)
-    assert positions.field_values("accepted") == [1.0 if wrong else value]
-    assert positions.field_values("accepted_gap") == [gap + 1 if wrong else 0]
-    assert np.isnan(positions.view("measured_position")[0]) == bool(wrong), "nothing else sees it"
+def test_an_impossible_step_is_rejected_and_the_allowed_step_grows(
+    reported_position, missed_readings, expected_jump
+):
+    positions = ScreenedPositions([0.125], accepted=[1.0], accepted_gap=[float(missed_readings)])
+    assert positions.screen_positions([reported_position])[0] == pytest.approx(expected_jump)
+    assert positions.field_values("accepted") == [1.0 if expected_jump else reported_position]
+    assert positions.field_values("accepted_gap") == [missed_readings + 1 if expected_jump else 0]
+    assert np.isnan(positions.view("measured_position")[0]) == bool(expected_jump), (
+        "nothing else sees it"
+    )
 
 
 def test_a_missing_position_is_no_jump():
@@ -274,7 +285,7 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
     assert [int(b) for _, b in dropped] == [0, 0, 0, 0, 0, 1, 0]
 
 
-@pytest.mark.parametrize(("missed", "steps", "allowed_steps"), [
+@pytest.mark.parametrize(("missed_ticks", "position_steps", "allowed_steps"), [
     # In these cases, a step between two readings is given in units of the largest step that one
     # period allows. The number 1 marks a jump. The first reading after missed ticks may be the
     # reply to a request from before or after these ticks. The second reading may then come from a
@@ -283,16 +294,18 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
     (1, (2.0, 1.0), (0, 0)), (1, (1.0, 2.0), (0, 0)), (1, (2.1, 0.0), (1, 0)), (1, (1.0, 2.1), (0, 1)),
     (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),
 ])  # fmt: skip
-def test_allowed_step_grows_over_skipped_ticks(missed, steps, allowed_steps):
+def test_allowed_step_grows_over_skipped_ticks(missed_ticks, position_steps, allowed_steps):
     """In one run of this test, the position of the second motor is known.
 
     In another run, the second motor has never been read.
     """
     for other in (0.0, NAN):
         positions, at, seen = ScreenedPositions([1.0] * 2, accepted=[0.0, other]), 0.0, []
-        for k, step in enumerate(steps):
+        for k, step in enumerate(position_steps):
             at += step
-            seen.append(int(positions.screen_positions([at, other], 0 if k else missed)[0] > 0.0))
+            seen.append(
+                int(positions.screen_positions([at, other], 0 if k else missed_ticks)[0] > 0.0)
+            )
         assert tuple(seen) == allowed_steps, other
 
 
@@ -303,31 +316,36 @@ def test_a_missing_reading_after_skipped_ticks_increases_the_allowed_step():
 
 
 def add_reading(
-    monitor: SyntheticMonitor, value: float, goal: float, tension: float
+    monitor: SyntheticMonitor, motor_position: float, goal_travel: float, tension: float
 ) -> tuple[int, float, float]:
     """Run a tick with an encoder reading, a target and a tension.
 
     Return for how many ticks the reading has not changed, and how far target and tension have moved
     in this time.
     """
-    rows: StateRows = {"measured_position": value, "followed": goal, "residual": {TENSION: tension}}
+    rows: StateRows = {
+        "measured_position": motor_position,
+        "followed": goal_travel,
+        "residual": {TENSION: tension},
+    }
     monitor.tick(rows)
     anchor = monitor.view("motor_anchor")[:, 0].tolist()
     away = [
         call_interpreted(stuck_sensors.motion_since_reading, *pair)
-        for pair in zip((goal, tension), anchor, strict=True)
+        for pair in zip((goal_travel, tension), anchor, strict=True)
     ]
     return int(monitor.view("motor_stuck")[0]), *away
 
 
-def ticks_and_motion(values, witnesses):
+def ticks_and_motion(motor_positions, goals_and_tensions):
     """Return the monitor and, for each tick, the results of ``add_reading``.
 
     The target and the tension are the signals that should move together with a reading.
     """
     monitor = SyntheticMonitor(synthetic_limits(1), residual_fraction=0.0)
     return monitor, [
-        add_reading(monitor, value, *pair) for value, pair in zip(values, witnesses, strict=True)
+        add_reading(monitor, value, *pair)
+        for value, pair in zip(motor_positions, goals_and_tensions, strict=True)
     ]
 
 

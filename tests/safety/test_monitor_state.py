@@ -41,7 +41,7 @@ FindingsByFault = dict[str, dict[str, float]]
 
 
 def make_monitor(
-    stiffness: float = 1e5, motor_period: Any = PERIOD_S, joint_period: float = PERIOD_S
+    tendon_stiffness: float = 1e5, motor_period: Any = PERIOD_S, joint_period: float = PERIOD_S
 ) -> SyntheticMonitor:
     """Return the safety monitor of two tendons.
 
@@ -49,7 +49,7 @@ def make_monitor(
     """
     arms = np.array([0.02, 0.01])
     monitor = SyntheticMonitor(
-        TWO_TENDON_LIMITS, motor_period, joint_period, stiffness=stiffness, arms_sum=arms,
+        TWO_TENDON_LIMITS, motor_period, joint_period, stiffness=tendon_stiffness, arms_sum=arms,
         excursion_to_joints=np.diag(1.0 / arms),
         step_limit=[0.1, 0.2], joint_step_limit=[0.3, 0.4],
     )  # fmt: skip
@@ -63,7 +63,7 @@ FIELD_BY_NAME = {"tension": "measured_tension", "travel": "measured_travel", "po
          "read": "joints_read"}  # fmt: skip
 
 
-def resting_tick(**given: Any) -> dict[str, Any]:
+def resting_tick(**changed_measurements: Any) -> dict[str, Any]:
     """Return the measurements of two tendons that rest under 20 N, with some changes.
 
     A single number applies to both tendons.
@@ -77,22 +77,24 @@ def resting_tick(**given: Any) -> dict[str, Any]:
         "joints": NAN,
         "read": False,
     }
-    facts |= given
+    facts |= changed_measurements
     # Travel and position come from the same encoder. The travel is the position times the spool
     # radius.
     facts.setdefault("position", np.asarray(facts["travel"]) / SPOOL_RADIUS_M)
     return {FIELD_BY_NAME[name]: value for name, value in facts.items()}
 
 
-def monitor_at_20_newton(monitor: SyntheticMonitor | None = None, **given: Any) -> SyntheticMonitor:
+def monitor_at_20_newton(
+    monitor: SyntheticMonitor | None = None, **changed_measurements: Any
+) -> SyntheticMonitor:
     """Return the monitor of a hand at rest whose commanded and planned tensions are 20 N."""
     monitor = monitor or make_monitor()
-    monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0} | given)
+    monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0} | changed_measurements)
     return monitor
 
 
 def run_ticks(
-    number: int, monitor: SyntheticMonitor | None = None, **given: Any
+    tick_count: int, monitor: SyntheticMonitor | None = None, **changed_measurements: Any
 ) -> tuple[SyntheticMonitor, FindingsByFault]:
     """Run the same tick several times.
 
@@ -100,9 +102,11 @@ def run_ticks(
     that computes the value from the number of the tick.
     """
     monitor, found = monitor or monitor_at_20_newton(), {}
-    for k in range(number):
+    for k in range(tick_count):
         found = monitor.tick(
-            resting_tick(**{name: v(k) if callable(v) else v for name, v in given.items()})
+            resting_tick(
+                **{name: v(k) if callable(v) else v for name, v in changed_measurements.items()}
+            )
         )
     return monitor, found
 
@@ -175,22 +179,23 @@ def unexplained_tensions(monitor: SyntheticMonitor) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    ("tension", "residual"), [(29.8, 4.8), (30.2, 5.2), (9.7, 5.3), (5.0, 10.0), (20.0, 0.0)]
+    ("tension", "expected_residual"),
+    [(29.8, 4.8), (30.2, 5.2), (9.7, 5.3), (5.0, 10.0), (20.0, 0.0)],
 )
-def test_lasting_residual_is_a_fault(tension, residual):
+def test_lasting_residual_is_a_fault(tension, expected_residual):
     """The residual is the measured tension minus the tension that the model explains.
 
     In this test, friction may cause 3 N of the residual, and the tolerance of the torque constant a
     tenth of 20 N.
     """
     monitor, found = run_ticks(1200, tension=tension)
-    assert unexplained_tensions(monitor) == pytest.approx([residual] * 2, abs=0.05)
-    all_cells = {name: pytest.approx(residual, abs=0.05) for name in "ab"}
-    assert found.get("T04a", {}) == (all_cells if residual > 5.0 else {})
+    assert unexplained_tensions(monitor) == pytest.approx([expected_residual] * 2, abs=0.05)
+    all_cells = {name: pytest.approx(expected_residual, abs=0.05) for name in "ab"}
+    assert found.get("T04a", {}) == (all_cells if expected_residual > 5.0 else {})
 
 
 @pytest.mark.parametrize(
-    ("commanded", "force", "is_reported"),
+    ("commanded_force_N", "reported_force_N", "is_reported"),
     [
         (20.0, 9.1, False),
         (20.0, 8.9, True),
@@ -201,28 +206,28 @@ def test_lasting_residual_is_a_fault(tension, residual):
         (60.0, 75.1, True),
     ],
 )
-def test_missing_torque_is_a_fault(commanded, force, is_reported):
+def test_missing_torque_is_a_fault(commanded_force_N, reported_force_N, is_reported):
     """Without a load cell, the limit is 6 N plus a quarter of the command, but at most 15 N."""
-    monitor = monitor_at_20_newton(asked=commanded, wanted=commanded)
+    monitor = monitor_at_20_newton(asked=commanded_force_N, wanted=commanded_force_N)
     monitor.set_constants(cell_group=[-1, -1])
-    _, found = run_ticks(600, monitor, force=force, tension=force)
-    difference = abs(commanded - force)
+    _, found = run_ticks(600, monitor, force=reported_force_N, tension=reported_force_N)
+    difference = abs(commanded_force_N - reported_force_N)
     expected = {name: pytest.approx(difference, abs=0.01) for name in ("ma", "mb")}
     assert found.get("N14", {}) == (expected if is_reported else {})
 
 
-@pytest.mark.parametrize(("rub", "is_reported"), [(5.8, False), (6.1, True)])
-def test_friction_above_the_hand_file_is_a_fault(rub, is_reported):
+@pytest.mark.parametrize(("excess_friction_N", "is_reported"), [(5.8, False), (6.1, True)])
+def test_friction_above_the_hand_file_is_a_fault(excess_friction_N, is_reported):
     """Friction is a fault if it exceeds the modelled friction by more than a limit for some seconds of motion.
 
     In this test, the limit is 3 N plus a tenth of the force of 29 N. The tenth is the tolerance of
     the torque constant.
     """
     monitor = run_ticks(30)[0]
-    monitor.set_rows({"residual": {EXCESS_FRICTION: rub, MOTOR_FORCE: 29.0}})
+    monitor.set_rows({"residual": {EXCESS_FRICTION: excess_friction_N, MOTOR_FORCE: 29.0}})
     _, found = run_ticks(1, monitor, force=29.0, tension=29.0)
     grown = [call_interpreted(residuals.excess_friction, monitor.state_tables, n) for n in (0, 1)]
-    assert grown == pytest.approx([rub - 2.9] * 2, abs=0.01)
+    assert grown == pytest.approx([excess_friction_N - 2.9] * 2, abs=0.01)
     assert found.get("T09", {}) == (dict(zip("ab", grown, strict=True)) if is_reported else {})
 
 
@@ -295,18 +300,18 @@ On a slow bus, more readings may not be possible.
 
 
 def run_sparse_joints(
-    number: int, monitor: SyntheticMonitor, **given: Any
+    tick_count: int, monitor: SyntheticMonitor, **changed_measurements: Any
 ) -> list[FindingsByFault]:
     """Run ticks of a hand whose joints are read only in every fourth tick.
 
     Return the findings of each tick.
     """
     reported = []
-    for k in range(number):
+    for k in range(tick_count):
         read = (
-            {"read": True} | given
+            {"read": True} | changed_measurements
             if k % TICKS_PER_JOINT_READING == 0
-            else {n: v for n, v in given.items() if n == "travel"}
+            else {n: v for n, v in changed_measurements.items() if n == "travel"}
         )
         reported.append(monitor.tick(resting_tick(**read)))
     return reported
@@ -384,21 +389,27 @@ def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
     assert first == 48
 
 
-def monitor_after_motion(monitor: SyntheticMonitor | None = None, **given: Any) -> SyntheticMonitor:
+def monitor_after_motion(
+    monitor: SyntheticMonitor | None = None, **changed_measurements: Any
+) -> SyntheticMonitor:
     """Return the monitor of a hand whose filters have settled and whose motors moved in the last tick."""
     return run_ticks(
-        1, run_ticks(150, monitor_at_20_newton(monitor), **given)[0], **{"travel": 1e-5} | given
+        1,
+        run_ticks(150, monitor_at_20_newton(monitor), **changed_measurements)[0],
+        **{"travel": 1e-5} | changed_measurements,
     )[0]
 
 
-@pytest.mark.parametrize(("number", "goal", "is_reported"), [
+@pytest.mark.parametrize(("tick_count", "goal_change_m", "is_reported"), [
     (51, 0.51e-3, True), (50, 0.51e-3, False),      # 50 ticks are 100 ms
     (60, 0.49e-3, False), (60, -0.51e-3, True),
 ])  # fmt: skip
-def test_constant_motor_reading_is_stuck_while_its_goal_moves(number, goal, is_reported):
+def test_constant_motor_reading_is_stuck_while_its_goal_moves(
+    tick_count, goal_change_m, is_reported
+):
     monitor = monitor_after_motion()
-    monitor.set_rows({"followed": [goal, 0.0]})
-    _, found = run_ticks(number, monitor, travel=1e-5)
+    monitor.set_rows({"followed": [goal_change_m, 0.0]})
+    _, found = run_ticks(tick_count, monitor, travel=1e-5)
     assert found.get("N04", {}) == ({"ma": pytest.approx(0.51)} if is_reported else {})
 
 
@@ -441,15 +452,17 @@ def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
     assert stuck(reported) == ["ja"]
 
 
-@pytest.mark.parametrize(("tension", "expected"), [(2.1, ["ja"]), (1.9, [])])
-def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(tension, expected):
+@pytest.mark.parametrize(("tension", "expected_stuck_joints"), [(2.1, ["ja"]), (1.9, [])])
+def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(
+    tension, expected_stuck_joints
+):
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
     monitor, _ = run_ticks(200, None, tension=2.6, force=2.6, **joints)
     run_ticks(200, monitor, tension=tension, force=tension, **joints)
     _, found = run_ticks(
         60, monitor, tension=tension, force=tension, travel=[np.radians(12.0) / 50.0, 0.0], **joints
     )
-    assert [name for name in found.get("N04", {}) if name[0] == "j"] == expected
+    assert [name for name in found.get("N04", {}) if name[0] == "j"] == expected_stuck_joints
 
 
 def test_each_joint_is_checked_with_its_own_tendons():
@@ -463,32 +476,34 @@ def test_each_joint_is_checked_with_its_own_tendons():
     assert [name for name in found.get("N04", {}) if name[0] == "j"] == ["jb"]
 
 
-@pytest.mark.parametrize(("number", "force", "tension", "is_reported"), [
+@pytest.mark.parametrize(("tick_count", "reported_force_N", "tension", "is_reported"), [
     (400, 25.2, 20.0, True), (400, 14.8, 20.0, True), (400, 24.8, 20.0, False), (38, 60.0, 20.0, False),
     (39, 60.0, 20.0, False), (40, 60.0, 20.0, True), (400, 26.0, 2.5, False), (400, 26.0, 2.6, True),
 ])  # fmt: skip
-def test_constant_load_cell_is_stuck_while_the_torque_moves(number, force, tension, is_reported):
+def test_constant_load_cell_is_stuck_while_the_torque_moves(
+    tick_count, reported_force_N, tension, is_reported
+):
     chance = np.random.default_rng(1)
     monitor, _ = run_ticks(100, tension=lambda k: tension + 0.1 * chance.standard_normal())
     run_ticks(1, monitor, tension=tension)
-    _, found = run_ticks(number, monitor, tension=tension, force=[force, 20.0])
+    _, found = run_ticks(tick_count, monitor, tension=tension, force=[reported_force_N, 20.0])
     assert list(found.get("T05", {})) == (["a"] if is_reported else [])
 
 
-@pytest.mark.parametrize("late", [0, 1])
-def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
+@pytest.mark.parametrize("reply_late_ticks", [0, 1])
+def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(reply_late_ticks):
     """After a gap of missing readings, one reading contains the motion of five ticks.
 
     This reading arrives in the first tick after the gap, or in the second if the reply is late by a
     tick.
     """
 
-    def run_over_gap(missed):
+    def run_over_gap(missed_ticks):
         monitor, at, speed, noisy = run_ticks(5, speed=0.1, force=27.0)[0], 0.0, 0.1, False
         for k in range(20):
-            at, speed = (at + 0.25, 0.14) if k == 10 + late else (at + 0.05, speed)
+            at, speed = (at + 0.25, 0.14) if k == 10 + reply_late_ticks else (at + 0.05, speed)
             rows = resting_tick(position=at, speed=speed, force=23.0 + 40.0 * speed)
-            noisy |= "N07" in monitor.tick(rows, missed=missed if k == 10 else 0)
+            noisy |= "N07" in monitor.tick(rows, missed=missed_ticks if k == 10 else 0)
         return noisy, monitor.view("residual")[BALANCE]
 
     noisy, balance = run_over_gap(4)
@@ -500,14 +515,19 @@ def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
 
 
 def screen_positions(
-    monitor: SyntheticMonitor, motors: list[float], joints: list[float] | None, missed: int = 0
+    monitor: SyntheticMonitor,
+    motor_positions: list[float],
+    joint_positions: list[float] | None,
+    missed_ticks: int = 0,
 ) -> tuple[Any, Any]:
     """Check the positions of motors and joints for jumps, and return how far each has jumped.
 
-    ``joints`` is None if no joint was read.
+    ``joint_positions`` is None if no joint was read.
     """
-    read = {"joint_fresh": joints is not None, "joint_angle": joints or 0.0}
-    monitor.observe_readings({"answered": 1, "position": motors, "missed": missed, **read})
+    read = {"joint_fresh": joint_positions is not None, "joint_angle": joint_positions or 0.0}
+    monitor.observe_readings(
+        {"answered": 1, "position": motor_positions, "missed": missed_ticks, **read}
+    )
     return monitor.field_values("jump"), monitor.field_values("joint_jump")
 
 
@@ -539,13 +559,13 @@ def test_missed_ticks_increase_the_allowed_step_of_motors_and_joints():
     assert monitor.field_values("joint_gap") == [3.0, 3.0]
 
 
-def rows_with_ages(**ages: int) -> dict[str, Any]:
+def rows_with_ages(**age_by_node: int) -> dict[str, Any]:
     """Return values of the state that contain the ages of replies [ticks].
 
     The keyword ``ma`` is the age of the last frame from the motor of tendon a. The keyword ``a`` is
     the age of the last frame from the load cell of tendon a.
     """
-    heard = {name: NOW_NS - ages.get(name, 0) * PERIOD_NS for name in ("ma", "mb", "a", "b")}
+    heard = {name: NOW_NS - age_by_node.get(name, 0) * PERIOD_NS for name in ("ma", "mb", "a", "b")}
     return {"feedback_ns": [heard["ma"], heard["mb"]], "group_ns": {0: heard["a"], 1: heard["b"]}}
 
 
@@ -555,15 +575,15 @@ def test_without_lost_replies_no_count_grows():
     assert not monitor.view("lost").any()
 
 
-@pytest.mark.parametrize(("rows", "lost"), [
+@pytest.mark.parametrize(("value_by_field", "expected_lost"), [
     (rows_with_ages(mb=1), [0, 1, 0]), (rows_with_ages(b=1), [0, 0, 1]), (rows_with_ages(ma=3), [1, 0, 0]),
     (rows_with_ages(ma=1, mb=1) | {"missed": 1}, [0, 0, 0]),
     (rows_with_ages(ma=1, mb=1) | {"mode": int(HandMode.READY)}, [0, 0, 0]),
 ])  # fmt: skip
-def test_lost_replies_are_recorded_per_node(rows, lost):
+def test_lost_replies_are_recorded_per_node(value_by_field, expected_lost):
     monitor = make_monitor()
-    monitor.tick(rows)
-    assert monitor.field_values("lost") == [lost, [0, 0, 0]]
+    monitor.tick(value_by_field)
+    assert monitor.field_values("lost") == [expected_lost, [0, 0, 0]]
 
 
 def test_malformed_frames_are_reported_with_sender_and_recent_count():

@@ -42,8 +42,8 @@ def monitor() -> SyntheticMonitor:
     return monitor
 
 
-def joint_turns(monitor: SyntheticMonitor, **given: Any) -> list[float]:
-    monitor.set_rows(resting_tick(**given) | {"bears": 1})
+def joint_turns(monitor: SyntheticMonitor, **changed_measurements: Any) -> list[float]:
+    monitor.set_rows(resting_tick(**changed_measurements) | {"bears": 1})
     return [
         call_interpreted(
             stuck_sensors.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, j
@@ -71,13 +71,13 @@ def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: SyntheticMonitor
     assert math.isnan(angle), "it says nothing"
 
 
-@pytest.mark.parametrize(("tension", "taut"), [(SLACK_N, 1.0), (SLACK_N - 1e-9, 0.0), (TAUT_N, 1.0),
+@pytest.mark.parametrize(("tension_N", "expected_taut_time"), [(SLACK_N, 1.0), (SLACK_N - 1e-9, 0.0), (TAUT_N, 1.0),
                                                (TAUT_N + 1e-9, 1.0 + PERIOD_S)])  # fmt: skip
 def test_the_taut_time_does_not_change_between_slack_and_taut(
-    monitor: SyntheticMonitor, tension: float, taut: float
+    monitor: SyntheticMonitor, tension_N: float, expected_taut_time: float
 ) -> None:
-    monitor.tick(resting_tick(tension=tension, **JOINTS_READ), taut_s=1.0)
-    assert monitor.field_values("taut_s") == [taut, taut]
+    monitor.tick(resting_tick(tension=tension_N, **JOINTS_READ), taut_s=1.0)
+    assert monitor.field_values("taut_s") == [expected_taut_time, expected_taut_time]
 
 
 def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(
@@ -93,7 +93,10 @@ def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(
 
 
 def stuck_names(
-    monitor: SyntheticMonitor, before: int, value: float, changed_state: dict[str, list[float]]
+    monitor: SyntheticMonitor,
+    equal_readings: int,
+    cell_tension: float,
+    changed_state: dict[str, list[float]],
 ) -> dict[str, list[str]]:
     """Return the names of the sensors that count as stuck after one more equal reading.
 
@@ -102,8 +105,9 @@ def stuck_names(
     """
     zero = [0.0, 0.0]
     found = monitor.tick(
-        resting_tick(tension=value, **JOINTS_READ), motor_stuck=before, cell_stuck=before, joint_stuck=before,
-        motor_value=0.0, cell_value=value, joint_value=0.0, followed=changed_state.get("goal", zero),
+        resting_tick(tension=cell_tension, **JOINTS_READ), motor_stuck=equal_readings, cell_stuck=equal_readings,
+        joint_stuck=equal_readings, motor_value=0.0, cell_value=cell_tension, joint_value=0.0,
+        followed=changed_state.get("goal", zero),
         motor_anchor=[zero, 20.0 - np.array(changed_state.get("tension", zero))],
         cell_anchor=[20.0 - np.array(changed_state.get("pushed", zero)), [20.0, 20.0]],
         joint_anchor=np.array(changed_state.get("turned", zero)) - 20.0 / SOFT_STIFFNESS * np.array([50.0, 100.0]),
@@ -167,19 +171,21 @@ def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> No
 
 
 @pytest.mark.parametrize(
-    ("group", "limit"), [([0, 1], DERAILED_DEG), ([-1, -1], DERAILED_WITHOUT_CELL_DEG)]
+    ("cell_group", "pulley_limit"), [([0, 1], DERAILED_DEG), ([-1, -1], DERAILED_WITHOUT_CELL_DEG)]
 )
 def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
-    monitor: SyntheticMonitor, group: list[int], limit: float
+    monitor: SyntheticMonitor, cell_group: list[int], pulley_limit: float
 ) -> None:
     """The test calls interpreted code with excursions that are within four bits of the limit.
 
     A tendon without a load cell has a smaller limit.
     """
-    monitor.set_constants(cell_group=group)
+    monitor.set_constants(cell_group=cell_group)
 
-    def slip_and_count(apart: float) -> tuple[float, float]:
-        monitor.set_rows(resting_tick(**JOINTS_READ | {"tension": 0.0, "excursion": -apart}))
+    def slip_and_count(excursion_difference: float) -> tuple[float, float]:
+        monitor.set_rows(
+            resting_tick(**JOINTS_READ | {"tension": 0.0, "excursion": -excursion_difference})
+        )
         monitor.set_rows(
             {
                 "taut_s": 9.0,
@@ -193,29 +199,29 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
         call_interpreted(tendon_slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
         return abs(monitor.field_values("slip")[0]), monitor.field_values("derailed")[0]
 
-    apart = limit / DEG_PER_RAD * 0.02
+    apart = pulley_limit / DEG_PER_RAD * 0.02
     around = [slip_and_count(apart * (1.0 + i * 2.0**-52)) for i in range(-4, 5)]
-    assert min(angle for angle, _ in around) <= limit < max(angle for angle, _ in around)
-    assert all(count == float(angle > limit) for angle, count in around)
+    assert min(angle for angle, _ in around) <= pulley_limit < max(angle for angle, _ in around)
+    assert all(count == float(angle > pulley_limit) for angle, count in around)
 
 
 @pytest.mark.parametrize(
-    ("group", "commanded", "is_judged"),
+    ("cell_group", "commanded_force_N", "is_judged"),
     [([-1, -1], 20.0, True), ([-1, -1], np.nan, False), ([0, 1], np.nan, True)],
 )
 def test_a_tendon_without_load_cell_and_torque_is_not_off_its_pulley(
-    monitor: SyntheticMonitor, group: list[int], commanded: float, is_judged: bool
+    monitor: SyntheticMonitor, cell_group: list[int], commanded_force_N: float, is_judged: bool
 ) -> None:
     """Reproduce a defect: a commissioning without springs and load cells ended with T08 (a tendon left its pulley).
 
     The rotor of a released tendon turned back by 1.6 mm, while the friction of the motor still
     looked like tension.
     """
-    monitor.set_constants(cell_group=group)
+    monitor.set_constants(cell_group=cell_group)
     monitor.set_rows(resting_tick(**JOINTS_READ | {"tension": 0.0, "excursion": -0.02}))
     monitor.set_rows(
         {
-            "wanted": commanded,
+            "wanted": commanded_force_N,
             "taut_s": 9.0,
             "slip_from": 0.0,
             "measured_tension": TAUT_N,

@@ -20,11 +20,11 @@ RequestTicks = tuple[tuple[int, ...], ...]
 class OpenRequests(SyntheticMonitor):
     """Record of the motors that have not yet replied to requests of earlier ticks."""
 
-    def __init__(self, outstanding: RequestTicks) -> None:
-        super().__init__(synthetic_limits(len(outstanding)))
+    def __init__(self, open_request_ticks: RequestTicks) -> None:
+        super().__init__(synthetic_limits(len(open_request_ticks)))
         self.set_rows({
-            "open_questions": {n: len(ticks) for n, ticks in enumerate(outstanding)},
-            "question": {(i, n): k for n, ticks in enumerate(outstanding) for i, k in enumerate(ticks)},
+            "open_questions": {n: len(ticks) for n, ticks in enumerate(open_request_ticks)},
+            "question": {(i, n): k for n, ticks in enumerate(open_request_ticks) for i, k in enumerate(ticks)},
         })  # fmt: skip
 
     @property
@@ -36,7 +36,7 @@ class OpenRequests(SyntheticMonitor):
         )
         return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
 
-    def send_requests(self, k: int, must_reply: tuple[bool, ...] | None = None) -> None:
+    def send_requests(self, tick_index: int, must_reply: tuple[bool, ...] | None = None) -> None:
         """Send one request to every motor.
 
         A motor that is not in ``must_reply`` may leave its request unanswered.
@@ -49,7 +49,7 @@ class OpenRequests(SyntheticMonitor):
                     ]
                 }
             )
-        call_interpreted(add_requests, self.state_tables, k)
+        call_interpreted(add_requests, self.state_tables, tick_index)
 
     def receive_replies(self, reply_counts: list[int]) -> list[int]:
         """Receive ``reply_counts`` replies from each motor.
@@ -63,7 +63,7 @@ class OpenRequests(SyntheticMonitor):
         return [n for n, count in enumerate(surplus.tolist()) if count]
 
 
-@pytest.mark.parametrize(("outstanding", "able", "after"), [
+@pytest.mark.parametrize(("open_request_ticks", "replies_to_each_request", "open_after_tick"), [
     (((), ()), (True, True), ((7,), (7,))),
     (((5, 6), ()), (True, True), ((5, 6, 7), (7,))),
     (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # this drive need only reply to the last request
@@ -74,10 +74,12 @@ class OpenRequests(SyntheticMonitor):
     (((-LOSS_WINDOW_TICKS, 7 - LOSS_WINDOW_TICKS), (-LOSS_WINDOW_TICKS,)), (True, True),
         ((7 - LOSS_WINDOW_TICKS, 7), (-LOSS_WINDOW_TICKS, 7))),    # not the last request
 ])  # fmt: skip
-def test_a_request_increases_the_number_of_outstanding_replies(outstanding, able, after):
-    questions = OpenRequests(outstanding)
-    questions.send_requests(7, able)
-    assert questions.outstanding == after
+def test_a_request_increases_the_number_of_outstanding_replies(
+    open_request_ticks, replies_to_each_request, open_after_tick
+):
+    questions = OpenRequests(open_request_ticks)
+    questions.send_requests(7, replies_to_each_request)
+    assert questions.outstanding == open_after_tick
 
 
 def test_outstanding_requests_are_limited() -> None:
@@ -88,7 +90,7 @@ def test_outstanding_requests_are_limited() -> None:
     assert questions.outstanding[0] == tuple(range(2 * MAX_REQUESTS, 3 * MAX_REQUESTS))
 
 
-@pytest.mark.parametrize(("outstanding", "came", "after", "too_many"), [
+@pytest.mark.parametrize(("open_request_ticks", "reply_counts", "open_after_tick", "excess_motors"), [
     (((1,), (1,)), [1, 1], ((), ()), []),
     (((1,), (1,)), [1, 0], ((), (1,)), []),
     # a late reply and a new reply arrive in one tick
@@ -102,16 +104,22 @@ def test_outstanding_requests_are_limited() -> None:
     (((1,), ()), [1, 1], ((), ()), [1]),
     (((1, 2), (1, 2)), [1, 2], ((1,), ()), []),
 ])  # fmt: skip
-def test_replies_match_requests_and_the_rest_is_excess(outstanding, came, after, too_many):
-    questions = OpenRequests(outstanding)
-    assert questions.receive_replies(came) == too_many
-    assert questions.outstanding == after
-    expected = [1 + len(ticks) if n in too_many else 0 for n, ticks in enumerate(outstanding)]
+def test_replies_match_requests_and_the_rest_is_excess(
+    open_request_ticks, reply_counts, open_after_tick, excess_motors
+):
+    questions = OpenRequests(open_request_ticks)
+    assert questions.receive_replies(reply_counts) == excess_motors
+    assert questions.outstanding == open_after_tick
+    expected = [
+        1 + len(ticks) if n in excess_motors else 0 for n, ticks in enumerate(open_request_ticks)
+    ]
     assert questions.field_values("surplus") == expected
 
 
-@pytest.mark.parametrize("ticks", [2, 3, MAX_REQUESTS - 1])
-def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(ticks: int) -> None:
+@pytest.mark.parametrize("ticks_without_reply", [2, 3, MAX_REQUESTS - 1])
+def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(
+    ticks_without_reply: int,
+) -> None:
     """After some ticks without a reply, all missing replies may arrive at once.
 
     One reply more than the missing ones is a duplicate.
@@ -119,9 +127,11 @@ def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(ticks: int)
     questions = OpenRequests(((),))
     for start in range(2 * LOSS_WINDOW_TICKS):
         questions.set_rows({"open_questions": 0})
-        for k in range(start, start + ticks + 1):
+        for k in range(start, start + ticks_without_reply + 1):
             questions.send_requests(k)
-            extra = questions.receive_replies([0] if k < start + ticks else [ticks + 1])
+            extra = questions.receive_replies(
+                [0] if k < start + ticks_without_reply else [ticks_without_reply + 1]
+            )
             assert extra == [], f"from tick {start} on"
         assert questions.outstanding == ((),)
         questions.send_requests(k + 1)

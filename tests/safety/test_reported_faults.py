@@ -3,8 +3,8 @@
 from handctl.safety.tick_verdict import EventReport, filter_error_frames, locate_reports
 
 
-def faults_of_reports(*reports: EventReport) -> list[tuple[str, str, float]]:
-    return [(fault.id, where, value) for fault, where, value in locate_reports(reports)]
+def faults_of_reports(*event_reports: EventReport) -> list[tuple[str, str, float]]:
+    return [(fault.id, where, value) for fault, where, value in locate_reports(event_reports)]
 
 
 def test_bus_events_become_faults() -> None:

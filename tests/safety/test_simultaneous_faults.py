@@ -19,7 +19,7 @@ from tests.safety.fault_cases import (
     INPUT_AT_REST,
     TickInput,
     event_report,
-    late_motors,
+    late_motor_frames,
     measured_tensions,
     merge_inputs,
     reset_for_input,
@@ -32,7 +32,8 @@ from tests.safety.test_fault_table import check_ticks
 FAULTS_WHILE_ARMED = [
     id_
     for id_ in CASE_BY_FAULT
-    if CASE_BY_FAULT[id_].input_with_fault.rows.get("mode", {...: HandMode.ACTIVE})[...] in (4, 5)
+    if CASE_BY_FAULT[id_].input_with_fault.state_rows.get("mode", {...: HandMode.ACTIVE})[...]
+    in (4, 5)
 ]
 FAULT_PAIRS = list(pairwise([*FAULTS_WHILE_ARMED, FAULTS_WHILE_ARMED[0]])) + [
     (a, b) for a in ("B02", "T03", "N09b") for b in FAULTS_WHILE_ARMED if a != b
@@ -47,38 +48,40 @@ def test_every_fault_of_the_active_mode_is_paired() -> None:
     assert set(CASE_BY_FAULT) - set(FAULTS_WHILE_ARMED) == {"B18", "N16"}
 
 
-@pytest.mark.parametrize(("first", "second"), FAULT_PAIRS)
+@pytest.mark.parametrize(("first_fault_id", "second_fault_id"), FAULT_PAIRS)
 def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_reported(
-    first: str, second: str
+    first_fault_id: str, second_fault_id: str
 ) -> None:
-    a, b = CASE_BY_FAULT[first], CASE_BY_FAULT[second]
+    a, b = CASE_BY_FAULT[first_fault_id], CASE_BY_FAULT[second_fault_id]
     both = merge_inputs(a.input_with_fault, b.input_with_fault)
-    monitor, verdicts = check_ticks(*[both] * max(a.debounce, b.debounce))
+    monitor, verdicts = check_ticks(*[both] * max(a.debounce_ticks, b.debounce_ticks))
     assert verdicts[-1].action >= max(a.action, b.action)
     reported = {(f.fault.id, f.instance) for verdict in verdicts for f in verdict.findings}
-    assert {(first, a.instance), (second, b.instance)} <= reported
-    for id_, case in ((first, a), (second, b)):
-        assert (LatchedFault(id_, case.instance) in monitor.latched) == case.latched
+    assert {(first_fault_id, a.faulty_part), (second_fault_id, b.faulty_part)} <= reported
+    for id_, case in ((first_fault_id, a), (second_fault_id, b)):
+        assert (LatchedFault(id_, case.faulty_part) in monitor.latched) == case.is_latched
 
 
 @pytest.mark.parametrize(
-    ("first", "second"),
+    ("first_fault_id", "second_fault_id"),
     [*FAULT_PAIRS, ("B02", "N16"), ("N16", "B02"), ("B18", "T03"), ("N16", "T09")],
 )
-def test_a_second_fault_neither_ends_nor_hides_the_first(first: str, second: str) -> None:
+def test_a_second_fault_neither_ends_nor_hides_the_first(
+    first_fault_id: str, second_fault_id: str
+) -> None:
     """In this test, the first fault ends before the second begins.
 
     The first fault stays latched, and the second is still reported.
     """
-    a, b = CASE_BY_FAULT[first], CASE_BY_FAULT[second]
-    monitor, first_verdicts = check_ticks(*[a.input_with_fault] * a.debounce, INPUT_AT_REST)
-    _, verdicts = check_ticks(*[b.input_with_fault] * b.debounce, monitor=monitor)
-    expected = max(b.action, a.action if a.latched else SafetyAction.PASS)
+    a, b = CASE_BY_FAULT[first_fault_id], CASE_BY_FAULT[second_fault_id]
+    monitor, first_verdicts = check_ticks(*[a.input_with_fault] * a.debounce_ticks, INPUT_AT_REST)
+    _, verdicts = check_ticks(*[b.input_with_fault] * b.debounce_ticks, monitor=monitor)
+    expected = max(b.action, a.action if a.is_latched else SafetyAction.PASS)
     assert verdicts[-1].action >= expected
     reported = [f.fault.id for verdict in (*first_verdicts, *verdicts) for f in verdict.findings]
-    assert second in reported
+    assert second_fault_id in reported
     _, (after,) = check_ticks(INPUT_AT_REST, monitor=monitor)
-    left = [case.action for case in (a, b) if case.latched]
+    left = [case.action for case in (a, b) if case.is_latched]
     assert after.action >= max(left, default=SafetyAction.PASS)
     monitor.clear_latched()
     _, (calm,) = check_ticks(INPUT_AT_REST, monitor=monitor)
@@ -87,8 +90,8 @@ def test_a_second_fault_neither_ends_nor_hides_the_first(first: str, second: str
 
 
 def test_the_same_fault_of_two_instances_is_two_faults() -> None:
-    monitor, (one,) = check_ticks(late_motors(m0=6))
-    _, (two,) = check_ticks(late_motors(m1=6), monitor=monitor)
+    monitor, (one,) = check_ticks(late_motor_frames(m0=6))
+    _, (two,) = check_ticks(late_motor_frames(m1=6), monitor=monitor)
     assert [f.instance for f in one.findings if f.fault.id == "B02"] == ["m0"]
     assert [f.instance for f in two.findings if f.fault.id == "B02"] == ["m1"]
     assert [mark.instance for mark in monitor.latched if mark.id == "B02"] == ["m0", "m1"]

@@ -24,32 +24,36 @@ TensionList = list[float]
 class FilteredTendons(SyntheticMonitor):
     """Tendons with a safety monitor. The test sets the filtered tensions of these tendons."""
 
-    def __init__(self, count: int, **rows: Any) -> None:
-        super().__init__(synthetic_limits(count), residual_fraction=0.0)
-        self.set_rows(rows)
+    def __init__(self, tendon_count: int, **value_by_field: Any) -> None:
+        super().__init__(synthetic_limits(tendon_count), residual_fraction=0.0)
+        self.set_rows(value_by_field)
 
     def run_tick(
-        self, tension: TensionList, wanted: TensionList, **rows: Any
+        self, tension: TensionList, commanded_tension: TensionList, **value_by_field: Any
     ) -> list[tuple[int, int]]:
         """Run a tick with given tensions and commands.
 
         Return, for each tendon, the number of ticks since it was taut, and the number of ticks in
         which it was slack.
         """
-        self.reported = self.tick(residual={TENSION: tension}, wanted=wanted, **rows)
+        self.reported = self.tick(
+            residual={TENSION: tension}, wanted=commanded_tension, **value_by_field
+        )
         return list(
             zip(self.field_values("taut_ago"), self.field_values("slack_ticks"), strict=True)
         )
 
-    def run_tick_after_cut(self, tension: TensionList, **rows: Any) -> dict[str, float]:
+    def run_tick_after_cut(self, tension: TensionList, **value_by_field: Any) -> dict[str, float]:
         """Run a tick with load-cell readings after the motors were disabled.
 
         Return the tendons that a motor still pulls.
         """
-        return self.tick(measured_tension=tension, mode=int(HandMode.CUT), **rows).get("N16", {})
+        return self.tick(measured_tension=tension, mode=int(HandMode.CUT), **value_by_field).get(
+            "N16", {}
+        )
 
 
-@pytest.mark.parametrize(("cell", "goal", "before", "after"), [
+@pytest.mark.parametrize(("cell_tension_N", "commanded_tension_N", "counts_before", "counts_after"), [
     # Columns: tension [N], commanded tension [N], (ticks since taut, ticks slack) before the tick
     # and after it
     (2.6, 20.0, (-1, 0), (0, 0)),     # taut for the first time
@@ -66,9 +70,11 @@ class FilteredTendons(SyntheticMonitor):
     (30.0, NAN, (3, 4), (-1, 0)),
     (NAN, 20.0, (3, 4), (4, 0)),      # without a reading, a tendon is neither slack nor taut
 ])  # fmt: skip
-def test_slack_detector_updates_its_counts_in_each_tick(cell, goal, before, after):
-    tendons = FilteredTendons(1, taut_ago=before[0], slack_ticks=before[1])
-    assert tendons.run_tick([cell], [goal]) == [after]
+def test_slack_detector_updates_its_counts_in_each_tick(
+    cell_tension_N, commanded_tension_N, counts_before, counts_after
+):
+    tendons = FilteredTendons(1, taut_ago=counts_before[0], slack_ticks=counts_before[1])
+    assert tendons.run_tick([cell_tension_N], [commanded_tension_N]) == [counts_after]
 
 
 def test_tendons_count_separately_and_begin_as_never_taut():
@@ -90,7 +96,7 @@ def test_slack_is_reported_by_name_and_in_seconds():
     assert "T02a" not in tendons.reported
 
 
-@pytest.mark.parametrize(("ago", "cell", "goal", "speed", "found"), [
+@pytest.mark.parametrize(("ticks_since_taut", "cell_tension_N", "commanded_tension_N", "spool_speed", "is_detected"), [
     (0, 0.0, 24.0, 0.05, True),
     (49, 0.0, 24.0, 0.05, True),
     (50, 0.0, 24.0, 0.05, False),     # last taut 100 ms ago
@@ -107,19 +113,30 @@ def test_slack_is_reported_by_name_and_in_seconds():
     (0, 0.0, NAN, 0.05, False),
     (0, 0.0, 24.0, NAN, False),
 ])  # fmt: skip
-def test_a_snapped_tendon_is_detected(ago, cell, goal, speed, found):
+def test_a_snapped_tendon_is_detected(
+    ticks_since_taut, cell_tension_N, commanded_tension_N, spool_speed, is_detected
+):
     """In this test, one tendon is neither slack nor taut, so the count of ticks since it was taut continues.
 
     The other tendon of this digit is taut.
     """
-    tendons = FilteredTendons(2, taut_ago=[0, ago - 1 if ago > 0 else ago])
-    taut = 20.0 if ago == 0 else 2.2
-    tendons.run_tick([20.0, taut], [24.0, goal], measured_tension=[20.0, cell], speed=[0.05, speed])
-    assert tendons.field_values("taut_ago")[1] == (ago if goal == goal else -1)
-    assert tendons.reported.get("T01", {}) == ({"t1": speed} if found else {})
+    tendons = FilteredTendons(
+        2, taut_ago=[0, ticks_since_taut - 1 if ticks_since_taut > 0 else ticks_since_taut]
+    )
+    taut = 20.0 if ticks_since_taut == 0 else 2.2
+    tendons.run_tick(
+        [20.0, taut],
+        [24.0, commanded_tension_N],
+        measured_tension=[20.0, cell_tension_N],
+        speed=[0.05, spool_speed],
+    )
+    assert tendons.field_values("taut_ago")[1] == (
+        ticks_since_taut if commanded_tension_N == commanded_tension_N else -1
+    )
+    assert tendons.reported.get("T01", {}) == ({"t1": spool_speed} if is_detected else {})
 
 
-@pytest.mark.parametrize(("goal", "speed_gain", "friction", "moves", "limit"), [
+@pytest.mark.parametrize(("commanded_tension_N", "speed_gain", "friction_N", "digit_moves", "speed_limit"), [
     # The tension loop has the gain 0.1. A free spool reaches ((1 + 0.1) goal - friction) / speed_gain.
     (11.0, 460.0, 3.0, False, 0.6 * 9.1 / 460.0),   # 0.0119 m/s, the extensor of n_plus_1
     (24.0, 460.0, 3.0, False, 0.03),                # 0.6 times the speed of the free spool is 0.0305 m/s
@@ -129,7 +146,7 @@ def test_a_snapped_tendon_is_detected(ago, cell, goal, speed, found):
     (11.0, 460.0, 3.0, True, 0.03),                 # the final speed of a motion is unknown
 ])  # fmt: skip
 def test_the_speed_of_a_snapped_tendon_depends_on_its_tension_loop(
-    goal, speed_gain, friction, moves, limit
+    commanded_tension_N, speed_gain, friction_N, digit_moves, speed_limit
 ):
     """The extensor of a grasp has a small commanded tension.
 
@@ -137,16 +154,16 @@ def test_the_speed_of_a_snapped_tendon_depends_on_its_tension_loop(
     T01 was not reported for it.
     """
 
-    def is_snapped(speed):
+    def is_snapped(spool_speed):
         tendon = FilteredTendons(1, taut_ago=0, goal_kind=int(GoalKind.TENSION))
-        if moves:
+        if digit_moves:
             tendon.set_rows({"way_kind": MINIMUM_JERK})
-        tendon.set_constants(tension_gain=0.1, tension_speed_gain=speed_gain, coulomb=friction)
-        tendon.run_tick([2.2], [goal], measured_tension=0.0, speed=speed)
+        tendon.set_constants(tension_gain=0.1, tension_speed_gain=speed_gain, coulomb=friction_N)
+        tendon.run_tick([2.2], [commanded_tension_N], measured_tension=0.0, speed=spool_speed)
         return "T01" in tendon.reported
 
-    assert not is_snapped(limit - 1e-6)
-    assert is_snapped(limit + 1e-6)
+    assert not is_snapped(speed_limit - 1e-6)
+    assert is_snapped(speed_limit + 1e-6)
 
 
 def test_no_tendon_snaps_before_tension_is_commanded():
@@ -193,7 +210,7 @@ def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading(
     assert tendons.field_values("cut_from") == [25.0, 20.0]
 
 
-@pytest.mark.parametrize(("ticks", "before", "now", "found"), [
+@pytest.mark.parametrize(("ticks_after_cut", "tension_before_cut", "present_tension", "is_detected"), [
     (49, 30.0, 30.0, False),          # the time limit has not passed
     (50, 30.0, 30.0, True),
     (51, 30.0, 30.0, True),
@@ -206,32 +223,36 @@ def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading(
     (50, 30.0, NAN, False),
     (50, NAN, 30.0, False),           # the tendon had no reading before this tick
 ])  # fmt: skip
-def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, found):
+def test_a_tendon_still_pulled_by_its_motor_is_detected(
+    ticks_after_cut, tension_before_cut, present_tension, is_detected
+):
     """The detector compares a tendon's tension with the tension before the motors were disabled.
 
     Without an earlier reading, the detector compares with the first reading.
     """
-    tendons = FilteredTendons(2, cut_ticks=ticks - 1, cut_from=[0.0, before], cut_bears=NAN)
-    reported = tendons.run_tick_after_cut([0.0, now])
-    if math.isnan(before):
+    tendons = FilteredTendons(
+        2, cut_ticks=ticks_after_cut - 1, cut_from=[0.0, tension_before_cut], cut_bears=NAN
+    )
+    reported = tendons.run_tick_after_cut([0.0, present_tension])
+    if math.isnan(tension_before_cut):
         assert tendons.field_values("cut_from") == [0.0, 30.0]
-        assert reported == {"t1": now}, (
+        assert reported == {"t1": present_tension}, (
             "a reading of 100 ms after the cut is one of a tendon that is pulled"
         )
     else:
-        assert reported == ({"t1": now} if found else {})
+        assert reported == ({"t1": present_tension} if is_detected else {})
 
 
 @pytest.mark.parametrize(
-    ("speed", "found"), [(0.0, True), (-0.02, True), (0.1, True), (-0.1, False)]
+    ("spool_speed", "is_detected"), [(0.0, True), (-0.02, True), (0.1, True), (-0.1, False)]
 )
-def test_a_spool_that_pays_out_fast_is_released(speed, found):
+def test_a_spool_that_pays_out_fast_is_released(spool_speed, is_detected):
     """Reproduce a defect: on jamia11, a healthy end of a run reported the fault N16.
 
     The springs of a digit kept a released tendon at 10 N while they accelerated its rotor.
     """
-    tendons = FilteredTendons(1, cut_ticks=49, cut_from=11.0, cut_bears=NAN, speed=speed)
-    assert tendons.run_tick_after_cut([10.5]) == ({"t0": 10.5} if found else {})
+    tendons = FilteredTendons(1, cut_ticks=49, cut_from=11.0, cut_bears=NAN, speed=spool_speed)
+    assert tendons.run_tick_after_cut([10.5]) == ({"t0": 10.5} if is_detected else {})
 
 
 def test_the_last_tension_counts_if_the_latest_sample_is_missing():
@@ -249,7 +270,7 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
     assert tendons.run_tick_after_cut([NAN, 9.0]) == {}
 
 
-@pytest.mark.parametrize(("before", "now", "found"), [
+@pytest.mark.parametrize(("force_before_cut", "present_force", "is_detected"), [
     # Columns: reported force [N] in the last tick before the motor was disabled, and 100 ms later.
     # A force of 8.5 N is less than springs and weight can cause at a load cell.
     (8.5, 8.5, True),
@@ -260,23 +281,28 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
     (8.5, NAN, False),
     (NAN, 8.5, False),       # the drive has never reported under torque
 ])  # fmt: skip
-@pytest.mark.parametrize("group", [-1, 0])
-def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(group, before, now, found):
+@pytest.mark.parametrize("cell_group", [-1, 0])
+def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(
+    cell_group, force_before_cut, present_force, is_detected
+):
     """A drive that keeps its torque after it was disabled is detected by the torque that it reports.
 
     Earlier defect: without load cells, such a drive did not cause the fault N16 (a drive does not
     release). With a load cell, a drive that kept 9 N did not cause this fault either.
     """
     tendons = FilteredTendons(1)
-    tendons.set_constants(cell_group=group)
-    tendons.tick(measured_force=before, asked=before)
-    reported = [tendons.run_tick_after_cut([NAN], measured_force=now, asked=0.0) for _ in range(52)]
+    tendons.set_constants(cell_group=cell_group)
+    tendons.tick(measured_force=force_before_cut, asked=force_before_cut)
+    reported = [
+        tendons.run_tick_after_cut([NAN], measured_force=present_force, asked=0.0)
+        for _ in range(52)
+    ]
     assert reported[48] == {}
-    assert reported[-1] == ({"t0": abs(now)} if found else {})
+    assert reported[-1] == ({"t0": abs(present_force)} if is_detected else {})
 
 
-@pytest.mark.parametrize(("step", "found"), [(0.0, True), (0.1, True), (1.2, False)])
-def test_a_step_of_a_coarse_torque_report_is_no_pull(step, found):
+@pytest.mark.parametrize(("torque_step_N", "is_detected"), [(0.0, True), (0.1, True), (1.2, False)])
+def test_a_step_of_a_coarse_torque_report_is_no_pull(torque_step_N, is_detected):
     """Reproduce a defect.
 
     A CubeMars AK70-10 has no code for zero torque. After such a motor was disabled, it reports a
@@ -284,10 +310,10 @@ def test_a_step_of_a_coarse_torque_report_is_no_pull(step, found):
     release).
     """
     tendons = FilteredTendons(1)
-    tendons.set_constants(torque_step=step)
+    tendons.set_constants(torque_step=torque_step_N)
     tendons.tick(measured_force=1.2, asked=1.2)
     reported = [tendons.run_tick_after_cut([NAN], measured_force=1.2, asked=0.0) for _ in range(52)]
-    assert reported[-1] == ({"t0": 1.2} if found else {})
+    assert reported[-1] == ({"t0": 1.2} if is_detected else {})
 
 
 def test_an_old_torque_is_no_sign_of_a_drive_that_does_not_release():

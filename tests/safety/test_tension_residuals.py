@@ -39,25 +39,25 @@ TimeFunction = Callable[[float], float]
 class MotorWithTendon(SyntheticMonitor):
     """One motor and its tendon, with residuals that start at zero."""
 
-    def __init__(self, **rows: Any) -> None:
+    def __init__(self, **value_by_field: Any) -> None:
         super().__init__(
             synthetic_limits(1),
             motor_mass=MOTOR_MASS,
             motor_damping=MOTOR_DAMPING,
             coulomb=COULOMB_FRICTION_N,
         )
-        self.set_rows({"residual": 0.0, **rows})
+        self.set_rows({"residual": 0.0, **value_by_field})
 
     def run_tick(
-        self, tension: float, force: float, speed: float = 0.0, asked: float | None = None
+        self, tension: float, force: float, speed: float = 0.0, commanded_force: float | None = None
     ) -> None:
         """Run one tick with a measured tension, a reported motor force, a speed and a commanded force."""
-        commanded = force if asked is None else asked
+        commanded = force if commanded_force is None else commanded_force
         self.tick(speed=speed, measured_tension=tension, measured_force=force, asked=commanded)
 
-    def filtered_residual(self, row: int) -> float:
+    def filtered_residual(self, residual_row: int) -> float:
         """Return one kind of filtered residual by its row."""
-        return float(self.view("residual")[row, 0])
+        return float(self.view("residual")[residual_row, 0])
 
     @property
     def unexplained_tension(self) -> float:
@@ -73,25 +73,27 @@ class MotorWithTendon(SyntheticMonitor):
 
 
 def residuals_after(
-    seconds: float, tension: TimeFunction, force: TimeFunction, speed: TimeFunction = lambda t: 0.0,
-    asked: TimeFunction | None = None,
-    noise: float = 0.5,
+    duration_s: float, tension_at: TimeFunction, force_at: TimeFunction, speed_at: TimeFunction = lambda t: 0.0,
+    commanded_force: TimeFunction | None = None,
+    noise_N: float = 0.5,
 ) -> MotorWithTendon:  # fmt: skip
-    """Return a motor and its tendon after ``seconds`` have passed.
+    """Return a motor and its tendon after ``duration_s`` have passed.
 
     The tension, the force and the speed are functions of time.
     """
     rotor = MotorWithTendon()
-    for k in range(round(seconds / PERIOD_S)):
+    for k in range(round(duration_s / PERIOD_S)):
         t = k * PERIOD_S
-        cell = tension(t) + noise * NOISE_RNG.standard_normal()
-        rotor.run_tick(cell, force(t), speed(t), None if asked is None else asked(t))
+        cell = tension_at(t) + noise_N * NOISE_RNG.standard_normal()
+        rotor.run_tick(
+            cell, force_at(t), speed_at(t), None if commanded_force is None else commanded_force(t)
+        )
     return rotor
 
 
-@pytest.mark.parametrize("held", [0.0, 20.0, 100.0])
-def test_a_tendon_at_rest_leaves_no_residual(held):
-    state = residuals_after(2.0, lambda t: held, lambda t: held)
+@pytest.mark.parametrize("tension_is_held", [0.0, 20.0, 100.0])
+def test_a_tendon_at_rest_leaves_no_residual(tension_is_held):
+    state = residuals_after(2.0, lambda t: tension_is_held, lambda t: tension_is_held)
     assert state.unexplained_tension == 0.0
 
 
@@ -123,15 +125,15 @@ def test_acceleration_torque_is_no_residual():
         speed = 10.0 * t
         return 20.0 + 5.2 * 10.0 + 40.0 * speed + 3.0 * np.tanh(speed * 1e3)
 
-    state = residuals_after(0.1, lambda t: 20.0, force, speed=lambda t: 10.0 * t, noise=0.0)
+    state = residuals_after(0.1, lambda t: 20.0, force, speed_at=lambda t: 10.0 * t, noise_N=0.0)
     assert abs(state.filtered_residual(BALANCE)) < 0.2
-    still = residuals_after(0.1, lambda t: 20.0, force, noise=0.0)
+    still = residuals_after(0.1, lambda t: 20.0, force, noise_N=0.0)
     assert still.filtered_residual(BALANCE) > 10.0, "it would be, if the rotor stood"
 
 
-@pytest.mark.parametrize("drift", [-20.0, 20.0])
-def test_a_load_cell_that_is_wrong_is_seen_within_a_second(drift):
-    state = residuals_after(1.0, lambda t: 24.0 + drift, lambda t: 24.0)
+@pytest.mark.parametrize("cell_drift_N", [-20.0, 20.0])
+def test_a_load_cell_that_is_wrong_is_seen_within_a_second(cell_drift_N):
+    state = residuals_after(1.0, lambda t: 24.0 + cell_drift_N, lambda t: 24.0)
     assert state.unexplained_tension > 10.0
 
 
@@ -166,9 +168,11 @@ def test_missing_torque_is_detected():
 
     A missing force of 14.9 N does not exceed this limit.
     """
-    state = residuals_after(20 * PERIOD_S, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 39.0)
+    state = residuals_after(
+        20 * PERIOD_S, lambda t: 0.0, lambda t: 0.0, commanded_force=lambda t: 39.0
+    )
     assert state.filtered_residual(COMMAND_DIFFERENCE) > NOT_OBEYED_N
-    state = residuals_after(0.5, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 14.9)
+    state = residuals_after(0.5, lambda t: 0.0, lambda t: 0.0, commanded_force=lambda t: 14.9)
     assert state.filtered_residual(COMMAND_DIFFERENCE) < NOT_OBEYED_N
 
 
@@ -176,7 +180,7 @@ def test_noise_causes_no_fault_in_ten_thousand_hours():
     """The filtered noise of a hand at rest stays below all warning limits, even with triple load-cell noise."""
     left = np.array(
         [
-            residuals_after(1.0, lambda t: 24.0, lambda t: 24.0, noise=1.5).filtered_residual(
+            residuals_after(1.0, lambda t: 24.0, lambda t: 24.0, noise_N=1.5).filtered_residual(
                 BALANCE
             )
             for _ in range(40)
@@ -247,20 +251,22 @@ def test_a_tendon_still_pulled_after_the_cut_is_detected():
     assert monitor.tick(measured_tension=[29.0, 8.0], measured_force=0.0)["N16"] == {"t0": 29.0}
 
 
-@pytest.mark.parametrize("speed", [-2e-3, 5e-4, 1e-3, 0.02])
-def test_the_residual_filter_takes_the_exact_share_per_tick(speed):
-    rotor = MotorWithTendon(last_speed=speed)
-    rotor.run_tick(20.0, 30.0, speed)
-    balance = 30.0 - 20.0 - MOTOR_DAMPING * speed - COULOMB_FRICTION_N * np.tanh(speed / 1e-3)
+@pytest.mark.parametrize("spool_speed", [-2e-3, 5e-4, 1e-3, 0.02])
+def test_the_residual_filter_takes_the_exact_share_per_tick(spool_speed):
+    rotor = MotorWithTendon(last_speed=spool_speed)
+    rotor.run_tick(20.0, 30.0, spool_speed)
+    balance = (
+        30.0 - 20.0 - MOTOR_DAMPING * spool_speed - COULOMB_FRICTION_N * np.tanh(spool_speed / 1e-3)
+    )
     share = -np.expm1(-PERIOD_S / TIME_CONSTANTS_S[BALANCE])
     assert rotor.filtered_residual(BALANCE) == pytest.approx(share * balance, rel=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("speed", "counts"),
+    ("spool_speed", "friction_is_judged"),
     [(FULL_FRICTION_SPEED_M_S, False), (np.nextafter(FULL_FRICTION_SPEED_M_S, 1.0), True)],
 )
-def test_friction_is_judged_above_the_speed_of_full_friction(speed, counts):
-    rotor = MotorWithTendon(last_speed=speed)
-    rotor.run_tick(20.0, 30.0, speed)
-    assert bool(rotor.filtered_residual(EXCESS_FRICTION)) == counts
+def test_friction_is_judged_above_the_speed_of_full_friction(spool_speed, friction_is_judged):
+    rotor = MotorWithTendon(last_speed=spool_speed)
+    rotor.run_tick(20.0, 30.0, spool_speed)
+    assert bool(rotor.filtered_residual(EXCESS_FRICTION)) == friction_is_judged

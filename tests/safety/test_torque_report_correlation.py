@@ -32,9 +32,9 @@ class ReportingMotors(SyntheticMonitor):
         """
         self.ticks = 0
 
-    def run_tick(self, force: np.ndarray, report: np.ndarray) -> None:
+    def run_tick(self, commanded_force: np.ndarray, reported_force: np.ndarray) -> None:
         """Run one tick with the force commands of the last tick and the present reports."""
-        found = self.tick(asked=force, measured_force=report)
+        found = self.tick(asked=commanded_force, measured_force=reported_force)
         self.now_unfollowed = found.get("N17", {})
         self.disobeyed += [self.ticks] * ("N14" in found)
         self.ticks += 1
@@ -57,55 +57,57 @@ def motors_after(
     return motors
 
 
-def noisy_commands(seed: int, size: float = 0.1) -> np.ndarray:
+def noisy_commands(seed: int, noise_N: float = 0.1) -> np.ndarray:
     """Return noisy commands (COMMAND_TICKS, 2) [N] for two motors that hold 90 N.
 
     The commands are rounded to 12 bits, as in a frame to a drive.
     """
-    return 90.0 + size * np.random.default_rng(seed).standard_normal((COMMAND_TICKS, 2))
+    return 90.0 + noise_N * np.random.default_rng(seed).standard_normal((COMMAND_TICKS, 2))
 
 
-def rounded_to_counts(force: np.ndarray) -> np.ndarray:
-    return np.round(force / 0.078) * 0.078
+def rounded_to_counts(reported_force: np.ndarray) -> np.ndarray:
+    return np.round(reported_force / 0.078) * 0.078
 
 
-def delayed_reports(commanded: np.ndarray, ticks: int = 1) -> np.ndarray:
+def delayed_reports(commanded: np.ndarray, delay_ticks: int = 1) -> np.ndarray:
     """Return the torque reports of drives that obey with a delay [ticks].
 
     Row k contains the reports that arrive in tick k.
     """
-    return rounded_to_counts(np.roll(commanded, ticks, axis=0))
+    return rounded_to_counts(np.roll(commanded, delay_ticks, axis=0))
 
 
 @pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("size", [0.02, 0.05, 0.1, 1.0])
-def test_a_report_that_follows_is_never_doubted(seed: int, size: float) -> None:
-    commanded = noisy_commands(seed, size)
+@pytest.mark.parametrize("noise_N", [0.02, 0.05, 0.1, 1.0])
+def test_a_report_that_follows_is_never_doubted(seed: int, noise_N: float) -> None:
+    commanded = noisy_commands(seed, noise_N)
     assert not doubted_motors(commanded, delayed_reports(commanded)).any()
 
 
 @pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("fraction", [0.1, 0.2, 0.3, 0.5, 1.0])
-def test_a_report_in_coarse_steps_is_never_doubted(seed: int, fraction: float) -> None:
+@pytest.mark.parametrize("step_fraction", [0.1, 0.2, 0.3, 0.5, 1.0])
+def test_a_report_in_coarse_steps_is_never_doubted(seed: int, step_fraction: float) -> None:
     """Reproduce a defect: the commissioning ended with the fault N17 (drives are exchanged, or obey late).
 
     One count in the torque report of an AK80-6 motor is 1.17 N at a spool radius of 5 mm.
     """
     step = 1.17
-    commanded = 90.0 * (1.0 + 0.01 * np.random.default_rng(seed).random()) + fraction * step * (
-        noisy_commands(seed, 1.0) - 90.0
-    )
+    commanded = 90.0 * (
+        1.0 + 0.01 * np.random.default_rng(seed).random()
+    ) + step_fraction * step * (noisy_commands(seed, 1.0) - 90.0)
     made = np.round(np.roll(commanded, 1, axis=0) / step) * step
     assert not motors_after(commanded, made, step).ever_unfollowed.any()
 
 
 @pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("fault", ["swapped", "late"])
-def test_a_report_of_another_motor_or_of_another_time_is_found(seed: int, fault: str) -> None:
+@pytest.mark.parametrize("report_fault", ["swapped", "late"])
+def test_a_report_of_another_motor_or_of_another_time_is_found(
+    seed: int, report_fault: str
+) -> None:
     commanded = noisy_commands(seed)
     made = (
         delayed_reports(commanded)[:, ::-1]
-        if fault == "swapped"
+        if report_fault == "swapped"
         else delayed_reports(commanded, 26)
     )
     assert doubted_motors(commanded, made).all()
@@ -136,13 +138,13 @@ def test_one_outlier_is_not_a_fault() -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("size", [0.02, 0.1, 1.0])
-def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, size: float) -> None:
+@pytest.mark.parametrize("noise_N", [0.02, 0.1, 1.0])
+def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, noise_N: float) -> None:
     """Reproduce a defect: a demo in real time ended with the fault N17 (drives are exchanged, or obey late).
 
     In that demo, a busy host had read each reply one tick late.
     """
-    commanded = noisy_commands(seed, size)
+    commanded = noisy_commands(seed, noise_N)
     assert not doubted_motors(commanded, delayed_reports(commanded, 2)).any()
 
 
@@ -168,9 +170,9 @@ def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return commanded, rounded_to_counts(made)
 
 
-def doubted_motors(commanded: np.ndarray, made: np.ndarray) -> np.ndarray:
+def doubted_motors(commanded: np.ndarray, reported: np.ndarray) -> np.ndarray:
     """Return, for each of two motors, True if any tick reports that the motor does not follow its commands."""
-    return motors_after(commanded, made).ever_unfollowed
+    return motors_after(commanded, reported).ever_unfollowed
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -266,9 +268,9 @@ def test_one_report_that_contradicts_its_command_is_not_a_fault() -> None:
     assert not motors_after(commanded, made).disobeyed
 
 
-@pytest.mark.parametrize(("group", "period_s"), [([0, 1], PERIOD_S), ([-1, -1], 1e-3)])
+@pytest.mark.parametrize(("cell_group", "period_s"), [([0, 1], PERIOD_S), ([-1, -1], 1e-3)])
 def test_a_late_report_is_no_fault_with_a_load_cell_or_at_a_high_rate(
-    group: list[int], period_s: float
+    cell_group: list[int], period_s: float
 ) -> None:
     """Reproduce a defect.
 
@@ -276,7 +278,7 @@ def test_a_late_report_is_no_fault_with_a_load_cell_or_at_a_high_rate(
     for 4 ms.
     """
     motors = ReportingMotors()
-    motors.set_constants(cell_group=group, period=period_s)
+    motors.set_constants(cell_group=cell_group, period=period_s)
     commanded = np.repeat(np.array([[9.0, 9.0], [40.0, 40.0]]), 40, axis=0)
     made = delayed_reports(commanded, 6)
     made[:6] = commanded[:6]

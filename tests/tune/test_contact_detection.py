@@ -28,11 +28,11 @@ DIGIT_NAMES = ("index", "middle", "ring", "thumb")
 THUMB_MOUNT_LINE = "mount_position_m = [0.0, -0.025, 0.0]"
 
 
-def with_near_thumb(hand: str, thumb_mm: int, folder: Path) -> str:
+def with_near_thumb(hand_name: str, thumb_mm: int, hand_folder: Path) -> str:
     """Write a copy of a packaged hand file with the thumb nearer to the middle finger, and return its path."""
-    text = load_hand(hand).to_toml()
+    text = load_hand(hand_name).to_toml()
     assert THUMB_MOUNT_LINE in text
-    path = folder / f"{hand}-{thumb_mm}.toml"
+    path = hand_folder / f"{hand_name}-{thumb_mm}.toml"
     path.write_text(
         text.replace(
             THUMB_MOUNT_LINE, f"mount_position_m = [0.0, {thumb_mm / 1e3 - 0.025:.3f}, 0.0]"
@@ -42,11 +42,13 @@ def with_near_thumb(hand: str, thumb_mm: int, folder: Path) -> str:
 
 
 def identify_touching_finger(
-    hand: str, thumb_mm: int, seed: int, folder: Path
+    hand_name: str, thumb_mm: int, seed: int, hand_folder: Path
 ) -> dict[str, TendonResult]:
     """Identify a middle finger that touches the thumb during its sweeps, and return the results."""
-    path = with_near_thumb(hand, thumb_mm, folder)
-    found, row = excite_and_fit(path, "middle", seed, {"spring": SPRING_FACTOR}, Gains(), folder)
+    path = with_near_thumb(hand_name, thumb_mm, hand_folder)
+    found, row = excite_and_fit(
+        path, "middle", seed, {"spring": SPRING_FACTOR}, Gains(), hand_folder
+    )
     assert "failure" not in row
     return found
 
@@ -125,15 +127,17 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
     )
 
 
-def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> ResidualRamp | None:
+def unexplained_ramp_of_line(
+    seed: int, kink_size: float, kink_start: float = 0.3
+) -> ResidualRamp | None:
     """Fit a straight line to generated data, and return the steepest ramp in the residuals.
 
-    The data are noise in two sweeps. Beyond the angle ``begin``, the data also rise by ``kink`` per
+    The data are noise in two sweeps. Beyond the angle ``kink_start``, the data also rise by ``kink_size`` per
     unit of angle.
     """
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROW_COUNT)) * 0.6
-    seen = random.normal(size=ROW_COUNT) + kink * np.maximum(0.0, angle - begin)
+    seen = random.normal(size=ROW_COUNT) + kink_size * np.maximum(0.0, angle - kink_start)
     jacobian = -np.column_stack([np.ones(ROW_COUNT), angle])
     fitted = np.linalg.lstsq(jacobian, -seen, rcond=None)[0]
     return steepest_ramp(jacobian, seen + jacobian @ fitted, 0, angle, (np.ones(ROW_COUNT),))
@@ -147,16 +151,16 @@ def test_noise_without_contact_has_no_kink() -> None:
     assert np.mean(np.array(scores) < CLEAR_SCORE) > 0.97
 
 
-@pytest.mark.parametrize("begin", [0.1, 0.2, 0.3, 0.4])
-def test_a_kink_is_found_where_it_is(begin: float) -> None:
+@pytest.mark.parametrize("kink_start", [0.1, 0.2, 0.3, 0.4])
+def test_a_kink_is_found_where_it_is(kink_start: float) -> None:
     for seed in range(20):
-        found = unexplained_ramp_of_line(seed, 40.0, begin)
+        found = unexplained_ramp_of_line(seed, 40.0, kink_start)
         assert found
         assert found.is_contact
         assert not found.excludes_contact
-        assert found.begin == pytest.approx(begin, abs=0.06)
-        assert found.rise == pytest.approx(40.0 * (0.6 - begin), rel=0.5)
-        support = unexplained_ramp_of_line(seed, -40.0, begin)
+        assert found.begin == pytest.approx(kink_start, abs=0.06)
+        assert found.rise == pytest.approx(40.0 * (0.6 - kink_start), rel=0.5)
+        support = unexplained_ramp_of_line(seed, -40.0, kink_start)
         assert support
         assert support.is_contact
         assert support.rise < 0.0

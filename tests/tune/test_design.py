@@ -35,15 +35,15 @@ FEW_PLANTS = 2
 """Number of plants for a hand with many different tendons, in an ordinary test run."""
 
 
-@pytest.mark.parametrize("name", packaged_hands())
-def test_the_packaged_gains_keep_their_margins(name: str) -> None:
+@pytest.mark.parametrize("hand_name", packaged_hands())
+def test_the_packaged_gains_keep_their_margins(hand_name: str) -> None:
     """Reproduce a defect: with the gains of the hand jamia, the hand orca_like oscillated at 140 Hz.
 
     With the same gains, the hand t42 had a gain margin of only 2.4 dB.
     """
-    hand = load_hand(name)
+    hand = load_hand(hand_name)
     model = HandModel.from_hand(
-        hand, packaged_gains(name), control_rate(None, hand, bus_loads(hand))
+        hand, packaged_gains(hand_name), control_rate(None, hand, bus_loads(hand))
     )
     count = MANY_PLANTS if len(distinct_tendons(model)) < 5 or NIGHTLY else FEW_PLANTS
     worst = worst_margins(model, tuple(linear_factors(one) for one in draw_ensemble(count, 0)))
@@ -75,7 +75,7 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     # Without separate force weights, the tendons of both digits would have the small force weight
     # that the heavy digit requires.
     shared = found.gains.model_copy(update={"tendon": ()})
-    assert model_with_gains(model, shared).motion.stiffness[1] < 0.6 * found_stiffness(
+    assert model_with_gains(model, shared).motion.stiffness[1] < 0.6 * stiffness_of_motion_loop(
         model, found.gains
     )
     same = model_with_gains(model, found.as_weights())
@@ -84,7 +84,7 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     )
 
 
-def found_stiffness(model: HandModel, gains: Gains) -> float:
+def stiffness_of_motion_loop(model: HandModel, gains: Gains) -> float:
     """Return the stiffness of the motion loop of the second tendon, in a model with the given gains [1/s^2]."""
     return float(model_with_gains(model, gains).motion.stiffness[1])
 
@@ -118,24 +118,28 @@ def test_a_filter_that_leaves_no_margin_is_refused(jamia: HandModel) -> None:
         design_gains(model_with_gains(jamia, without), (PlantFactors(torque_constant=30.0),))
 
 
-@pytest.mark.parametrize("hz", [3.0, 6.0])
-def test_the_closed_loop_has_the_requested_poles(jamia: HandModel, hz: float) -> None:
+@pytest.mark.parametrize("pole_frequency_hz", [3.0, 6.0])
+def test_the_closed_loop_has_the_requested_poles(
+    jamia: HandModel, pole_frequency_hz: float
+) -> None:
     """The closed loop has the requested poles.
 
     The test computes the poles for a single mass (rotor and digit) under sampled state feedback.
     The control rate is far above the poles.
     """
-    gains = gains_with_poles(jamia, LoopKind.MOTION, hz, 1.0)
+    gains = gains_with_poles(jamia, LoopKind.MOTION, pole_frequency_hz, 1.0)
     fast = HandModel.from_hand(jamia.hand, gains, 4000.0)
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
     F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), fast.period)
     K = np.array([[fast.motion.stiffness[0], fast.motion.damping[0]]])
     poles = np.log(np.linalg.eigvals(F - G @ K)) / fast.period
-    assert np.abs(poles) / (2.0 * math.pi) == pytest.approx([hz, hz], rel=0.03)
+    assert np.abs(poles) / (2.0 * math.pi) == pytest.approx(
+        [pole_frequency_hz, pole_frequency_hz], rel=0.03
+    )
 
 
 @pytest.mark.parametrize(
-    ("hz", "damping", "right"),
+    ("pole_frequency_hz", "damping_ratio", "expected_message"),
     [
         ((5.0, 3.0), 1.0, "no weights .* above 22.1 Hz"),
         ((6.0, 25.0), 0.7, "no weights .* more than 0.71"),
@@ -143,11 +147,14 @@ def test_the_closed_loop_has_the_requested_poles(jamia: HandModel, hz: float) ->
     ],
 )
 def test_placed_poles_that_no_weights_have_are_refused(
-    jamia: HandModel, hz: tuple[float, float], damping: float, right: str
+    jamia: HandModel,
+    pole_frequency_hz: tuple[float, float],
+    damping_ratio: float,
+    expected_message: str,
 ) -> None:
     """The error message proposes poles, or a weight, with which the design would be possible."""
-    with pytest.raises(ValueError, match=right):
-        design_with_poles(jamia, (PlantFactors(),), *hz, damping)
+    with pytest.raises(ValueError, match=expected_message):
+        design_with_poles(jamia, (PlantFactors(),), *pole_frequency_hz, damping_ratio)
 
 
 def test_an_ensemble_is_at_least_as_wide_as_its_minimum_spread() -> None:
@@ -160,14 +167,14 @@ def test_an_ensemble_is_at_least_as_wide_as_its_minimum_spread() -> None:
     assert mass.min() < 0.65
 
 
-def identification_of_tendon(stiffness: float, half_width: float) -> IdentifiedParameters:
+def identification_of_tendon(tendon_stiffness: float, half_width: float) -> IdentifiedParameters:
     """Return identified parameters of one tendon: a stiffness and a delay.
 
     ``half_width`` is the half width of the stiffness's confidence interval.
     """
     return IdentifiedParameters(
         names=("tendon_stiffness", "delay"),
-        values=(stiffness, 1e-3),
+        values=(tendon_stiffness, 1e-3),
         half_widths=(half_width, 1e-4),
         covariance=((1.0, 0.0), (0.0, 1.0)),
     )

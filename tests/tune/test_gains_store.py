@@ -14,8 +14,8 @@ from handctl.errors import ConfigError
 from handctl.tune.gains_store import EDITED_BY_HAND_NOTE, GainsStore
 
 
-def gains_with_force(newtons: float) -> Gains:
-    return with_values(Gains(), {"motion.force_N": newtons}, "test")
+def gains_with_force(force_N: float) -> Gains:
+    return with_values(Gains(), {"motion.force_N": force_N}, "test")
 
 
 @pytest.fixture
@@ -155,9 +155,9 @@ def test_a_rollback_without_history_is_refused(gains_store: GainsStore) -> None:
         gains_store.roll_back(to=9)
 
 
-@pytest.mark.parametrize("fails", ["replace", "link", "fsync"])
+@pytest.mark.parametrize("failing_function", ["replace", "link", "fsync"])
 def test_a_change_that_fails_leaves_the_present_gains(
-    gains_store: GainsStore, monkeypatch: pytest.MonkeyPatch, fails: str
+    gains_store: GainsStore, monkeypatch: pytest.MonkeyPatch, failing_function: str
 ) -> None:
     gains_store.apply_gains(gains_with_force(21.0), GainsProvenance())
     before = gains_store.path.read_bytes()
@@ -165,7 +165,7 @@ def test_a_change_that_fails_leaves_the_present_gains(
     def raise_disk_full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(os, fails, raise_disk_full)
+    monkeypatch.setattr(os, failing_function, raise_disk_full)
     with pytest.raises(ConfigError, match="No space left"):
         gains_store.apply_gains(gains_with_force(22.0), GainsProvenance())
     monkeypatch.undo()

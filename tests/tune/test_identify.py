@@ -162,12 +162,12 @@ def test_the_excitation_keeps_within_the_hand_s_limits() -> None:
         excitation_steps(hand, ("pinky",))
 
 
-def identified_with(**values: float) -> IdentifiedParameters:
-    n = len(values)
+def identified_with(**parameter_values: float) -> IdentifiedParameters:
+    n = len(parameter_values)
     rows = tuple(tuple(1e-6 if i == j else 0.0 for j in range(n)) for i in range(n))
     return IdentifiedParameters(
-        names=tuple(values),
-        values=tuple(values.values()),
+        names=tuple(parameter_values),
+        values=tuple(parameter_values.values()),
         half_widths=(0.1,) * n,
         covariance=rows,
         log=("a.mcap",),
@@ -262,11 +262,11 @@ def test_delay_is_judged_by_an_absolute_limit() -> None:
     assert "no data depend" in _reason_not_identified(0.0 * rows, "delay")
 
 
-@pytest.mark.parametrize("name", ["jamia", "jamia11"])
-def test_each_parameter_has_one_row_with_its_value_or_the_reason(name: str) -> None:
+@pytest.mark.parametrize("parameter_name", ["jamia", "jamia11"])
+def test_each_parameter_has_one_row_with_its_value_or_the_reason(parameter_name: str) -> None:
     """Reproduce a defect: a parameter without a value appeared twice, and the unit "1" looked like a value."""
-    hand = load_hand(name)
-    with RunLog(GOLDEN_LOGS / f"{name}-grasp.mcap") as log:
+    hand = load_hand(parameter_name)
+    with RunLog(GOLDEN_LOGS / f"{parameter_name}-grasp.mcap") as log:
         results = identify_tendons(log, hand)
     lines = result_table(results)
     assert lines[0].startswith("coherence: fraction of the motion")
@@ -282,14 +282,16 @@ def test_each_parameter_has_one_row_with_its_value_or_the_reason(name: str) -> N
     assert any("combinations" in line for line in result_table(results, verbose=True))
 
 
-@pytest.mark.parametrize("encoders", [False, True])
-def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(encoders: bool) -> None:
+@pytest.mark.parametrize("with_joint_encoders", [False, True])
+def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(
+    with_joint_encoders: bool,
+) -> None:
     """Reproduce a defect: the reason in the report was "no data depend on this parameter"."""
     content = hand_content("jamia11")
     node = content["sensor_node"]
-    content["sensor_node"] = node | {"joints": node["joints"] if encoders else []}
+    content["sensor_node"] = node | {"joints": node["joints"] if with_joint_encoders else []}
     hand = hand_from_content(content, "test")
-    assert _lacks_encoders(hand, "index") != encoders
+    assert _lacks_encoders(hand, "index") != with_joint_encoders
     assert not _lacks_encoders(load_hand("jamia"), "index")
 
 

@@ -44,35 +44,39 @@ PARAMETERS_OF_EVERY_PAIR = {"motor_coulomb", "tendon_stiffness", "moment_arm"}
 
 
 @pytest.mark.parametrize(
-    ("hand", "digit", "unseen"),
+    ("hand_name", "digit_name", "unidentified_parameters"),
     [
         ("n_plus_1", "thumb", {"pretension", "spring_stiffness", "spring_preload"}),
         ("orca_like", "pinky", {"torque_gain", "spring_stiffness", "spring_preload"}),
     ],
 )
 def test_a_digit_returned_by_its_tendons_is_identified(
-    tmp_path: Path, hand: str, digit: str, unseen: set[str]
+    tmp_path: Path, hand_name: str, digit_name: str, unidentified_parameters: set[str]
 ) -> None:
-    row = measure_digit(1, digit, tmp_path, hand)
-    described = load_hand(hand)
+    row = measure_digit(1, digit_name, tmp_path, hand_name)
+    described = load_hand(hand_name)
     assert "failure" not in row
     assert row["refused"] == []
-    tendons = described.tendon_names[described.digit_tendons[digit]]
-    assert unobservable_parameters(described, digit, tendons[0]).keys() == unseen
+    tendons = described.tendon_names[described.digit_tendons[digit_name]]
+    assert (
+        unobservable_parameters(described, digit_name, tendons[0]).keys() == unidentified_parameters
+    )
     identified = [one for one in row["parameters"] if one["identified"]]
     for name in PARAMETERS_OF_EVERY_PAIR:
         assert {one["tendon"] for one in identified if one["name"] == name} == set(tendons)
-    expected = PARAMETER_TOLERANCES.keys() - {"spring_stiffness"} - unseen
+    expected = PARAMETER_TOLERANCES.keys() - {"spring_stiffness"} - unidentified_parameters
     assert {one["name"] for one in row["parameters"]} == expected
     assert [one for one in identified if abs(one["error"]) > 2.0 * one["half_width"]] == []
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(7200)
-@pytest.mark.parametrize("hand", TESTED_HANDS)
-def test_intervals_cover_the_parameters_of_twenty_hands(tmp_path: Path, hand: str) -> None:
-    digits = load_hand(hand).digit_names
-    rows = [measure_digit(seed, digits[seed % len(digits)], tmp_path, hand) for seed in SEED_RANGE]
+@pytest.mark.parametrize("hand_name", TESTED_HANDS)
+def test_intervals_cover_the_parameters_of_twenty_hands(tmp_path: Path, hand_name: str) -> None:
+    digits = load_hand(hand_name).digit_names
+    rows = [
+        measure_digit(seed, digits[seed % len(digits)], tmp_path, hand_name) for seed in SEED_RANGE
+    ]
     figures = summarise_results(rows)
     assert figures["failed"] == []
     assert figures["refused"] == []
@@ -83,9 +87,9 @@ def test_intervals_cover_the_parameters_of_twenty_hands(tmp_path: Path, hand: st
     assert sum(covered.values()) >= MIN_COVERED * sum(identified.values())
 
 
-@pytest.mark.parametrize("name", TESTED_HANDS)
-def test_the_excitation_of_antagonists_keeps_within_the_limits(name: str) -> None:
-    hand = load_hand(name)
+@pytest.mark.parametrize("hand_name", TESTED_HANDS)
+def test_the_excitation_of_antagonists_keeps_within_the_limits(hand_name: str) -> None:
+    hand = load_hand(hand_name)
     steps = excitation_steps(hand, hand.digit_names)
     for digit in map(DigitModel.from_hand, [hand] * len(hand.digit_names), hand.digit_names):
         own = [step for step in steps if step.digit == digit.name]
@@ -117,19 +121,19 @@ def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
             assert (digit.reduced_moment_arms.T @ np.array(step.targets) < 0.0).all()
 
 
-@pytest.mark.parametrize("passed", [0.8, 1.0, 1.25])
-def test_both_tendons_of_a_pair_balance_its_joint(passed: float) -> None:
+@pytest.mark.parametrize("passes_wrist", [0.8, 1.0, 1.25])
+def test_both_tendons_of_a_pair_balance_its_joint(passes_wrist: float) -> None:
     """Two antagonistic tendons share one motor in this test.
 
     At the joint, friction lowers the tension of one tendon and raises that of the other. The
     difference of both tensions turns the joint.
     """
     nets = np.linspace(-40.0, 40.0, 81)
-    spool = tension_of_pair(nets, 10.0, np.full(81, passed))
+    spool = tension_of_pair(nets, 10.0, np.full(81, passes_wrist))
     first, second = (
         np.maximum(np.maximum(10.0 + 0.5 * side * spool, side * spool), 0.0) for side in (1.0, -1.0)
     )
-    np.testing.assert_allclose(first * passed - second / passed, nets, atol=1e-9)
+    np.testing.assert_allclose(first * passes_wrist - second / passes_wrist, nets, atol=1e-9)
 
 
 def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:

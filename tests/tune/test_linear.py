@@ -23,15 +23,15 @@ from handctl.tune.loops.margins import frequency_grid, margins_of_loop, step_res
 LOOP_KINDS = list(LoopKind)
 
 
-@pytest.mark.parametrize("kind", LOOP_KINDS)
-@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+@pytest.mark.parametrize("loop_kind", LOOP_KINDS)
+@pytest.mark.parametrize("hand_name", ["jamia", "jamia11"])
 def test_the_linear_controller_predicts_the_running_one(
-    hand: str, kind: LoopKind, request: pytest.FixtureRequest
+    hand_name: str, loop_kind: LoopKind, request: pytest.FixtureRequest
 ) -> None:
     """Compare one tick of the controller, near the operating point, with the prediction of the linear model."""
-    model: HandModel = request.getfixturevalue(hand)
-    K = controller_system(model, 0, kind)
-    tick, state, reading, steps = linear._operating_point(model, 0, kind)
+    model: HandModel = request.getfixturevalue(hand_name)
+    K = controller_system(model, 0, loop_kind)
+    tick, state, reading, steps = linear._operating_point(model, 0, loop_kind)
     centre, random = tick(state, reading), np.random.default_rng(0)
     for _ in range(10):
         moved = steps * random.normal(size=len(state))
@@ -44,16 +44,18 @@ def test_the_linear_controller_predicts_the_running_one(
         assert np.abs((predicted - after) / scale).max() < 1e-3 * np.abs(after / scale).max()
 
 
-@pytest.mark.parametrize("kind", LOOP_KINDS)
-def test_a_tick_acts_on_the_samples_of_the_tick_before(jamia: HandModel, kind: LoopKind) -> None:
+@pytest.mark.parametrize("loop_kind", LOOP_KINDS)
+def test_a_tick_acts_on_the_samples_of_the_tick_before(
+    jamia: HandModel, loop_kind: LoopKind
+) -> None:
     """Compare the impulse responses of the open loop and of a simulation.
 
     The simulation advances plant and controller in the order in which the bus connects them.
     """
     P, K, L = (
-        plant_system(jamia, 0, kind),
-        controller_system(jamia, 0, kind),
-        open_loop(jamia, 0, kind),
+        plant_system(jamia, 0, loop_kind),
+        controller_system(jamia, 0, loop_kind),
+        open_loop(jamia, 0, loop_kind),
     )
     p, state_of_controller, sample, state = P.B[:, 0], np.zeros(len(K.A)), np.zeros(3), L.B[:, 0]
     for k in range(1, 30):
@@ -64,13 +66,13 @@ def test_a_tick_acts_on_the_samples_of_the_tick_before(jamia: HandModel, kind: L
         state = L.A @ state
 
 
-@pytest.mark.parametrize("kind", LOOP_KINDS)
-@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+@pytest.mark.parametrize("loop_kind", LOOP_KINDS)
+@pytest.mark.parametrize("hand_name", ["jamia", "jamia11"])
 def test_margins_are_those_of_control(
-    hand: str, kind: LoopKind, request: pytest.FixtureRequest
+    hand_name: str, loop_kind: LoopKind, request: pytest.FixtureRequest
 ) -> None:
-    model: HandModel = request.getfixturevalue(hand)
-    system = open_loop(model, 0, kind)
+    model: HandModel = request.getfixturevalue(hand_name)
+    system = open_loop(model, 0, loop_kind)
     omega = frequency_grid(system.period)
     found = margins_of_loop(system)
     gain, phase, _, _, _, _ = stability_margins(
@@ -80,20 +82,20 @@ def test_margins_are_those_of_control(
     assert found.phase_deg == pytest.approx(phase, abs=0.05)
 
 
-@pytest.mark.parametrize("kind", LOOP_KINDS)
+@pytest.mark.parametrize("loop_kind", LOOP_KINDS)
 def test_the_gain_margin_is_where_the_loop_becomes_unstable(
-    jamia: HandModel, kind: LoopKind
+    jamia: HandModel, loop_kind: LoopKind
 ) -> None:
     """The loop is unstable if the torque is multiplied by slightly more than the gain margin.
 
     The loop is stable if the factor is slightly smaller than the gain margin.
     """
-    margin = 10.0 ** (margins_of_loop(open_loop(jamia, 0, kind)).gain_db / 20.0)
+    margin = 10.0 ** (margins_of_loop(open_loop(jamia, 0, loop_kind)).gain_db / 20.0)
     assert margins_of_loop(
-        open_loop(jamia, 0, kind, PlantFactors(torque_constant=0.97 * margin))
+        open_loop(jamia, 0, loop_kind, PlantFactors(torque_constant=0.97 * margin))
     ).stable
     assert not margins_of_loop(
-        open_loop(jamia, 0, kind, PlantFactors(torque_constant=1.03 * margin))
+        open_loop(jamia, 0, loop_kind, PlantFactors(torque_constant=1.03 * margin))
     ).stable
 
 

@@ -46,7 +46,7 @@ def test_a_trial_may_cross_a_process_boundary(hand: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("links", "seed"),
+    ("link_lengths_mm", "seed"),
     [
         ("40,30", 1),
         pytest.param("40,30", 2, marks=pytest.mark.nightly),
@@ -54,10 +54,12 @@ def test_a_trial_may_cross_a_process_boundary(hand: str) -> None:
         pytest.param("60,40", 3, marks=pytest.mark.nightly),
     ],
 )
-def test_digits_that_touch_each_other_are_not_scored(tmp_path: Path, links: str, seed: int) -> None:
+def test_digits_that_touch_each_other_are_not_scored(
+    tmp_path: Path, link_lengths_mm: str, seed: int
+) -> None:
     """Reproduce a defect: digits that blocked each other were scored with a tracking error of 6 to 8 deg."""
     file = tmp_path / "mine.toml"
-    words = ["--fingers", "1", "--opposed", "1", "--links", links, "--tendons", "each"]
+    words = ["--fingers", "1", "--opposed", "1", "--links", link_lengths_mm, "--tendons", "each"]
     assert main(["config", "init", "--yes", *words, "--output", str(file)]) == 0
     hand = load_hand(str(file))
     score = score_exercise(hand, HandModel.from_hand(hand, Gains(), 400.0), {}, seed)

@@ -116,8 +116,8 @@ class RecordedWorkers:
 class InterruptedWorkers:
     """Workers that raise KeyboardInterrupt after some jobs, as after Ctrl-C."""
 
-    def __init__(self, jobs: int) -> None:
-        self.left = jobs
+    def __init__(self, completed_jobs: int) -> None:
+        self.left = completed_jobs
 
     def compute_scores(
         self, jobs: Sequence[dict[str, Any]]
@@ -191,9 +191,9 @@ def long_search(
     return longer, run_search(longer, path, FakeWorkers(), _ignore_result), path.read_bytes()
 
 
-@pytest.mark.parametrize("fraction", [0.01, 0.03, 0.1, 0.25, 0.45, 0.6, 0.9, 0.99])
+@pytest.mark.parametrize("journal_fraction", [0.01, 0.03, 0.1, 0.25, 0.45, 0.6, 0.9, 0.99])
 def test_search_resumes_from_a_truncated_journal(
-    long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, fraction: float
+    long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, journal_fraction: float
 ) -> None:
     """In this test, the journal of a search is cut in the middle of a line.
 
@@ -202,7 +202,7 @@ def test_search_resumes_from_a_truncated_journal(
     """
     longer, found, journal = long_search
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)
-    line_count = int(fraction * len(lines))
+    line_count = int(journal_fraction * len(lines))
     path.write_bytes(b"".join(lines[:line_count]) + lines[line_count][:40])
     assert run_search(longer, path, FakeWorkers(), _ignore_result) == found
     assert run_search(longer, path, FakeWorkers(), _ignore_result) == found
@@ -224,7 +224,7 @@ def test_an_extended_search_equals_one_long_search(
 
 
 @pytest.mark.parametrize(
-    ("was", "now"),
+    ("original_bytes", "damaged_bytes"),
     [
         (b'{"op_code":6', b'{"op_code":99'),
         (b'{"op_code":4', b'[1]\n{"op_code":4'),
@@ -234,10 +234,13 @@ def test_an_extended_search_equals_one_long_search(
     ],
 )
 def test_a_damaged_journal_is_refused_and_keeps_what_it_holds(
-    long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, was: bytes, now: bytes
+    long_search: tuple[SearchPlan, SearchResult, bytes],
+    tmp_path: Path,
+    original_bytes: bytes,
+    damaged_bytes: bytes,
 ) -> None:
     longer, _, journal = long_search
-    damaged = journal.replace(was, now)
+    damaged = journal.replace(original_bytes, damaged_bytes)
     assert damaged != journal
     (tmp_path / "study").write_bytes(damaged)
     with pytest.raises(ConfigError, match="cannot be used"):

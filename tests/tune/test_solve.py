@@ -28,13 +28,15 @@ def test_rows_are_in_one_block_each(seed: int) -> None:
     assert all(np.ptp(times[rows]) <= NOISE_BLOCK_S for rows in blocks)
 
 
-@pytest.mark.parametrize("span", [0.0, 0.1, 20.0])
-def test_equal_times_take_a_few_seconds_at_most(span: float) -> None:
+@pytest.mark.parametrize("time_span_s", [0.0, 0.1, 20.0])
+def test_equal_times_take_a_few_seconds_at_most(time_span_s: float) -> None:
     """Reproduce a defect: the jackknife took minutes for 4000 rows in one block."""
     random = np.random.default_rng(0)
     jacobian, residual = random.normal(size=(4010, 10)), random.normal(size=4010)
     begin = time.process_time()
-    covariance, freedom = _parameter_covariance(jacobian, residual, np.linspace(0.0, span, 4000))
+    covariance, freedom = _parameter_covariance(
+        jacobian, residual, np.linspace(0.0, time_span_s, 4000)
+    )
     assert time.process_time() - begin < 20.0
     assert np.isfinite(covariance).all()
     assert np.isfinite(freedom).all()

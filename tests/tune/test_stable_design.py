@@ -95,27 +95,27 @@ def random_gains(seed: int, gain_range: float = 10.0) -> Gains:
 
 
 @cache
-def model_of(hand: str, seed: int, gain_range: float = 10.0) -> HandModel:
+def model_of(hand_name: str, seed: int, gain_range: float = 10.0) -> HandModel:
     """Return the model of a packaged hand with random gains."""
     return HandModel.from_hand(
-        load_hand(hand), random_gains(seed, gain_range), RATE_BY_HAND_HZ.get(hand, 200.0)
+        load_hand(hand_name), random_gains(seed, gain_range), RATE_BY_HAND_HZ.get(hand_name, 200.0)
     )
 
 
-def with_force(force: float) -> HandModel:
-    """Return the model of jamia with the weights ``SATURATED_GAINS`` and the force weight ``force`` [N]."""
-    table = SATURATED_GAINS | {"tension": SATURATED_GAINS["tension"] | {"force_N": force}}
+def model_with_force_weight(force_N: float) -> HandModel:
+    """Return the model of jamia with the weights ``SATURATED_GAINS`` and the force weight ``force_N`` [N]."""
+    table = SATURATED_GAINS | {"tension": SATURATED_GAINS["tension"] | {"force_N": force_N}}
     return HandModel.from_hand(load_hand("jamia"), Gains.model_validate(table), 500.0)
 
 
-@pytest.mark.parametrize("force", [5.0, 50.0, 150.0, 393.0])
-def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
+@pytest.mark.parametrize("force_N", [5.0, 50.0, 150.0, 393.0])
+def test_a_law_at_its_limit_is_judged_as_the_linear_law(force_N: float) -> None:
     """At its torque limit, the output of the control law does not depend on its inputs.
 
     The linear model must therefore be computed from the gains instead of from differences of the
     output.
     """
-    model = with_force(force)
+    model = model_with_force_weight(force_N)
     K = controller_system(model, 0, LoopKind.TENSION)
     per_newton = model.motion.tension[0] + model.gains.tension.integral_per_s * model.period
     assert per_newton > 0.5
@@ -159,7 +159,7 @@ def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
         )
 
 
-def brute_force(system: LinearSystem) -> tuple[float, float]:
+def margins_by_brute_force(system: LinearSystem) -> tuple[float, float]:
     """Find the gain margin [dB] and the phase margin [deg] of a loop by trying many values.
 
     At the margin, an eigenvalue of the closed loop just leaves the unit circle.
@@ -181,16 +181,16 @@ def brute_force(system: LinearSystem) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("seed", SEED_RANGE)
-@pytest.mark.parametrize("hand", TESTED_HANDS)
-def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
+@pytest.mark.parametrize("hand_name", TESTED_HANDS)
+def test_margins_are_those_of_brute_force(hand_name: str, seed: int) -> None:
     """A computed margin is never larger than the true margin.
 
     A computed margin is smaller only if the frequency response and the eigenvalues disagree.
     """
-    model = model_of(hand, seed)
+    model = model_of(hand_name, seed)
     for kind in LoopKind:
         system = open_loop(model, 0, kind)
-        found, (gain, phase) = confirmed_margins(system), brute_force(system)
+        found, (gain, phase) = confirmed_margins(system), margins_by_brute_force(system)
         if not found.stable:
             assert gain == phase == 0.0
             continue
@@ -200,12 +200,12 @@ def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
         assert all(is_stable(system, delay=k) for k in range(ticks))
 
 
-def judged_stable(model: HandModel, found: GainDesign, seed: int) -> HandModel:
+def check_design_is_stable(model: HandModel, gain_design: GainDesign, seed: int) -> HandModel:
     """Check that all loops of a design are stable for both hands of an ensemble.
 
     Return the model with the gains of this design.
     """
-    after = HandModel.from_hand(model.hand, found.gains, 1.0 / model.period)
+    after = HandModel.from_hand(model.hand, gain_design.gains, 1.0 / model.period)
     for factors in draw_ensemble(2, seed):
         for i in distinct_tendons(after):
             assert all(
@@ -219,18 +219,18 @@ def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
     """All eigenvalues of a design are inside the unit circle, even without a test in simulation."""
     model = model_of("jamia", seed, 3.0)
     found = design_gains(model, tuple(linear_factors(one) for one in draw_ensemble(2, seed)))
-    judged_stable(model, found, seed)
+    check_design_is_stable(model, found, seed)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("hand", TESTED_HANDS)
-def test_written_design_is_stable(hand: str, seed: int) -> None:
+@pytest.mark.parametrize("hand_name", TESTED_HANDS)
+def test_written_design_is_stable(hand_name: str, seed: int) -> None:
     """With a written design, all eigenvalues are inside the unit circle.
 
     The simulated hand comes to rest, even with a seed that the design has not used.
     """
-    model, factors = model_of(hand, seed, 3.0), draw_ensemble(2, seed)
+    model, factors = model_of(hand_name, seed, 3.0), draw_ensemble(2, seed)
     plants = tuple(linear_factors(one) for one in factors)
     try:
         found = design_gains(
@@ -238,7 +238,7 @@ def test_written_design_is_stable(hand: str, seed: int) -> None:
         )
     except ValueError:
         return  # in this case, no design is written
-    after = judged_stable(model, found, seed)
+    after = check_design_is_stable(model, found, seed)
     assert RestTest(model.hand, factors, plants, seed + 100)(after)
 
 
@@ -265,19 +265,19 @@ def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
 
     Earlier defect: unstable gains were written as a design with infinite margins.
     """
-    model = with_force(393.0)
+    model = model_with_force_weight(393.0)
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).stable
     assert not simulate_swing(model.hand, model, {}, 0).is_at_rest
 
 
-def rest_test_of(model: HandModel, fraction: float = 1.0) -> RestTest:
+def rest_test_of(model: HandModel, friction_fraction: float = 1.0) -> RestTest:
     """Return a test whether simulated hands come to rest.
 
     The test uses the nominal hand, and an ensemble of hands with changed parameters.
     """
     factors = draw_ensemble(2, 0)
     plants = tuple(linear_factors(one) for one in factors)
-    return RestTest(model.hand, factors, plants, 0, fraction)
+    return RestTest(model.hand, factors, plants, 0, friction_fraction)
 
 
 def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
@@ -291,32 +291,38 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     assert swing.failure == ""
 
 
-@pytest.mark.parametrize("hand", QUICK_HANDS)
-def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: str) -> None:
+@pytest.mark.parametrize("hand_name", QUICK_HANDS)
+def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand_name: str) -> None:
     """An oscillation that also occurs without feedback is not an oscillation of the control loop."""
     model = HandModel.from_hand(
-        load_hand(hand), packaged_gains(hand), RATE_BY_HAND_HZ.get(hand, 200.0)
+        load_hand(hand_name), packaged_gains(hand_name), RATE_BY_HAND_HZ.get(hand_name, 200.0)
     )
     proof = rest_test_of(model)
     assert proof(model), proof.reason
 
 
-@pytest.mark.parametrize("hand", TESTED_HANDS)
+@pytest.mark.parametrize("hand_name", TESTED_HANDS)
 @pytest.mark.parametrize(
-    ("swing_N", "chatter_N", "accepted"),
+    ("swing_N", "chatter_N", "is_accepted"),
     [(0.2, 0.0, True), (2.5, 0.0, False), (5.0, 4.0, True), (10.3, 4.0, False)],
 )
 def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
-    monkeypatch: pytest.MonkeyPatch, hand: str, swing_N: float, chatter_N: float, accepted: bool
+    monkeypatch: pytest.MonkeyPatch,
+    hand_name: str,
+    swing_N: float,
+    chatter_N: float,
+    is_accepted: bool,
 ) -> None:
     """Gains are refused if the tension oscillates with the least friction of the ensemble.
 
     With all other parameters in the ensemble, this hand comes to rest.
     """
-    model = HandModel.from_hand(load_hand(hand), Gains(), RATE_BY_HAND_HZ.get(hand, 200.0))
+    model = HandModel.from_hand(
+        load_hand(hand_name), Gains(), RATE_BY_HAND_HZ.get(hand_name, 200.0)
+    )
 
     def fake(
-        hand: object, tried: HandModel, factors: dict[str, float], seed: int
+        hand_name: object, tried: HandModel, factors: dict[str, float], seed: int
     ) -> StepOscillation:
         is_least_friction = factors == {"friction": 0.5}
         hold = chatter_N if tried.gains.tension.integral_per_s == 0.0 else swing_N
@@ -324,8 +330,8 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
 
     monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", fake)
     proof = rest_test_of(model)
-    assert proof(model) == accepted
-    assert ("0.5 of the friction swings" in proof.reason) != accepted
+    assert proof(model) == is_accepted
+    assert ("0.5 of the friction swings" in proof.reason) != is_accepted
 
 
 def test_one_peak_in_five_runs_does_not_decide_about_gains(
@@ -338,7 +344,7 @@ def test_one_peak_in_five_runs_does_not_decide_about_gains(
     """
     runs = [5.0, 0.9, 1.0, 0.9, 1.1]
 
-    def swing(hand: object, tried: HandModel, factors: object, seed: int) -> StepOscillation:
+    def swing(hand_name: object, tried: HandModel, factors: object, seed: int) -> StepOscillation:
         return StepOscillation(0.0, 0.0, (runs[seed // SEED_STEP],) * 4)
 
     monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", swing)
@@ -363,20 +369,22 @@ def test_a_design_keeps_a_distance_from_the_limits(
 def rest_test_with(
     monkeypatch: pytest.MonkeyPatch,
     model: HandModel,
-    chatter: tuple[float, ...],
-    found: tuple[float, ...],
+    chatter_by_plant: tuple[float, ...],
+    oscillation_by_plant: tuple[float, ...],
 ) -> RestTest:
     """Return a test whether hands come to rest, with given oscillations of each tendon [N].
 
-    ``chatter`` is the oscillation without feedback, and ``found`` is the oscillation with the
+    ``chatter_by_plant`` is the oscillation without feedback, and ``oscillation_by_plant`` is the oscillation with the
     gains.
     """
 
     def fake(
-        hand: object, tried: HandModel, factors: dict[str, float], seed: int
+        hand_name: object, tried: HandModel, factors: dict[str, float], seed: int
     ) -> StepOscillation:
         is_least_friction = factors == {"friction": 0.5}
-        hold = chatter if tried.gains.tension.integral_per_s == 0.0 else found
+        hold = (
+            chatter_by_plant if tried.gains.tension.integral_per_s == 0.0 else oscillation_by_plant
+        )
         return StepOscillation(0.0, 0.0, hold if is_least_friction else (0.0,) * 4)
 
     monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", fake)
@@ -411,7 +419,7 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(
     assert is_stable(open_loop(ringing, 0, LoopKind.TENSION))
     assert all(
         is_loop_ringing(model, linear_factors({"friction": 0.5}))
-        for model in (ringing, with_force(393.0))
+        for model in (ringing, model_with_force_weight(393.0))
     )
     assert not is_loop_ringing(jamia, linear_factors({"friction": 0.5}))
     proof = rest_test_with(monkeypatch, ringing, chatter, chatter)
@@ -441,9 +449,9 @@ def test_gains_that_fail_at_the_least_friction_are_refused(
 COUPLED_SYSTEMS = [((1.0,), (0.5,), (0.25,)), ((0.2,), (1.0,), (1.0,)), ((1.0,), (-0.4,), (0.6,))]
 
 
-@pytest.mark.parametrize("column", COUPLED_SYSTEMS)
+@pytest.mark.parametrize("coupling_column", COUPLED_SYSTEMS)
 def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(
-    column: tuple[tuple[float], ...],
+    coupling_column: tuple[tuple[float], ...],
 ) -> None:
     """The controller of a coupled digit is linearised at joint angles that obey the coupling.
 
@@ -451,8 +459,8 @@ def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(
     """
     hand = load_hand("jamia")
     content = {**hand.content, "digit": [dict(one) for one in hand.content["digit"]]}
-    content["digit"][0]["coupling"] = [list(row) for row in column]
-    if column[1][0] < 0:
+    content["digit"][0]["coupling"] = [list(row) for row in coupling_column]
+    if coupling_column[1][0] < 0:
         content["digit"][0]["joint_min_deg"] = [0.0, -90.0, 0.0]
     model = HandModel.from_hand(
         hand_from_content(content, "a hand with another coupling"), Gains(), 500.0

@@ -39,18 +39,18 @@ UNSTABLE_GAINS = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(f
 
 
 def _verify_gains(
-    new: Gains, log: Path, hand: Hand | None = None, amplitude: float = 0.2
+    new_gains: Gains, log_path: Path, hand: Hand | None = None, motion_amplitude: float = 0.2
 ) -> VerifyObserver:
     hand = hand or load_hand("jamia")
     rate = default_rate(hand)
     plan = RunPlan(hand, CALM_GAINS, rate, (0.5,))
-    amplitudes = (amplitude, amplitude)
-    observer = VerifyObserver(hand, CALM_GAINS, new, amplitudes=amplitudes, old_rounds=1)
+    amplitudes = (motion_amplitude, motion_amplitude)
+    observer = VerifyObserver(hand, CALM_GAINS, new_gains, amplitudes=amplitudes, old_rounds=1)
     with SimulatorSettings(hand, homed=True).lockstep_clock(plan.period_ns) as clock:
         run_lockstep(
             plan,
             make_controller(plan, ExerciseProgram(amplitudes), None, True),
-            log,
+            log_path,
             clock,
             observer,
         )
@@ -58,15 +58,17 @@ def _verify_gains(
 
 
 @pytest.mark.parametrize(
-    ("new", "goes_back"),
+    ("new_gains", "is_rolled_back"),
     [pytest.param(CALM_GAINS, False, marks=pytest.mark.nightly), (UNSTABLE_GAINS, True)],
 )
-def test_ringing_gains_are_rolled_back(new: Gains, goes_back: bool, tmp_path: Path) -> None:
-    observer = _verify_gains(new, tmp_path / "run.mcap")
-    assert (observer.rollback is not None) == goes_back
+def test_ringing_gains_are_rolled_back(
+    new_gains: Gains, is_rolled_back: bool, tmp_path: Path
+) -> None:
+    observer = _verify_gains(new_gains, tmp_path / "run.mcap")
+    assert (observer.rollback is not None) == is_rolled_back
     with RunLog(tmp_path / "run.mcap") as log:
         requests = [event for event in log.events if event.event.text == "asked: gains"]
-        assert len(requests) == 1 + goes_back
+        assert len(requests) == 1 + is_rolled_back
         assert len(scores_by_round(log, observer.hand, None, 0)) == 2
         assert execute_log(log).differing_ticks == 0
     if observer.rollback:
@@ -78,18 +80,27 @@ OPPOSED_HANDS = [("1", "40,30", "each"), ("1", "24,16", "each"), ("1", "60,40", 
 
 
 @pytest.mark.parametrize(
-    ("fingers", "links", "tendons"),
+    ("finger_count", "link_lengths_mm", "tendon_choice"),
     [
         pytest.param(*words, marks=pytest.mark.nightly if i else ())
         for i, words in enumerate(OPPOSED_HANDS)
     ],
 )
 def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
-    tmp_path: Path, fingers: str, links: str, tendons: str
+    tmp_path: Path, finger_count: str, link_lengths_mm: str, tendon_choice: str
 ) -> None:
     """Reproduce a defect: digits that blocked each other near 17 deg were reported as a tracking error of 20 deg."""
     file = tmp_path / "mine.toml"
-    words = ["--fingers", fingers, "--opposed", "1", "--links", links, "--tendons", tendons]
+    words = [
+        "--fingers",
+        finger_count,
+        "--opposed",
+        "1",
+        "--links",
+        link_lengths_mm,
+        "--tendons",
+        tendon_choice,
+    ]
     assert main(["config", "init", "--yes", *words, "--output", str(file)]) == 0
     hand = load_hand(str(file))
     observer = _verify_gains(CALM_GAINS, tmp_path / "wide.mcap", hand, 1.0)
@@ -113,7 +124,7 @@ GRIPPER_FOLDER = Path(__file__).parents[1] / "hand"
 
 
 @pytest.mark.parametrize(
-    ("file", "joint", "lag", "why"),
+    ("hand_file", "joint_index", "lag_rad_or_m", "expected_reason"),
     [
         ("parallel_gripper.toml", 1, 0.0034, ""),
         ("parallel_gripper.toml", 1, 0.0036, "tracking error 3.6 mm, limit 3.5"),
@@ -123,10 +134,10 @@ GRIPPER_FOLDER = Path(__file__).parents[1] / "hand"
     ],
 )
 def test_the_tracking_limit_holds_for_prismatic_joints(
-    file: str, joint: int, lag: float, why: str
+    hand_file: str, joint_index: int, lag_rad_or_m: float, expected_reason: str
 ) -> None:
     """Reproduce a defect: the lag of a prismatic joint in m was compared with 0.35 rad, so no lag was too large."""
-    hand = load_hand(GRIPPER_FOLDER / file)
+    hand = load_hand(GRIPPER_FOLDER / hand_file)
     observer = VerifyObserver(hand, CALM_GAINS, CALM_GAINS)
     numbers = np.zeros(len(hand.joints) * 2 + len(hand.digit) + len(hand.tendon))
     places, first = TelemetryPlaces(), 0
@@ -137,27 +148,27 @@ def test_the_tracking_limit_holds_for_prismatic_joints(
         places[name] = slice(first, first + size)
         first += size
     telemetry = PackedTelemetry(numbers, places)
-    telemetry.q_goal[joint] = lag
+    telemetry.q_goal[joint_index] = lag_rad_or_m
     out = TickOut((), HandMode.ACTIVE, "move", SafetyAction.PASS, telemetry, (), bytes(8))
-    assert observer._violated_limit(out, 0.0) == why
+    assert observer._violated_limit(out, 0.0) == expected_reason
     telemetry.q_goal[:] = np.nan
     assert observer._violated_limit(out, 0.0) == "", "a hand that holds tensions has no goals"
 
 
 @pytest.mark.parametrize(
-    ("file", "lags", "tracking_deg"),
+    ("hand_file", "lag_by_joint", "tracking_deg"),
     [
         ("parallel_gripper.toml", [0.001, 0.001], math.degrees(0.1)),
         ("mixed_gripper.toml", [0.001, 0.0, 0.0], math.degrees(0.1) / math.sqrt(2.0)),
     ],
 )
 def test_a_lag_of_a_prismatic_joint_counts_like_an_angle(
-    file: str, lags: list[float], tracking_deg: float
+    hand_file: str, lag_by_joint: list[float], tracking_deg: float
 ) -> None:
     """Reproduce a defect: the score took metres for rad, so that 1 mm counted 0.06 deg. 1 mm counts 0.1 rad."""
-    hand = load_hand(GRIPPER_FOLDER / file)
+    hand = load_hand(GRIPPER_FOLDER / hand_file)
     goal = np.zeros((2, len(hand.joints)))
-    reached = goal - np.array(lags)
+    reached = goal - np.array(lag_by_joint)
     nothing = np.zeros((2, len(hand.tendon)))
     score = score_ticks(
         np.array([0, 1_000_000]),

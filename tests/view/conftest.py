@@ -47,7 +47,7 @@ def jamia_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def rrd(log_path: Path) -> Path:
+def recording_path(log_path: Path) -> Path:
     """Convert the log `log_path` to a Rerun recording, and return the path of the recording."""
     from rrd_entities import run_info_of
 
@@ -57,7 +57,7 @@ def rrd(log_path: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def vulkan() -> dict[str, str]:
+def vulkan_environment() -> dict[str, str]:
     """Return the environment variables of a process that draws pictures.
 
     Without a Vulkan driver, skip the test. On a machine that must have a driver, fail instead.

@@ -37,7 +37,7 @@ def main() -> None:
         seen.wait()
 
 
-def _time_first_picture(seen: threading.Event) -> None:
+def _time_first_picture(data_received: threading.Event) -> None:
     """Wait until the viewer of this process has received data.
 
     Then save a picture, print the times, and close the viewer.
@@ -60,7 +60,7 @@ def _time_first_picture(seen: threading.Event) -> None:
         )
     )
     viewer.terminate()
-    seen.set()
+    data_received.set()
 
 
 def _find_viewer() -> psutil.Process:
@@ -72,12 +72,14 @@ def _find_viewer() -> psutil.Process:
         time.sleep(0.01)
 
 
-def _connect_client(viewer: psutil.Process) -> "object":
+def _connect_client(viewer_process: psutil.Process) -> "object":
     from rerun.experimental import ViewerClient
 
     while True:
         ports = [
-            one.laddr.port for one in viewer.net_connections() if one.status == psutil.CONN_LISTEN
+            one.laddr.port
+            for one in viewer_process.net_connections()
+            if one.status == psutil.CONN_LISTEN
         ]
         if ports:
             return ViewerClient.connect(f"rerun+http://127.0.0.1:{ports[0]}/proxy")

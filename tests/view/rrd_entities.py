@@ -26,9 +26,9 @@ class RecordingEntity(NamedTuple):
     rows: dict[str, list[Any]]
     static: dict[str, Any]
 
-    def table(self, component: str) -> NDArray[np.float64]:
+    def table(self, component_name: str) -> NDArray[np.float64]:
         """Return the values of a component in all rows, (rows, instances)."""
-        return np.array(self.rows[component], float)
+        return np.array(self.rows[component_name], float)
 
 
 def read_entities(chunks: Iterable[Chunk]) -> dict[str, RecordingEntity]:
@@ -67,12 +67,12 @@ def _sorted_by_time(entity: RecordingEntity) -> RecordingEntity:
     return RecordingEntity(entity.times[order], rows, entity.static)
 
 
-def entities_of_file(path: Path) -> dict[str, RecordingEntity]:
+def entities_of_file(recording_path: Path) -> dict[str, RecordingEntity]:
     """Return all entities in the file of a recording."""
-    return read_entities(RrdReader(path).stream())
+    return read_entities(RrdReader(recording_path).stream())
 
 
-def run_info_of(path: Path) -> RunInfo:
+def run_info_of(log_path: Path) -> RunInfo:
     """Return the data about the run and the hand that the viewer reads from the header of a log."""
-    with RunLog(path) as log:
-        return RunInfo.from_header(log.header, path.stem)
+    with RunLog(log_path) as log:
+        return RunInfo.from_header(log.header, log_path.stem)

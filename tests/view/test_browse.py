@@ -51,13 +51,15 @@ def test_time_slices_add_up_to_the_whole_log(tmp_path: Path) -> None:
 
 
 def test_a_viewer_gets_all_of_a_log(
-    vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch
+    vulkan_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, value in vulkan.items():
+    for name, value in vulkan_environment.items():
         monkeypatch.setenv(name, value)
     with RunLog(GOLDEN_LOG) as log:
         run, end_ns = RunInfo.from_header(log.header, "x"), int(log.t_ns[-1])
-    with browse_log(GOLDEN_LOG, run, ["--headless", "--window-size", "800x600"], vulkan) as running:
+    with browse_log(
+        GOLDEN_LOG, run, ["--headless", "--window-size", "800x600"], vulkan_environment
+    ) as running:
         client = connect_client(running)
         wait_until_loaded(client, RUN_TIME_TIMELINE, end_ns)
         state = client.get_state()
@@ -66,13 +68,13 @@ def test_a_viewer_gets_all_of_a_log(
         assert end_ns in [line.end for line in shown.timelines if line.name == RUN_TIME_TIMELINE]
 
 
-def write_ten_minute_log(path: Path) -> None:
+def write_ten_minute_log(log_path: Path) -> None:
     """Write a log of ten minutes at 500 Hz, which repeats the same five seconds."""
     import synthetic_run
 
     run = synthetic_run.synthetic_header(rate_hz=500)
-    writer = LogWriter(path, run, lambda *what: None, 1)
-    ticks = itertools.cycle(list(synthetic_run.SyntheticTicks(run, 5.0)))
+    writer = LogWriter(log_path, run, lambda *what: None, 1)
+    ticks = itertools.cycle(list(synthetic_run.SyntheticRunTicks(run, 5.0)))
     for k, (tick_in, out) in zip(range(300_000), ticks, strict=False):
         writer.add_tick(
             pack_tick_record(tick_in._replace(k=k, t_ns=k * run.period_ns), out)[
@@ -84,7 +86,7 @@ def write_ten_minute_log(path: Path) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.timeout(1200)
-@pytest.mark.usefixtures("vulkan")
+@pytest.mark.usefixtures("vulkan_environment")
 def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Path) -> None:
     write_ten_minute_log(tmp_path / "ten.mcap")
     command = [
@@ -101,7 +103,7 @@ def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Pat
 
 
 def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(
-    tmp_path: Path, vulkan: dict[str, str]
+    tmp_path: Path, vulkan_environment: dict[str, str]
 ) -> None:
     data, place = bytearray(GOLDEN_LOG.read_bytes()), scan_path(GOLDEN_LOG).chunks[2]
     data[place.data_offset + 40] ^= 0xFF
@@ -111,28 +113,28 @@ def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(
         run, scan = RunInfo.from_header(log.header, "x"), log.scan
     with (
         pytest.raises(LogError, match="damaged"),
-        browse_log(broken, run, ["--headless"], vulkan, scan),
+        browse_log(broken, run, ["--headless"], vulkan_environment, scan),
     ):
         raise AssertionError("it was shown")
-    assert not any("--headless" in command(child) for child in psutil.Process().children())
+    assert not any("--headless" in command_line_of(child) for child in psutil.Process().children())
 
 
 def test_a_viewer_that_is_closed_leaves_no_files_behind(
-    tmp_path: Path, vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, vulkan_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    with running_viewer(["--headless", str(GOLDEN_LOG)], vulkan):
+    with running_viewer(["--headless", str(GOLDEN_LOG)], vulkan_environment):
         assert any(tmp_path.rglob("rerun-data-*")), "a running viewer has temporary files"
     assert list(tmp_path.iterdir()) == []
 
 
-def command(child: psutil.Process) -> list[str]:
+def command_line_of(child_process: psutil.Process) -> list[str]:
     """Return the command line of a child process, or an empty list if the process has ended.
 
     Other tests may leave ended processes.
     """
     try:
-        return child.cmdline()
+        return child_process.cmdline()
     except (psutil.NoSuchProcess, psutil.ZombieProcess):
         return []

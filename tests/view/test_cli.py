@@ -41,7 +41,7 @@ def test_a_cut_log_is_shown_with_a_warning(
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("view_options", "expected_message"),
     [
         (["--save", "run.mcap"], "ending in .rrd"),
         (["--picture", "no/such/folder/x.png"], "in a folder that exists"),
@@ -50,16 +50,22 @@ def test_a_cut_log_is_shown_with_a_warning(
     ],
 )
 def test_impossible_requests_are_refused_before_the_log_is_read(
-    words: list[str], message: str, jamia_path: Path, capsys: pytest.CaptureFixture[str]
+    view_options: list[str],
+    expected_message: str,
+    jamia_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     before = jamia_path.read_bytes()
-    assert main(["view", str(jamia_path), *words]) == 2
-    assert message in error_line(capsys)
+    assert main(["view", str(jamia_path), *view_options]) == 2
+    assert expected_message in error_line(capsys)
     assert jamia_path.read_bytes() == before
 
 
 def test_a_time_outside_of_the_run_is_refused(
-    jamia_path: Path, tmp_path: Path, vulkan: dict[str, str], capsys: pytest.CaptureFixture[str]
+    jamia_path: Path,
+    tmp_path: Path,
+    vulkan_environment: dict[str, str],
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["view", str(jamia_path), "--picture", str(tmp_path / "x.png"), "--at", "99"]) == 2
     assert "0 to 2.990" in error_line(capsys)

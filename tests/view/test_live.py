@@ -23,13 +23,15 @@ pytestmark = pytest.mark.timeout(120)
 VIEWER_TIMEOUT_S = 40.0
 
 
-def url_of(follower: "subprocess.Popen[bytes]") -> str:
+def url_of(live_view_process: "subprocess.Popen[bytes]") -> str:
     """Return the address of the viewer that a process of the live view has started."""
     end = time.monotonic() + VIEWER_TIMEOUT_S
     while time.monotonic() < end:
-        assert follower.poll() is None, f"the follower ended with {follower.returncode}"
+        assert live_view_process.poll() is None, (
+            f"the follower ended with {live_view_process.returncode}"
+        )
         with suppress(psutil.NoSuchProcess, FileNotFoundError):  # a child process may have ended
-            for child in psutil.Process(follower.pid).children():
+            for child in psutil.Process(live_view_process.pid).children():
                 for one in child.net_connections():
                     if one.status == psutil.CONN_LISTEN:
                         return f"rerun+http://127.0.0.1:{one.laddr.port}/proxy"
@@ -50,19 +52,19 @@ def wait_for_time(client: "ViewerClient", t_ns: int) -> int:
 
 
 def test_a_growing_log_arrives_in_the_viewer(
-    tmp_path: Path, vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, vulkan_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import synthetic_run
     from rerun.experimental import ViewerClient
 
-    for name, value in vulkan.items():
+    for name, value in vulkan_environment.items():
         monkeypatch.setenv(name, value)
     path, run = (
         tmp_path / "run.mcap",
         synthetic_run.synthetic_header(rate_hz=100, deterministic=False, offset_ns=10**18),
     )
     follower = start_live_view(path, "--headless", "--window-size", "800x600")
-    recorder, ticks = Recorder.start(path, run), list(synthetic_run.SyntheticTicks(run, 4.0))
+    recorder, ticks = Recorder.start(path, run), list(synthetic_run.SyntheticRunTicks(run, 4.0))
     viewers: list[psutil.Process] = []
     try:
         for tick_in, out in ticks[:200]:
@@ -85,18 +87,18 @@ def test_a_growing_log_arrives_in_the_viewer(
 
 
 def test_live_view_ends_with_its_viewer(
-    tmp_path: Path, vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, vulkan_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import synthetic_run
     from rerun.experimental import ViewerClient
 
-    for name, value in vulkan.items():
+    for name, value in vulkan_environment.items():
         monkeypatch.setenv(name, value)
     path, run = tmp_path / "run.mcap", synthetic_run.synthetic_header(rate_hz=100)
     recorder = Recorder.start(path, run)
     follower = start_live_view(path, "--headless", "--window-size", "400x300")
     try:
-        for tick_in, out in synthetic_run.SyntheticTicks(run, 1.0):
+        for tick_in, out in synthetic_run.SyntheticRunTicks(run, 1.0):
             recorder.send_record(pack_tick_record(tick_in, out))
         assert wait_for_time(ViewerClient.connect(url_of(follower)), 1) > 0, (
             "the follower is connected to its viewer"

@@ -24,20 +24,23 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.timeout(120)
 
 
-def pixels_of_png(png: bytes) -> NDArray[np.int16]:
+def pixels_of_png(png_bytes: bytes) -> NDArray[np.int16]:
     """Return the pixels of a PNG picture (height, width, 3)."""
-    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), np.int16)
+    return np.asarray(Image.open(io.BytesIO(png_bytes)).convert("RGB"), np.int16)
 
 
-def fraction_near(image: NDArray[np.int16], colour: palette.Colour) -> float:
+def fraction_near_colour(pixels: NDArray[np.int16], colour: palette.Colour) -> float:
     """Return the fraction of pixels whose hue is near the hue of ``colour``, at any brightness."""
-    light = np.linalg.norm(image, axis=2)
-    cosine = image @ np.array(colour) / np.maximum(light * np.linalg.norm(colour), 1e-9)
+    light = np.linalg.norm(pixels, axis=2)
+    cosine = pixels @ np.array(colour) / np.maximum(light * np.linalg.norm(colour), 1e-9)
     return float(((cosine > 0.995) & (light > 80)).mean())
 
 
 def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
-    jamia_path: Path, tmp_path: Path, vulkan: dict[str, str], capsys: pytest.CaptureFixture[str]
+    jamia_path: Path,
+    tmp_path: Path,
+    vulkan_environment: dict[str, str],
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     out = tmp_path / "run.png"
     assert main(["view", str(jamia_path), "--picture", str(out), "--json"]) == 0
@@ -49,20 +52,20 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 2000
     hand, plots = image[70:500, :640], image[60:680, 650:]
     for index in range(4):
-        assert fraction_near(hand, palette.digit_colour(index)) > 0.003, (
+        assert fraction_near_colour(hand, palette.digit_colour(index)) > 0.003, (
             f"digit {index} is not in the picture"
         )
-    assert fraction_near(plots, palette.LIMIT_COLOUR) == 0.0, "a distant limit"
-    assert fraction_near(image[680:860, 650:], palette.PHASE_COLOURS["hold"]) > 0.02
+    assert fraction_near_colour(plots, palette.LIMIT_COLOUR) == 0.0, "a distant limit"
+    assert fraction_near_colour(image[680:860, 650:], palette.PHASE_COLOURS["hold"]) > 0.02
 
 
 @pytest.fixture(scope="module")
 def bare_viewer(
-    jamia_path: Path, vulkan: dict[str, str]
+    jamia_path: Path, vulkan_environment: dict[str, str]
 ) -> Iterator["tuple[Viewer, ViewerClient]"]:
     """Open the log file directly in a viewer, as `rerun LOG` does, without the layout of handctl."""
     with running_viewer(
-        ["--headless", "--window-size", "1200x800", str(jamia_path)], vulkan
+        ["--headless", "--window-size", "1200x800", str(jamia_path)], vulkan_environment
     ) as running:
         client = connect_client(running)
         wait_until_loaded(client, "message_log_time")

@@ -15,7 +15,7 @@ from handctl.view.rerun_conversion import log_chunks
 from handctl.view.scene.topic_converters import TopicConverters
 
 
-def grow_file(whole: bytes, seed: int) -> list[int]:
+def growing_file_sizes(log_bytes: bytes, seed: int) -> list[int]:
     """Return the file sizes at which a growing log is read, in order.
 
     The first size is that of the header, and the last size is that of the whole log. The sizes
@@ -23,7 +23,11 @@ def grow_file(whole: bytes, seed: int) -> list[int]:
     """
     source = random.Random(seed)
     first = 64 << 10
-    return [first, *sorted(source.randrange(first, len(whole)) for _ in range(12)), len(whole)]
+    return [
+        first,
+        *sorted(source.randrange(first, len(log_bytes)) for _ in range(12)),
+        len(log_bytes),
+    ]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -33,7 +37,7 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
     whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
     run = run_info_of(jamia_path)
     converters, tail, chunks, times = TopicConverters(run), LogTail(path), list[Chunk](), 0
-    for size in grow_file(whole, seed):
+    for size in growing_file_sizes(whole, seed):
         path.write_bytes(whole[:size])
         assert not (tail.log_ended and size < 0.9 * len(whole))
         since = tail.write_new_chunks(part)

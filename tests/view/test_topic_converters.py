@@ -25,8 +25,8 @@ from handctl.view.scene.topic_converters import ARROW_LENGTH_M_PER_N, near_limit
 
 
 @pytest.fixture(scope="module")
-def recorded_entities(rrd: Path) -> dict[str, RecordingEntity]:
-    return entities_of_file(rrd)
+def recorded_entities(recording_path: Path) -> dict[str, RecordingEntity]:
+    return entities_of_file(recording_path)
 
 
 @pytest.fixture(scope="module")
@@ -179,11 +179,13 @@ def test_frames_put_the_fingertips_where_kinematics_does(
         np.testing.assert_allclose(_frame_position(edges, tip.frame), tip.position, atol=1e-7)
 
 
-def _frame_position(edges: dict[str, tuple[str, np.ndarray, np.ndarray]], frame: str) -> np.ndarray:
+def _frame_position(
+    transform_by_frame: dict[str, tuple[str, np.ndarray, np.ndarray]], frame_name: str
+) -> np.ndarray:
     """Return the origin of a frame in the coordinates of the palm, using the chain of transforms."""
     point = np.zeros(3)
-    while frame != "palm":
-        frame, translation, (x, y, z, w) = edges[frame]
+    while frame_name != "palm":
+        frame_name, translation, (x, y, z, w) = transform_by_frame[frame_name]
         axis = np.array([x, y, z])
         point = point + 2 * np.cross(axis, np.cross(axis, point) + w * point) + translation
     return point
@@ -212,8 +214,8 @@ def test_every_visual_shape_is_solid_and_in_its_digits_colour(
     assert first == [red << 24 | green << 16 | blue << 8 | 255]
 
 
-def test_the_layout_is_saved_with_the_recording(rrd: Path, log_path: Path) -> None:
-    reader = RrdReader(rrd)
+def test_the_layout_is_saved_with_the_recording(recording_path: Path, log_path: Path) -> None:
+    reader = RrdReader(recording_path)
     (recording,), (layout,) = reader.recordings(), reader.blueprints()
     assert recording.application_id == layout.application_id == f"handctl_{log_path.stem}"
 
@@ -230,12 +232,12 @@ def test_time_slices_do_not_change_the_recording(
         assert repr(one.rows) == repr(recorded_entities[path].rows)
 
 
-@pytest.mark.parametrize("fraction", [0.3, 0.5, 0.73, 0.9])
+@pytest.mark.parametrize("log_fraction", [0.3, 0.5, 0.73, 0.9])
 def test_a_log_that_ends_early_is_shown_up_to_there(
-    fraction: float, jamia_path: Path, tmp_path: Path
+    log_fraction: float, jamia_path: Path, tmp_path: Path
 ) -> None:
     cut = tmp_path / "cut.mcap"
-    cut.write_bytes(jamia_path.read_bytes()[: int(fraction * jamia_path.stat().st_size)])
+    cut.write_bytes(jamia_path.read_bytes()[: int(log_fraction * jamia_path.stat().st_size)])
     with RunLog(cut) as half:
         shown = read_entities(rerun_conversion.run_chunks(cut, run_info_of(cut)))
         np.testing.assert_array_equal(

@@ -25,22 +25,22 @@ SCENE_SHAPES: dict[str, Any] = {
 TRUTH_COLUMNS = (*(f"object/{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")), "support")
 
 
-def truth_of(shapes: dict[str, Any], seconds: float = 1.0) -> TruthRecord:
+def truth_of(scene_shapes: dict[str, Any], duration_s: float = 1.0) -> TruthRecord:
     """Return a truth record in which the object rises by 10 mm/s and the table sinks by 50 mm/s."""
-    t_ns = np.arange(0, int(seconds * 1e9) + 1, 1_000_000)
+    t_ns = np.arange(0, int(duration_s * 1e9) + 1, 1_000_000)
     values = np.zeros((len(t_ns), len(TRUTH_COLUMNS)))
     values[:, 2] = 0.01e-9 * t_ns
     values[:, 3] = 1.0
     values[:, 7] = 0.05e-9 * t_ns
-    return TruthRecord({"shapes": shapes}, t_ns, values, TRUTH_COLUMNS)
+    return TruthRecord({"shapes": scene_shapes}, t_ns, values, TRUTH_COLUMNS)
 
 
-def drawn_entities(path: Path, truth: TruthRecord | None, offset_ns: int = 0) -> dict[str, Any]:
+def drawn_entities(log_path: Path, truth: TruthRecord | None, offset_ns: int = 0) -> dict[str, Any]:
     """Return the viewer's entities for object and table of a run.
 
     The run has the truth record ``truth``.
     """
-    run = run_info_of(path)
+    run = run_info_of(log_path)
     header = replace(
         run.header, metadata={**run.header.metadata, "truth_offset_ns": str(offset_ns)}
     )
@@ -71,14 +71,14 @@ def test_an_unknown_shape_is_one_line(jamia_path: Path) -> None:
         drawn_entities(jamia_path, truth_of({"object": {"shape": "torus", "size_m": [1, 1, 1]}}))
 
 
-def write_truth(path: Path, truth: TruthRecord) -> None:
+def write_truth(truth_file: Path, truth: TruthRecord) -> None:
     """Write a truth record to a file, and check that the file can be read."""
     head = json.dumps({"columns": truth.columns, **truth.header}) + "\n"
     rows = np.zeros(len(truth.t_ns), [("t_ns", "<i8"), ("v", "<f8", (len(truth.columns),))])
     rows["t_ns"] = truth.t_ns
     rows["v"] = truth.values
-    path.write_bytes(head.encode() + rows.tobytes())
-    assert read_truth(path).columns == truth.columns
+    truth_file.write_bytes(head.encode() + rows.tobytes())
+    assert read_truth(truth_file).columns == truth.columns
 
 
 def test_a_named_truth_is_drawn_and_one_of_another_time_refused(

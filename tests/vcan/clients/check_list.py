@@ -19,45 +19,51 @@ class CheckList:
     def __init__(self) -> None:
         self.failed: list[str] = []
 
-    def check(self, name: str, passed: bool, seen: object = "") -> None:
+    def check(self, check_name: str, has_passed: bool, seen_value: object = "") -> None:
         """Report a check in one line.
 
         Args:
-            name: the property that is checked.
-            passed: True if the simulated drive has the property.
-            seen: the observed value, for a failed check.
+            check_name: the property that is checked.
+            has_passed: True if the simulated drive has the property.
+            seen_value: the observed value, for a failed check.
         """
-        if passed:
-            print(PASSED_WORD, name, flush=True)
+        if has_passed:
+            print(PASSED_WORD, check_name, flush=True)
         else:
-            self.failed.append(name)
-            print(FAILED_WORD, name, f"({seen})", flush=True)
+            self.failed.append(check_name)
+            print(FAILED_WORD, check_name, f"({seen_value})", flush=True)
 
-    def check_until(self, name: str, read: Callable[[], object], reached: object) -> None:
+    def check_until(
+        self, check_name: str, read_value: Callable[[], object], expected_value: object
+    ) -> None:
         """Report a check that passes as soon as a read value is the expected one.
 
         Args:
-            name: the property that is checked.
-            read: function that reads a value.
-            reached: expected value, or a function that returns True for an expected value.
+            check_name: the property that is checked.
+            read_value: function that reads a value.
+            expected_value: expected value, or a function that returns True for an expected value.
         """
         end_s = time.monotonic() + WAIT_TIMEOUT_S
         while True:
-            value = read()
-            passed = bool(reached(value)) if callable(reached) else value == reached
+            value = read_value()
+            passed = (
+                bool(expected_value(value)) if callable(expected_value) else value == expected_value
+            )
             if passed or time.monotonic() > end_s:
-                self.check(name, passed, value)
+                self.check(check_name, passed, value)
                 return
             time.sleep(0.02)
 
-    def check_raises(self, name: str, action: Callable[[], object], text: str) -> None:
+    def check_raises(
+        self, check_name: str, action: Callable[[], object], expected_text: str
+    ) -> None:
         """Report a check that passes if an action raises an error whose message contains a text."""
         try:
             action()
         except Exception as error:  # noqa: BLE001 - each client has errors of its own
-            self.check(name, text in str(error), error)
+            self.check(check_name, expected_text in str(error), error)
         else:
-            self.check(name, False, "no error")
+            self.check(check_name, False, "no error")
 
     def end(self) -> None:
         """End the program, with exit status 1 if a check has failed."""

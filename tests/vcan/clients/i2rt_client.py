@@ -66,9 +66,9 @@ def check_registers(checks: CheckList) -> None:
     checks.check("the repaired control mode is read back", modes == [3] * MOTOR_COUNT, modes)
 
 
-def open_chain(mode: str) -> Any:
+def open_chain(control_mode: str) -> Any:
     return DMChainCanInterface(
-        MOTORS, [0] * MOTOR_COUNT, [1] * MOTOR_COUNT, channel=CHANNEL, control_mode=mode
+        MOTORS, [0] * MOTOR_COUNT, [1] * MOTOR_COUNT, channel=CHANNEL, control_mode=control_mode
     )
 
 

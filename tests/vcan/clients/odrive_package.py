@@ -29,8 +29,8 @@ class FoundDevices(DeviceManagerDelegate):  # type: ignore[misc,unused-ignore]
     def __init__(self) -> None:
         self.nodes: dict[str, int] = {}
 
-    def on_found_device(self, dev: Any) -> bool:
-        self.nodes[dev.info.serial_number] = dev.info.node_id
+    def on_found_device(self, device: Any) -> bool:
+        self.nodes[device.info.serial_number] = device.info.node_id
         return True
 
 

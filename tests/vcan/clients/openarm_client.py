@@ -30,11 +30,11 @@ def refresh(arm: Any) -> list[Any]:
     return list(arm.get_arm().get_motors())
 
 
-def open_arm(mode: Any) -> Any:
+def open_arm(control_mode: Any) -> Any:
     """Open the bus, write the control mode, and enable the motors."""
     arm = openarm_can.OpenArm(CHANNEL, True)
     types = [openarm_can.MotorType.DM4310] * MOTOR_COUNT
-    arm.init_arm_motors(types, SEND_IDS, REPLY_IDS, [mode] * MOTOR_COUNT)
+    arm.init_arm_motors(types, SEND_IDS, REPLY_IDS, [control_mode] * MOTOR_COUNT)
     arm.recv_all(REPLY_TIMEOUT_US)
     arm.set_callback_mode_all(openarm_can.CallbackMode.STATE)
     arm.enable_all()
@@ -42,11 +42,11 @@ def open_arm(mode: Any) -> Any:
     return arm
 
 
-def close_arm(arm: Any, checks: CheckList, mode: str) -> None:
+def close_arm(arm: Any, checks: CheckList, mode_name: str) -> None:
     arm.disable_all()
     arm.recv_all(REPLY_TIMEOUT_US)
     checks.check_until(
-        f"three motors are disabled ({mode})",
+        f"three motors are disabled ({mode_name})",
         lambda: [motor.is_enabled() for motor in refresh(arm)],
         [False] * MOTOR_COUNT,
     )

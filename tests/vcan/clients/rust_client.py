@@ -43,8 +43,8 @@ def command_rows(*columns: Any) -> Any:
 def check_mode(
     checks: CheckList,
     robot: Any,
-    mode: str,
-    use: Callable[[CheckList, Any, Callable[[str], Any]], None],
+    control_mode: str,
+    use_arm: Callable[[CheckList, Any, Callable[[str], Any]], None],
 ) -> None:
     """Enable the motors in a control mode, use them, and disable them."""
     arm = robot["arm"]
@@ -58,21 +58,21 @@ def check_mode(
         robot.tick(REPLY_TIMEOUT_US)
         return [arm[name].is_enabled is enabled for name in NAMES]
 
-    robot.set_mode(mode)
+    robot.set_mode(control_mode)
     robot.enable()
-    checks.check_until(f"three motors are enabled ({mode})", lambda: states(True), all)
-    use(checks, arm, read)
+    checks.check_until(f"three motors are enabled ({control_mode})", lambda: states(True), all)
+    use_arm(checks, arm, read)
     robot.disable()
-    checks.check_until(f"three motors are disabled ({mode})", lambda: states(False), all)
+    checks.check_until(f"three motors are disabled ({control_mode})", lambda: states(False), all)
 
 
-def use_mit_mode(checks: CheckList, arm: Any, read: Callable[[str], Any]) -> None:
+def use_mit_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any]) -> None:
     """Pull with a torque, and then hold positions."""
-    start = np.array(read("positions"))
+    start = np.array(read_feedback("positions"))
 
     def pull(quantity: str) -> Any:
         arm.mit_control(command_rows(0.0, 0.0, 0.0, 0.0, TORQUE_N_M))
-        return read(quantity)
+        return read_feedback(quantity)
 
     # At the speed without load, the motor can no longer make this torque.
     checks.check_until(
@@ -89,41 +89,41 @@ def use_mit_mode(checks: CheckList, arm: Any, read: Callable[[str], Any]) -> Non
 
     def errors() -> Any:
         arm.mit_control(command_rows(20.0, 1.0, goals, 0.0, 0.0))
-        return read("positions") - goals
+        return read_feedback("positions") - goals
 
     checks.check_until(
         "they hold positions", errors, lambda seen: bool(np.all(np.abs(seen) < 0.02))
     )
 
 
-def use_velocity_mode(checks: CheckList, arm: Any, read: Callable[[str], Any]) -> None:
+def use_velocity_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any]) -> None:
     def speeds() -> Any:
         arm.vel_control(np.full(MOTOR_COUNT, 2.0))
-        return read("velocities")
+        return read_feedback("velocities")
 
     checks.check_until(
         "three motors turn at 2 rad/s", speeds, lambda seen: bool(np.all(np.abs(seen - 2.0) < 0.1))
     )
 
 
-def use_position_mode(checks: CheckList, arm: Any, read: Callable[[str], Any]) -> None:
-    goals = np.array(read("positions")) + TRAVEL_RAD
+def use_position_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any]) -> None:
+    goals = np.array(read_feedback("positions")) + TRAVEL_RAD
 
     def errors() -> Any:
         arm.pos_vel_control(command_rows(goals, 4.0))
-        return read("positions") - goals
+        return read_feedback("positions") - goals
 
     checks.check_until(
         "three motors reach positions", errors, lambda seen: bool(np.all(np.abs(seen) < 0.02))
     )
 
 
-def use_force_mode(checks: CheckList, arm: Any, read: Callable[[str], Any]) -> None:
-    goals = np.array(read("positions")) - TRAVEL_RAD
+def use_force_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any]) -> None:
+    goals = np.array(read_feedback("positions")) - TRAVEL_RAD
 
     def errors() -> Any:
         arm.pos_force_control(command_rows(goals, 4.0, 0.05))
-        return read("positions") - goals
+        return read_feedback("positions") - goals
 
     checks.check_until(
         "three motors reach positions with little torque",

@@ -33,10 +33,10 @@ def other_bus() -> Iterator[Bus]:
     opened.close()
 
 
-def drain_bus(bus: Bus, count: int) -> list[Frame]:
-    """Read frames until at least ``count`` frames have arrived or a time limit has passed."""
+def drain_bus(bus: Bus, frame_count: int) -> list[Frame]:
+    """Read frames until at least ``frame_count`` frames have arrived or a time limit has passed."""
     frames, end = list(bus.drain()), time.monotonic() + WAIT_S
-    while len(frames) < count and time.monotonic() < end:
+    while len(frames) < frame_count and time.monotonic() < end:
         time.sleep(0.005)
         frames += bus.drain()
     return frames
@@ -46,8 +46,8 @@ def frame_contents(frames: Sequence[Frame]) -> list[tuple[int, bytes, int]]:
     return [(frame.can_id, frame.data, frame.flags & (FDF | BRS)) for frame in frames]
 
 
-def set_link(state: str) -> None:
-    subprocess.run(["ip", "link", "set", "vcan0", state], check=True)
+def set_link(link_state: str) -> None:
+    subprocess.run(["ip", "link", "set", "vcan0", link_state], check=True)
 
 
 def test_a_batch_of_both_kinds_arrives_whole_and_in_order(bus: Bus, other_bus: Bus) -> None:
@@ -120,22 +120,22 @@ def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as driver:
         driver.bind(("vcan0",))
         driver.send(CLASSICAL_FRAME.pack(ERROR_FLAG | 0x04, 8, bytes((0, 0x08, 0, 0, 0, 0, 96, 0))))
-        assert wait_for(bus, "error_warning") == []
+        assert wait_for_bus_event(bus, "error_warning") == []
         driver.send(CLASSICAL_FRAME.pack(ERROR_FLAG | 0x40, 8, bytes(8)))
-        assert wait_for(bus, "bus_off") == []
+        assert wait_for_bus_event(bus, "bus_off") == []
         assert ("bus_off", "socketcan:vcan0", 1) in bus.take_events(), (
             "the event repeats during bus-off"
         )
         driver.send(CLASSICAL_FRAME.pack(ERROR_FLAG | 0x100, 8, bytes(8)))
-        assert wait_for(bus, "restarted") == []
+        assert wait_for_bus_event(bus, "restarted") == []
     assert bus.take_events() == []
 
 
-def wait_for(bus: Bus, kind: str) -> list[Frame]:
+def wait_for_bus_event(bus: Bus, event_kind: str) -> list[Frame]:
     """Wait for an event of a given kind, and return the frames that were received before it."""
     frames, end = list(bus.drain()), time.monotonic() + WAIT_S
-    while kind not in {event for event, _, _ in bus.take_events()}:
-        assert time.monotonic() < end, f"no {kind} in {WAIT_S} s"
+    while event_kind not in {event for event, _, _ in bus.take_events()}:
+        assert time.monotonic() < end, f"no {event_kind} in {WAIT_S} s"
         time.sleep(0.005)
         frames += bus.drain()
     return frames

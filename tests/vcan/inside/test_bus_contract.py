@@ -9,7 +9,7 @@ from tests.runtime.bus_contract import BusUnderTest
 
 
 @pytest.fixture
-def medium() -> Iterator[BusUnderTest]:
+def bus_under_test() -> Iterator[BusUnderTest]:
     made = BusUnderTest("socketcan:vcan0")
     yield made
     made.close()

@@ -13,7 +13,7 @@ from handctl.core.calibration import Calibration, TendonCalibration
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.session.calibration import write_calibration
-from tests.replay.grasp_repetition import mean_angle_differences, tensions_held
+from tests.replay.grasp_repetition import mean_angle_differences, mean_held_tensions
 from tests.replay.short_runs import CYLINDER_SCENE
 
 HANDCTL_COMMAND = Path(sys.executable).with_name("handctl")
@@ -33,7 +33,7 @@ def scene_file() -> None:
     SCENE_FILE.write_text(CYLINDER_SCENE.format(friction=0.5))
 
 
-def _write_homed_calibration(path: Path) -> None:
+def _write_homed_calibration(calibration_file: Path) -> None:
     """Write the calibration of a simulated hand that starts with known motor zeros."""
     hand, made = load_hand("jamia"), datetime.datetime.now(datetime.UTC)
     no_offset = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
@@ -41,7 +41,7 @@ def _write_homed_calibration(path: Path) -> None:
     made_with = Calibration(
         hand="jamia", identity=hand.identity, made=made.isoformat(), tendon=tendons
     )
-    write_calibration(path, made_with)
+    write_calibration(calibration_file, made_with)
 
 
 @pytest.mark.nightly
@@ -65,7 +65,7 @@ def test_a_golden_grasp_repeats_on_vcan(tmp_path: Path) -> None:
     result = json.loads(ran.stdout)
     angles = {name: row["rms"] for name, row in result["joint_deg"].items()}
     with RunLog(GOLDEN_LOG) as before, RunLog(tmp_path / "again.mcap") as after:
-        apart, (old, new) = mean_angle_differences(before, after), tensions_held(before, after)
+        apart, (old, new) = mean_angle_differences(before, after), mean_held_tensions(before, after)
     summary = f"mean angles of the digits {apart.max():.2f} deg at most, joints {max(angles.values()):.2f} deg rms, "
     print(summary + f"tensions {100 * abs(new / old - 1).max():.1f} % apart")
     assert max(angles.values()) < 1.0, angles

@@ -41,15 +41,15 @@ class RawCanBus:
                 return bytes(data[:length])
         pytest.fail(f"no frame {can_id:#x} within {WAIT_S} s")
 
-    def motor_state(self, node: int) -> int:
+    def motor_state(self, node_id: int) -> int:
         """Send a refresh request to a motor, and return the state bits in its reply."""
-        self.send(REGISTERS_ID, bytes([node, 0, REFRESH_FEEDBACK, 0, 0, 0, 0, 0]))
-        return self.receive(node + 0x10)[0] >> 4
+        self.send(REGISTERS_ID, bytes([node_id, 0, REFRESH_FEEDBACK, 0, 0, 0, 0, 0]))
+        return self.receive(node_id + 0x10)[0] >> 4
 
-    def read_register(self, node: int, number: int) -> bytes:
-        self.send(REGISTERS_ID, bytes([node, 0, READ_REGISTER, number, 0, 0, 0, 0]))
-        reply = self.receive(node + 0x10)
-        assert reply[:4] == bytes([node, 0, READ_REGISTER, number])
+    def read_register(self, node_id: int, register_number: int) -> bytes:
+        self.send(REGISTERS_ID, bytes([node_id, 0, READ_REGISTER, register_number, 0, 0, 0, 0]))
+        reply = self.receive(node_id + 0x10)
+        assert reply[:4] == bytes([node_id, 0, READ_REGISTER, register_number])
         return reply[4:]
 
 
@@ -75,13 +75,13 @@ def test_the_drives_hold_the_limits_of_the_hand_file(bus: RawCanBus) -> None:
         assert bus.read_register(node, POSITION_RANGE_REGISTER) == struct.pack("<f", 12.5)
 
 
-@pytest.mark.parametrize("counter", [0, 0x5A, 0xFF])
-def test_a_sync_brings_the_tensions_of_that_moment(bus: RawCanBus, counter: int) -> None:
-    bus.send(SYNC_ID, bytes([counter]))
+@pytest.mark.parametrize("sync_counter", [0, 0x5A, 0xFF])
+def test_a_sync_brings_the_tensions_of_that_moment(bus: RawCanBus, sync_counter: int) -> None:
+    bus.send(SYNC_ID, bytes([sync_counter]))
     reply = bus.receive(TENSIONS_ID)
     assert len(reply) == 7  # a counter of 4 bits, and four channels of 12 bits each
     bits = int.from_bytes(reply, "little")
-    assert bits & 0xF == counter & 0xF
+    assert bits & 0xF == sync_counter & 0xF
     assert bits >> 52 == 0
     raw = [bits >> (4 + 12 * channel) & 0xFFF for channel in range(4)]
     assert all(0 < value < 0xFFF for value in raw), raw

@@ -44,14 +44,14 @@ FAULT_AFTER_S, PULL_AFTER_FAULT_S = 0.15, 0.3
 TIME_SCALE = 0.1
 
 
-def set_interface_up(can_interface: str, up: bool) -> None:
+def set_interface_up(can_interface: str, is_up: bool) -> None:
     """Set an interface up or down, like ``ip link set INTERFACE up``, but without starting a process."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         name = can_interface.encode().ljust(16, b"\0")
         (flags,) = struct.unpack_from(
             "=h", fcntl.ioctl(any_socket, SIOCGIFFLAGS, name + bytes(24)), 16
         )
-        flags = flags | IFF_UP if up else flags & ~IFF_UP
+        flags = flags | IFF_UP if is_up else flags & ~IFF_UP
         fcntl.ioctl(any_socket, SIOCSIFFLAGS, name + struct.pack("=h", flags) + bytes(22))
 
 
@@ -63,8 +63,8 @@ class FaultObserver:
     See ``session.run.RunObserver``.
     """
 
-    def __init__(self, *acts: Callable[[], None]) -> None:
-        self.fault_actions = acts
+    def __init__(self, *fault_action: Callable[[], None]) -> None:
+        self.fault_actions = fault_action
         self.reset()
 
     def reset(self) -> None:
@@ -94,12 +94,12 @@ class FaultObserver:
             self.done_ns = round(time.monotonic_ns() * TIME_SCALE)
 
 
-def run_pull(folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFile]:
+def run_pull(work_folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFile]:
     """Arm a hand, pull every tendon, relax and disarm it.
 
     The observer causes faults while the hand pulls its tendons.
     """
-    path = hand_file(folder, ["mit"])
+    path = hand_file(work_folder, ["mit"])
     hand = load_hand(str(path))
     load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))
     plan = RunPlan(hand, Gains(), RATE_HZ, load, ("socketcan:vcan0",), time_scale=TIME_SCALE)
@@ -107,14 +107,14 @@ def run_pull(folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFi
         HoldTension(do="hold", tension_N=dict.fromkeys(DIGIT_NAMES, PULL_N)),
         FAULT_AFTER_S + PULL_AFTER_FAULT_S,
     )
-    with simulated_hand_process(path, plan.buses, TIME_SCALE, folder / "truth"):
+    with simulated_hand_process(path, plan.buses, TIME_SCALE, work_folder / "truth"):
         controller = make_controller(plan, program, None, arm_at_once=True)
-        outcome = run_live(plan, controller, folder / "run.mcap", observer=observer)
-    return outcome, read_truth(folder / "truth")
+        outcome = run_live(plan, controller, work_folder / "run.mcap", observer=observer)
+    return outcome, read_truth(work_folder / "truth")
 
 
 def run_until_done(
-    folder: Path, observer: FaultObserver, expected: str
+    work_folder: Path, observer: FaultObserver, expected_end: str
 ) -> tuple[RunOutcome, TruthFile]:
     """Return the first run that has ended as expected.
 
@@ -124,7 +124,7 @@ def run_until_done(
     """
     failure = ""
     for number in range(5):
-        place = folder / str(number)
+        place = work_folder / str(number)
         place.mkdir()
         observer.reset()
         set_interface_up("vcan0", True)
@@ -134,8 +134,8 @@ def run_until_done(
             failure = str(error)
             continue
         failure = outcome.state.failure
-        if not observer.left and (expected in failure if expected else not failure):
-            (place / "run.mcap").rename(folder / "run.mcap")
+        if not observer.left and (expected_end in failure if expected_end else not failure):
+            (place / "run.mcap").rename(work_folder / "run.mcap")
             return outcome, truth
         assert any(row in failure for row in STALL_FAULTS), failure
     pytest.fail(f"none of five runs came through: {failure}")

@@ -34,18 +34,18 @@ def test_the_interface_is_up_and_carries_fd(interface: str) -> None:
     assert "UP" in state["flags"]
 
 
-@pytest.mark.parametrize("length", [0, 1, 8])
-def test_a_classical_frame_arrives_as_sent(length: int) -> None:
-    data = bytes(range(length))
+@pytest.mark.parametrize("payload_length", [0, 1, 8])
+def test_a_classical_frame_arrives_as_sent(payload_length: int) -> None:
+    data = bytes(range(payload_length))
     with raw_socket("vcan0") as sender, raw_socket("vcan0") as receiver:
-        sender.send(CLASSICAL_FRAME.pack(0x123, length, data))
-        assert receiver.recv(FD_FRAME.size) == CLASSICAL_FRAME.pack(0x123, length, data)
+        sender.send(CLASSICAL_FRAME.pack(0x123, payload_length, data))
+        assert receiver.recv(FD_FRAME.size) == CLASSICAL_FRAME.pack(0x123, payload_length, data)
 
 
-@pytest.mark.parametrize("length", [0, 12, 64])
-def test_an_fd_frame_arrives_as_sent(length: int) -> None:
+@pytest.mark.parametrize("payload_length", [0, 12, 64])
+def test_an_fd_frame_arrives_as_sent(payload_length: int) -> None:
     packed = FD_FRAME.pack(
-        0x12345678 | socket.CAN_EFF_FLAG, length, BRS | FDF, bytes(range(length))
+        0x12345678 | socket.CAN_EFF_FLAG, payload_length, BRS | FDF, bytes(range(payload_length))
     )
     with raw_socket("vcan0") as sender, raw_socket("vcan0") as receiver:
         sender.send(packed)

@@ -47,31 +47,31 @@ PULL_N, PULL_S = 20.0, 0.2
 DIGIT_NAMES = ("index", "middle", "ring", "thumb")
 
 
-def run_simulator_in_child(words: Sequence[str], ready: int) -> None:
+def run_simulator_in_child(simulator_options: Sequence[str], ready_pipe: int) -> None:
     """Run the simulator in this child process. The output of the simulator goes into a pipe."""
     mujoco.set_mjcb_time(
         ctypes.cast(ctypes.CDLL(None).drand48, ctypes.CFUNCTYPE(ctypes.c_double))
     )  # see conftest
-    sys.stdout = os.fdopen(ready, "w")
-    raise SystemExit(firmware_sim(list(words)))
+    sys.stdout = os.fdopen(ready_pipe, "w")
+    raise SystemExit(firmware_sim(list(simulator_options)))
 
 
 @contextmanager
 def simulated_hand_process(
-    path: Path, buses: Sequence[str], time_scale: float, truth: Path
+    hand_path: Path, bus_texts: Sequence[str], time_scale: float, truth_file: Path
 ) -> Iterator[None]:
     """Run a simulated hand with taut tendons in another process, and check that this process ends without an error."""
-    names = load_hand(str(path)).bus_names
+    names = load_hand(str(hand_path)).bus_names
     words = [
         word
-        for name, spec in zip(names, buses, strict=True)
+        for name, spec in zip(names, bus_texts, strict=True)
         for word in ("--bus", f"{name}={spec}")
     ]
     words += [
         "--hand",
-        str(path),
+        str(hand_path),
         "--truth",
-        str(truth),
+        str(truth_file),
         "--time-scale",
         str(time_scale),
         "--homed",
@@ -101,12 +101,12 @@ class HandDrives:
     The drives run tick by tick on a slowed clock, with SYNC.
     """
 
-    def __init__(self, path: Path, specs: Sequence[str], time_scale: float) -> None:
+    def __init__(self, hand_path: Path, bus_texts: Sequence[str], time_scale: float) -> None:
         self.clock = RealClock(PERIOD_NS, time_scale)
-        hand = load_hand(str(path))
+        hand = load_hand(str(hand_path))
         self.buses = [
             open_bus(spec, i, bus.bitrate, bus.data_bitrate, self.clock.run_time_of)
-            for i, (spec, bus) in enumerate(zip(specs, hand.bus, strict=True))
+            for i, (spec, bus) in enumerate(zip(bus_texts, hand.bus, strict=True))
         ]
         self.drives, self.sensors = make_drives(hand), make_sensors(hand)
         self.states = [drive.initial_state() for drive in self.drives]
@@ -128,8 +128,8 @@ class HandDrives:
             assert self.buses[drive.bus].send(frames) == len(frames)
         self.k += 1
 
-    def run_until_phase(self, target: DriveTarget, phase: DrivePhase, ticks: int = 600) -> None:
-        for _ in range(ticks):
+    def run_until_phase(self, target: DriveTarget, phase: DrivePhase, max_ticks: int = 600) -> None:
+        for _ in range(max_ticks):
             self.tick(target)
             if all(state.phase == phase for state in self.states):
                 return
@@ -184,19 +184,21 @@ def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
         )  # the limit is low, because the clocks of the guest jump
 
 
-def run_pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[RunOutcome, TruthFile]:
+def run_pull(
+    hand_path: Path, bus_options: Sequence[str], work_folder: Path
+) -> tuple[RunOutcome, TruthFile]:
     """Arm a hand, pull every tendon for a moment, relax and disarm it.
 
     Return the outcome of the run, and the true values from the simulator.
     """
-    hand, time_scale = load_hand(str(path)), 0.1
+    hand, time_scale = load_hand(str(hand_path)), 0.1
     load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))
-    plan = RunPlan(hand, Gains(), RATE_HZ, load, tuple(buses), time_scale=time_scale)
+    plan = RunPlan(hand, Gains(), RATE_HZ, load, tuple(bus_options), time_scale=time_scale)
     program = JogProgram(
         HoldTension(do="hold", tension_N=dict.fromkeys(DIGIT_NAMES, PULL_N)), PULL_S
     )
-    with simulated_hand_process(path, buses, time_scale, folder / "truth"):
+    with simulated_hand_process(hand_path, bus_options, time_scale, work_folder / "truth"):
         outcome = run_live(
-            plan, make_controller(plan, program, None, arm_at_once=True), folder / "run.mcap"
+            plan, make_controller(plan, program, None, arm_at_once=True), work_folder / "run.mcap"
         )
-    return outcome, read_truth(folder / "truth")
+    return outcome, read_truth(work_folder / "truth")

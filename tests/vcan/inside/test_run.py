@@ -30,9 +30,9 @@ has the same effect at any time scale.
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 
 
-def run_handctl(folder: Path, time_scale: float) -> subprocess.CompletedProcess[str]:
+def run_handctl(work_folder: Path, time_scale: float) -> subprocess.CompletedProcess[str]:
     """Run ``handctl run`` with a new simulator and a time scale, and return the ended process."""
-    calibration = folder / "jamia.calibration.toml"
+    calibration = work_folder / "jamia.calibration.toml"
     if not NIGHTLY:
         write_homed_calibration(calibration, load_hand("jamia"))
     words = [
@@ -45,22 +45,22 @@ def run_handctl(folder: Path, time_scale: float) -> subprocess.CompletedProcess[
         str(TASK_FILE),
         *time_scale_options(time_scale),
     ]
-    files = ["--json", "--log", str(folder / "run.mcap"), "--calibration", str(calibration)]
+    files = ["--json", "--log", str(work_folder / "run.mcap"), "--calibration", str(calibration)]
     options = ["--scene", "cylinder", *(() if NIGHTLY else HOMED_OPTIONS)]
-    with run_simulator(*options, stderr_file=folder / "simulator", time_scale=time_scale):
+    with run_simulator(*options, stderr_file=work_folder / "simulator", time_scale=time_scale):
         return subprocess.run(
             [HANDCTL_COMMAND, *words, *files],
-            cwd=folder,
+            cwd=work_folder,
             capture_output=True,
             text=True,
             check=False,
         )
 
 
-def run_until_undisturbed(folder: Path) -> tuple[subprocess.CompletedProcess[str], Path]:
+def run_until_undisturbed(work_folder: Path) -> tuple[subprocess.CompletedProcess[str], Path]:
     """Return the first run that was not ended by a busy core of the guest, and the folder of this run."""
     for number, time_scale in enumerate(TIME_SCALES):
-        place = folder / str(number)
+        place = work_folder / str(number)
         place.mkdir()
         ran = run_handctl(place, time_scale)
         if ran.returncode == 0:

@@ -33,7 +33,7 @@ def test_a_streamed_sine_is_followed_like_a_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(streaming, "SIMULATOR_ARGUMENTS", ["-c", SIMULATOR_CODE])
-    monkeypatch.setattr(streaming, "TRACKED_S", TRACKED_S)
+    monkeypatch.setattr(streaming, "TRACKED_DURATION_S", TRACKED_S)
     monkeypatch.setattr(streaming, "INTERPOLATION_NAMES", ("minimum_jerk",))
     calibration = tmp_path / "jamia.calibration.toml"
     write_homed_calibration(calibration, load_hand("jamia"))
@@ -51,7 +51,7 @@ class GuestStoppedError(Exception):
     """Error for a run that ended because the only core of the guest was busy."""
 
 
-def measure_tracking(time_scale: float, calibration: Path) -> dict[str, Any]:
+def measure_tracking(time_scale: float, calibration_file: Path) -> dict[str, Any]:
     """Measure the tracking error of a stream, and the tracking error of the same motion in a task.
 
     Raises:
@@ -60,7 +60,7 @@ def measure_tracking(time_scale: float, calibration: Path) -> dict[str, Any]:
     """
     try:
         return streaming.measure_tracking(
-            "socketcan:vcan0", time_scale, (calibration, HOMED_OPTIONS)
+            "socketcan:vcan0", time_scale, (calibration_file, HOMED_OPTIONS)
         )
     except UnconfirmedError as error:  # the controller ended before it received a request
         raise GuestStoppedError from error

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from grasps.trial import GraspRun, hand_model, simulate_grasp
+from grasps.grasp_trial import GraspRun, hand_model, simulate_grasp
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 
@@ -17,7 +17,7 @@ CONTACT_N = 1.0
 DETECTION_LIMIT_S = 0.020
 SPEED_DEG_S = (20.0, 100.0)
 """Smallest and largest speed of closing [deg/s]. The packaged tasks close with 40 to 50 deg/s."""
-TOUCHED_N = 0.01
+TRUE_CONTACT_N = 0.01
 MOVING_FRACTION = 0.85
 """Fraction of a free-motion run in which the digits move."""
 WALL_SCENE = """name = "wall"
@@ -60,7 +60,7 @@ def find_contacts(job: tuple[str, int]) -> list[float]:
         {"kind": "hold", "tension_N": 20.0, "duration_s": 0.3},
     ]
     run = simulate_grasp(
-        hand, program_of_phases(phases), wall, seed=seed, until="end", timeout=12.0
+        hand, program_of_phases(phases), wall, seed=seed, last_phase="end", timeout_s=12.0
     )
     return _detection_latencies(run, hand_model(hand)[0].hand.digit_names)
 
@@ -75,7 +75,8 @@ def _detection_latencies(run: GraspRun, digits: tuple[str, ...]) -> list[float]:
         if name in contact_times:
             at = float(run.t[above[0]]) if len(above) else np.inf
             touched = (
-                run.force[: np.searchsorted(run.t, contact_times[name]) + 1, d].max() > TOUCHED_N
+                run.force[: np.searchsorted(run.t, contact_times[name]) + 1, d].max()
+                > TRUE_CONTACT_N
             )
             latencies += [max(contact_times[name] - at, -1.0)] if touched else []
         elif len(above):
@@ -83,7 +84,7 @@ def _detection_latencies(run: GraspRun, digits: tuple[str, ...]) -> list[float]:
     return latencies
 
 
-def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
+def measure_false_contacts(job: tuple[str, float, int]) -> dict[str, float]:
     """Measure false contact events in free motion, for a hand, a time [s] and a seed.
 
     Return the number of false contact events, and the simulated time in which the digits moved
@@ -110,9 +111,9 @@ def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
         ]
         planned += 0.8 + 35.0 / speed * 1.875
     run = simulate_grasp(
-        hand, program_of_phases(phases), None, seed=seed, until="end", timeout=seconds
+        hand, program_of_phases(phases), None, seed=seed, last_phase="end", timeout_s=seconds
     )
-    assert run.force.max() < TOUCHED_N, "the digits touched each other"
+    assert run.force.max() < TRUE_CONTACT_N, "the digits touched each other"
     alarms = sum(event.name == "contact" for _, event in run.events)
     moving = np.isin(run.phase, ("move", "close")).sum() * (run.t[1] - run.t[0])
     return {"minutes": float(moving) / 60.0, "alarms": alarms}

@@ -23,14 +23,14 @@ from handctl.hand.description import Hand
 from handctl.programs.program import Program
 from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.session.simulate import SimulatorSettings
-from trials.hands import hand_by_name, hand_file_of, packaged_name
+from trials.benchmark_hands import hand_by_name, hand_file_of, packaged_name
 
 RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
 """Default control rate of each hand [Hz]. One classical CAN bus can carry these rates."""
 DEFAULT_GAINS = Gains()
-Array = NDArray[np.float64]
+FloatArray = NDArray[np.float64]
 ControllerChange = Callable[[Controller], Controller]
-TickRow = tuple[TickIn, TickOut, Array, ControllerState]
+TickRow = tuple[TickIn, TickOut, FloatArray, ControllerState]
 """Record of one tick: its input and output, the inputs of the filter (N, 2), and the state after the tick."""
 
 
@@ -48,12 +48,12 @@ class LockstepTrial:
         program: program of the controller.
         seed: seed of noise, drift and encoder offsets.
         scene: scene of the simulator, or None for a hand without an object.
-        perturb: factors that multiply parameters of the simulated hand. The controller does not
+        plant_factors: factors that multiply parameters of the simulated hand. The controller does not
             know these factors.
         gains: gains of the controller.
         rate_hz: control rate [Hz]. Zero means the default rate of the hand.
-        limit_s: longest time of the trial [s].
-        change: function that changes the controller before the run. The function must be a
+        time_limit_s: longest time of the trial [s].
+        change_controller: function that changes the controller before the run. The function must be a
             top-level function, or a partial of a top-level function.
     """
 
@@ -61,11 +61,11 @@ class LockstepTrial:
     program: Program
     seed: int = 0
     scene: str | None = None
-    perturb: Mapping[str, float] | None = None
+    plant_factors: Mapping[str, float] | None = None
     gains: Gains = DEFAULT_GAINS
     rate_hz: float = 0.0
-    limit_s: float = 30.0
-    change: ControllerChange = unchanged_controller
+    time_limit_s: float = 30.0
+    change_controller: ControllerChange = unchanged_controller
 
 
 @dataclass(frozen=True)
@@ -77,11 +77,11 @@ class TrialRecord:
         controller: controller of the run.
         t_ns: (ticks,) time of each tick [ns].
         phase: (ticks,) name of the phase.
-        numbers: telemetry by name of the field, each array (ticks, ..).
+        telemetry: telemetry by name of the field, each array (ticks, ..).
         force: (ticks, N) motor force before each tick, an input of the filter [N].
-        filtered: (ticks, N) estimated tension at the time of the load-cell readings, one period
+        filtered_tension: (ticks, N) estimated tension at the time of the load-cell readings, one period
             before the tick [N].
-        real: true values of the simulator.
+        truth_record: true values of the simulator.
         failure: reason why the run ended early.
         events: events as (t [s], name, where, text).
     """
@@ -90,31 +90,31 @@ class TrialRecord:
     controller: Controller
     t_ns: NDArray[np.int64]
     phase: NDArray[np.str_]
-    numbers: dict[str, Array]
-    force: Array
-    filtered: Array
-    real: TruthRecord
+    telemetry: dict[str, FloatArray]
+    force: FloatArray
+    filtered_tension: FloatArray
+    truth_record: TruthRecord
     failure: str
     events: tuple[tuple[float, str, str, str], ...]
 
     @property
-    def times(self) -> Array:
+    def times(self) -> FloatArray:
         """Return the time of each tick (ticks,) [s]."""
         return self.t_ns / 1e9
 
-    def truth(self, names: Iterable[str], delay_ns: int = 0) -> Array:
+    def truth(self, names: Iterable[str], delay_ns: int = 0) -> FloatArray:
         """Return true values (ticks, names) at each tick, or earlier by ``delay_ns`` [ns]."""
-        return self.real.columns_at(list(names), self.t_ns - delay_ns)
+        return self.truth_record.columns_at(list(names), self.t_ns - delay_ns)
 
-    def tension(self, delay_ns: int = 0) -> Array:
+    def tension(self, delay_ns: int = 0) -> FloatArray:
         """Return the true tension (ticks, N) [N]."""
         return self.truth((f"tension/{name}" for name in self.hand.tendon_names), delay_ns)
 
-    def q(self) -> Array:
+    def q(self) -> FloatArray:
         """Return the true joint angles (ticks, J) [rad]."""
         return self.truth(f"q/{name}" for name in self.hand.joints)
 
-    def contact_force(self) -> Array:
+    def contact_force(self) -> FloatArray:
         """Return the true contact force on each digit (ticks, D) [N]."""
         axes = [
             self.truth(f"contact_force/{name}/{axis}" for name in self.hand.digit_names)
@@ -122,51 +122,58 @@ class TrialRecord:
         ]
         return np.sqrt(sum(axis**2 for axis in axes))
 
-    def of_tendons(self, per_digit: NDArray[Any]) -> NDArray[Any]:
+    def of_tendons(self, values_by_digit: NDArray[Any]) -> NDArray[Any]:
         """Convert values per digit (ticks, D) to values per tendon (ticks, N)."""
         slices = [self.hand.digit_tendons[name] for name in self.hand.digit_names]
         index = np.repeat(np.arange(len(slices)), [s.stop - s.start for s in slices])
-        return per_digit[:, index]
+        return values_by_digit[:, index]
 
 
 def run_trial(trial: LockstepTrial) -> TrialRecord:
     """Run a trial and return its record. Equal trials give records that are equal to the bit."""
     hand = hand_by_name(trial.hand)
     rate = trial.rate_hz or RATES_HZ[packaged_name(trial.hand)]
-    controller = trial.change(
+    controller = trial.change_controller(
         make_controller(hand, trial.gains, rate, trial.program, None, arm_at_once=True)
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "truth"
         file = hand_file_of(trial.hand, Path(folder))
         twin = SimulatorSettings(
-            file, trial.scene, trial.seed, dict(trial.perturb or {}), homed=True, truth=path
+            file, trial.scene, trial.seed, dict(trial.plant_factors or {}), homed=True, truth=path
         )
         rows: list[TickRow] = []
         with twin.begin_run(controller) as run:
             inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
-            for entry, out in run.run_ticks(trial.limit_s):
+            for entry, out in run.run_ticks(trial.time_limit_s):
                 rows.append((entry, out, inputs, run.state))
                 inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
         return _trial_record(hand, controller, rows, read_truth(path), run.state)
 
 
-def _filtered_tension(design: FilterDesign, inputs: Array, after: ControllerState) -> list[float]:
+def _filtered_tension(
+    filter_design: FilterDesign, filter_inputs: FloatArray, controller_state: ControllerState
+) -> list[float]:
     """Return the estimated tensions (N,) at the time of the load-cell readings [N].
 
     The function undoes the filter's prediction from this time to the present.
 
     Args:
-        design: design of the filter.
-        inputs: (N, 2) inputs of the filter in the tick. after: state of the controller after the
+        filter_design: design of the filter.
+        filter_inputs: (N, 2) inputs of the filter in the tick. after: state of the controller after the
             tick.
     """
     result = []
-    states = after.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T
-    for i, (kind, x) in enumerate(zip(after.tendon_int[s.FILTER_KIND], states, strict=True)):
-        block = design.blocks[i][kind]
+    states = controller_state.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T
+    for i, (kind, x) in enumerate(
+        zip(controller_state.tendon_int[s.FILTER_KIND], states, strict=True)
+    ):
+        block = filter_design.blocks[i][kind]
         result.append(
-            max(float(block.tension_row @ np.linalg.solve(block.F, x - block.B @ inputs[i])), 0.0)
+            max(
+                float(block.tension_row @ np.linalg.solve(block.F, x - block.B @ filter_inputs[i])),
+                0.0,
+            )
         )
     return result
 
@@ -175,7 +182,7 @@ def _trial_record(
     hand: Hand,
     controller: Controller,
     rows: list[TickRow],
-    real: TruthRecord,
+    truth_record: TruthRecord,
     state: ControllerState,
 ) -> TrialRecord:
     active = [row for row in rows if row[1].mode == HandMode.ACTIVE]
@@ -193,7 +200,7 @@ def _trial_record(
         },
         np.array([inputs[:, 0] for *_, inputs, _ in active]),
         np.array([_filtered_tension(design, inputs, after) for *_, inputs, after in active]),
-        real,
+        truth_record,
         state.failure,
         tuple(events),
     )

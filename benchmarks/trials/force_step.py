@@ -17,16 +17,22 @@ from handctl.core.gains.gains import Gains, MotionGains, TensionGains
 from handctl.document import validate_content
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from trials import plants
+from trials import simulated_plants
+from trials.control_laws import controller_on_raw_tension, force_scale
 from trials.job_runner import JobPlan, collect_results
-from trials.laws import force_scale, on_raw_tension
-from trials.lockstep import RATES_HZ, LockstepTrial, TrialRecord, run_trial, unchanged_controller
-from trials.plants import PHASES_TO_CONTACT
+from trials.lockstep_trial import (
+    RATES_HZ,
+    LockstepTrial,
+    TrialRecord,
+    run_trial,
+    unchanged_controller,
+)
+from trials.simulated_plants import PHASES_TO_CONTACT
 
-LOW_N = 15.0
-HIGH_N = 40.0
-RATE_N_PER_S = 5000.0
-HOLD_S = 0.6
+LOW_TENSION_N = 15.0
+HIGH_TENSION_N = 40.0
+STEP_RATE_N_PER_S = 5000.0
+HOLD_DURATION_S = 0.6
 STEADY_S, BAND_N = 0.2, 2.0
 """Time at the end of a hold in which the steady error is measured [s], and largest error of a settled force [N]."""
 FORCE_TASK = {
@@ -34,13 +40,15 @@ FORCE_TASK = {
     "name": "force",
     "phase": [
         *PHASES_TO_CONTACT,
-        {"kind": "hold", "name": "low", "tension_N": LOW_N, "rate_N_per_s": 60.0, "duration_s": 1.0},
-        {"kind": "hold", "name": "up", "tension_N": HIGH_N, "rate_N_per_s": RATE_N_PER_S, "duration_s": HOLD_S},
-        {"kind": "hold", "name": "down", "tension_N": LOW_N, "rate_N_per_s": RATE_N_PER_S, "duration_s": HOLD_S},
+        {"kind": "hold", "name": "low", "tension_N": LOW_TENSION_N, "rate_N_per_s": 60.0, "duration_s": 1.0},
+        {"kind": "hold", "name": "up", "tension_N": HIGH_TENSION_N, "rate_N_per_s": STEP_RATE_N_PER_S,
+         "duration_s": HOLD_DURATION_S},
+        {"kind": "hold", "name": "down", "tension_N": LOW_TENSION_N, "rate_N_per_s": STEP_RATE_N_PER_S,
+         "duration_s": HOLD_DURATION_S},
     ],
 }  # fmt: skip
 FORCE_PLANTS = {
-    plant: wrong for plant, wrong in plants.PLANT_FACTORS.items() if "mass" not in wrong
+    plant: wrong for plant, wrong in simulated_plants.PLANT_FACTORS.items() if "mass" not in wrong
 }
 """Simulated hands of the force step.
 
@@ -57,45 +65,49 @@ These gains were not tuned.
 class ForceLoop:
     """Configuration of a force loop: gains that differ from the defaults, and input (raw sensor or estimate)."""
 
-    motion: dict[str, float] = field(default_factory=dict)
-    tension: dict[str, float] = field(default_factory=dict)
-    raw: bool = False
+    motion_gains: dict[str, float] = field(default_factory=dict)
+    tension_gains: dict[str, float] = field(default_factory=dict)
+    with_raw_tension: bool = False
 
 
 FORCE_LOOPS = {
     "set-point alone": ForceLoop(
-        motion={"disturbance_rejection": 0.0},
-        tension={
+        motion_gains={"disturbance_rejection": 0.0},
+        tension_gains={
             "tension_error_N": 100.0,
             "speed_error_m_s": 10.0,
             "force_N": 0.01,
             "integral_per_s": 0.0,
         },
     ),
-    "loop on the raw sensor": ForceLoop(raw=True),
+    "loop on the raw sensor": ForceLoop(with_raw_tension=True),
     "loop on the estimate": ForceLoop(),
 }
 
 
-def force_trial(hand: str, law: str, seed: int, plant: str) -> LockstepTrial:
+def force_trial(hand_name: str, loop_name: str, seed: int, plant_name: str) -> LockstepTrial:
     """Return the force-step trial of a hand, for a force loop, a seed and a set of simulated parameters."""
-    loop = FORCE_LOOPS[law]
+    loop = FORCE_LOOPS[loop_name]
     fixed = {
-        "force_N": FORCE_N * force_scale(RATES_HZ[hand]),
+        "force_N": FORCE_N * force_scale(RATES_HZ[hand_name]),
         "integral_per_s": INTEGRAL_PER_S,
         "tension_error_N": WEIGHT_N,
     }
-    motion = {"disturbance_rejection": 1.0} | loop.motion
-    gains = Gains(motion=MotionGains(**motion), tension=TensionGains(**(fixed | loop.tension)))
+    motion = {"disturbance_rejection": 1.0} | loop.motion_gains
+    gains = Gains(
+        motion=MotionGains(**motion), tension=TensionGains(**(fixed | loop.tension_gains))
+    )
     program = TaskProgram(validate_content(FORCE_TASK, Task, "benchmark"))
     return LockstepTrial(
-        hand,
+        hand_name,
         program,
         seed,
         "cylinder",
-        FORCE_PLANTS[plant],
+        FORCE_PLANTS[plant_name],
         gains,
-        change=on_raw_tension if loop.raw else unchanged_controller,
+        change_controller=controller_on_raw_tension
+        if loop.with_raw_tension
+        else unchanged_controller,
     )
 
 
@@ -105,16 +117,16 @@ def force_figures(record: TrialRecord) -> dict[str, float]:
     The results are overshoot [N], settling time [s], steady error [N], ripple [N], and RMSE [N].
     """
     tension = record.tension()
-    in_contact = record.of_tendons(record.numbers["contact"] > 0)
+    in_contact = record.of_tendons(record.telemetry["contact"] > 0)
     rows: dict[str, list[float]] = {
         name: [] for name in ("overshoot_N", "settling_s", "steady_N", "ripple_N", "mse")
     }
-    for phase, goal, change in (("up", HIGH_N, 1.0), ("down", LOW_N, -1.0)):
+    for phase, goal, change in (("up", HIGH_TENSION_N, 1.0), ("down", LOW_TENSION_N, -1.0)):
         mask = record.phase == phase
         t = record.times[mask] - record.times[mask].min(initial=np.inf)
         for i in np.flatnonzero(in_contact[mask].all(axis=0)) if mask.any() else ():
             error = tension[mask, i] - goal
-            last = error[t > HOLD_S - STEADY_S]
+            last = error[t > HOLD_DURATION_S - STEADY_S]
             rows["overshoot_N"].append(float((change * error).max()))
             rows["settling_s"].append(float(t[np.abs(error) > BAND_N].max(initial=0.0)))
             rows["steady_N"].append(float(abs(last.mean())))
@@ -139,17 +151,21 @@ def run_force_trial(job: tuple) -> dict[str, Any]:
 
 
 def measure_force(
-    hands: tuple[str, ...], seeds: int, wrong_seeds: int, plan: JobPlan
+    hand_names: tuple[str, ...], seed_count: int, wrong_plant_seed_count: int, plan: JobPlan
 ) -> dict[str, Any]:
     """Measure the errors for each hand, set of simulated parameters and force loop.
 
     Return their means over the seeds, and the range of the RMSE.
     """
-    cases = [(hand, law, plant) for plant in FORCE_PLANTS for hand in hands for law in FORCE_LOOPS]
-    counts = [seeds if plant == "as known" else wrong_seeds for _, _, plant in cases]
+    cases = [
+        (hand, law, plant) for plant in FORCE_PLANTS for hand in hand_names for law in FORCE_LOOPS
+    ]
+    counts = [
+        seed_count if plant == "as known" else wrong_plant_seed_count for _, _, plant in cases
+    ]
     jobs = [
         (hand, law, k, plant)
-        for k in range(max(seeds, wrong_seeds))
+        for k in range(max(seed_count, wrong_plant_seed_count))
         for (hand, law, plant), n in zip(cases, counts, strict=True)
         if k < n
     ]

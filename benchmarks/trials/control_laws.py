@@ -89,7 +89,7 @@ def misprinted_torque(
     return tuple(tau + sum(parts) for tau, parts in zip(joint, passive, strict=True))
 
 
-FORCE_N = 20.0
+MOTION_FORCE_WEIGHT_N = 20.0
 """Motor force in the LQR cost [N].
 
 This force costs as much as the position error and the speed error that define the weights.
@@ -101,7 +101,7 @@ def force_scale(rate_hz: float) -> float:
     return 1.0 / largest_force_weight(1.0, 1.0 / rate_hz)
 
 
-class RawTension(Controller):
+class RawTensionController(Controller):
     """Controller whose control law uses the newest load-cell reading as the tension.
 
     This reading is one control period old. If the reading is missing, the control law uses the
@@ -119,9 +119,9 @@ class RawTension(Controller):
         return signs
 
 
-def on_raw_tension(controller: Controller) -> Controller:
+def controller_on_raw_tension(controller: Controller) -> Controller:
     """Return a copy of the controller whose control law uses the raw load cell."""
-    return RawTension(
+    return RawTensionController(
         **{each.name: getattr(controller, each.name) for each in fields(controller) if each.init}
     )
 
@@ -131,14 +131,14 @@ class AblationLaw:
     """One control law that the tracking benchmark compares.
 
     Attributes:
-        inverse: function that returns the feedforward joint torque. motion: gains of the motion
+        inverse_dynamics: function that returns the feedforward joint torque. motion: gains of the motion
             loop that differ from the defaults. raw: True if the input of the tension loop is the
             raw load cell, False for the estimate.
     """
 
-    inverse: InverseDynamics
-    motion: dict[str, float]
-    raw: bool = False
+    inverse_dynamics: InverseDynamics
+    motion_gains: dict[str, float]
+    with_raw_tension: bool = False
 
     def gains(self, position_error_m: float, speed_error_m_s: float, rate_hz: float) -> Gains:
         """Return gains with two given LQR weights for a control rate.
@@ -147,21 +147,27 @@ class AblationLaw:
         """
         weights = {"position_error_m": position_error_m, "speed_error_m_s": speed_error_m_s}
         fixed = {
-            "force_N": FORCE_N * force_scale(rate_hz),
+            "force_N": MOTION_FORCE_WEIGHT_N * force_scale(rate_hz),
             "disturbance_rejection": 1.0,
             "tension_feedback": 0.3,
         }
-        return Gains(motion=MotionGains(**{**fixed, **weights, **self.motion}))
+        return Gains(motion=MotionGains(**{**fixed, **weights, **self.motion_gains}))
 
     @property
-    def change(self) -> partial[Controller]:
+    def change_controller(self) -> partial[Controller]:
         """Return a function that makes a controller use this control law."""
-        return partial(_with_law, inverse=self.inverse, raw=self.raw)
+        return partial(
+            _with_law,
+            inverse_dynamics=self.inverse_dynamics,
+            with_raw_tension=self.with_raw_tension,
+        )
 
 
-def _with_law(controller: Controller, inverse: InverseDynamics, raw: bool) -> Controller:
-    other = replace(controller, model=replace(controller.model, inverse=inverse))
-    return on_raw_tension(other) if raw else other
+def _with_law(
+    controller: Controller, inverse_dynamics: InverseDynamics, with_raw_tension: bool
+) -> Controller:
+    other = replace(controller, model=replace(controller.model, inverse=inverse_dynamics))
+    return controller_on_raw_tension(other) if with_raw_tension else other
 
 
 NO_INERTIA_GAINS = {"inertia_share": 0.0, "friction_share": 0.0, **NO_FORCE_LOOP}
@@ -182,7 +188,7 @@ ABLATION_LAWS = {
     "+ motor inertia": AblationLaw(gravity_and_spring_torque, NO_FRICTION_GAINS),
     "+ friction": AblationLaw(gravity_and_spring_torque, NO_FORCE_LOOP),
     "+ full computed torque": AblationLaw(required_torque, NO_FORCE_LOOP),
-    "+ force loop, raw sensor": AblationLaw(required_torque, {}, raw=True),
+    "+ force loop, raw sensor": AblationLaw(required_torque, {}, with_raw_tension=True),
     "+ force loop, estimate": AblationLaw(required_torque, {}),
     "the same, Eq. 10-12 as printed": AblationLaw(misprinted_torque, {}),
 }

@@ -1,4 +1,4 @@
-"""Coverage-guided fuzzing of one target: ``python -m fuzz.one TARGET CORPUS [libFuzzer's options]``."""
+"""Coverage-guided fuzzing of one target: ``python -m fuzz.fuzz_with_coverage TARGET CORPUS [libFuzzer's options]``."""
 
 import sys
 import tempfile

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from grasps import payload, slip
-from grasps.objects import MAX_MOTION_M
+from grasps import payload, slip_reaction
+from grasps.grasp_objects import MAX_OBJECT_MOTION_M
 from handctl.output import save_figure
 
 DOCS_FOLDER = Path(__file__).parents[2] / "docs"
@@ -22,17 +22,20 @@ def tables_text(result: dict[str, Any]) -> str:
     )
 
 
-def _markdown_table(head: list[str], rows: list[list[str]]) -> str:
-    lines = ["| " + " | ".join(row) + " |" for row in [head, ["---"] * len(head), *rows]]
+def _markdown_table(column_titles: list[str], rows: list[list[str]]) -> str:
+    lines = [
+        "| " + " | ".join(row) + " |"
+        for row in [column_titles, ["---"] * len(column_titles), *rows]
+    ]
     return "\n".join(lines)
 
 
 def _grouped_rows(
-    rows: list[dict[str, Any]], *keys: str
+    rows: list[dict[str, Any]], *group_keys: str
 ) -> dict[tuple[str, ...], list[dict[str, Any]]]:
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in rows:
-        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+        groups.setdefault(tuple(row[key] for key in group_keys), []).append(row)
     return groups
 
 
@@ -131,7 +134,7 @@ def _slip_table(rows: list[dict[str, Any]]) -> str:
         lost = [row["lost_at_N"] for row in tried if row["lost_at_N"] is not None]
         noticed = [row["first_event_mm"] for row in tried if row["first_event_mm"] is not None]
         table.append([
-            hand, f"up to {slip.SLIP_LIMIT_N:g} N" if answered else "no",
+            hand, f"up to {slip_reaction.SLIP_LIMIT_N:g} N" if answered else "no",
             f"{len(lost)} of {len(tried)}" + (f", from {min(lost):.1f} N" if lost else ""),
             _range_text([min(row["motion_mm"], 99.0) for row in tried], 1),
             _range_text(noticed, 2) or "never",
@@ -149,12 +152,12 @@ def _slip_table(rows: list[dict[str, Any]]) -> str:
     return _markdown_table(head, table)
 
 
-def _range_text(values: list[float], digits: int) -> str:
+def _range_text(values: list[float], decimals: int) -> str:
     """Format the range of values.
 
     If the smallest and the largest value have the same text, return only one of them.
     """
-    ends = [f"{end:.{digits}f}" for end in (min(values), max(values))] if values else []
+    ends = [f"{end:.{decimals}f}" for end in (min(values), max(values))] if values else []
     return " to ".join(dict.fromkeys(ends))
 
 
@@ -209,7 +212,7 @@ def draw_picture(result: dict[str, Any]) -> None:
         left.scatter(
             [x[i] for i in bad], [y[i] for i in bad], marker="x", color="black", s=40, zorder=3
         )
-    left.axvline(1e3 * MAX_MOTION_M, color="grey", ls="--")
+    left.axvline(1e3 * MAX_OBJECT_MOTION_M, color="grey", ls="--")
     left.set(
         xscale="log", xlabel="largest motion in 5 s, of three orientations with a push of 1 N [mm]"
     )

@@ -18,13 +18,13 @@ from handctl.report.truth_record import TruthRecord
 PERIOD_NS = 10_000_000
 
 
-class InventedLog:
+class GeneratedRunLog:
     """Fake log with the parts of a `RunLog` that the report uses.
 
     All telemetry is NaN until a test sets it.
     """
 
-    def __init__(self, hand: Hand, ticks: int, phases: dict[int, str]) -> None:
+    def __init__(self, hand: Hand, tick_count: int, phase_by_tick: dict[int, str]) -> None:
         sizes = {
             "joint": len(hand.joints),
             "tendon": len(hand.tendon),
@@ -34,14 +34,15 @@ class InventedLog:
         self.header = SimpleNamespace(
             period_ns=PERIOD_NS, tendons=hand.tendon_names, attachments=dict[str, bytes]()
         )
-        self.k = np.arange(ticks)
-        self.late_ns = np.zeros(ticks, np.int64)
-        self.mode = np.full(ticks, int(HandMode.ACTIVE), np.uint8)
+        self.k = np.arange(tick_count)
+        self.late_ns = np.zeros(tick_count, np.int64)
+        self.mode = np.full(tick_count, int(HandMode.ACTIVE), np.uint8)
         self.fields = {
-            name: np.full((ticks, sizes[axis]), np.nan) for name, axis in TELEMETRY_AXES.items()
+            name: np.full((tick_count, sizes[axis]), np.nan)
+            for name, axis in TELEMETRY_AXES.items()
         }
         self.fields["contact"][:] = 0.0
-        self.phases = [PhaseChange(k, k * PERIOD_NS, name) for k, name in phases.items()]
+        self.phases = [PhaseChange(k, k * PERIOD_NS, name) for k, name in phase_by_tick.items()]
         self.events: list[object] = []
 
     def __len__(self) -> int:
@@ -55,35 +56,37 @@ class InventedLog:
     def times(self) -> np.ndarray:
         return self.t_ns * 1e-9
 
-    def field(self, name: str) -> np.ndarray:
-        return self.fields[name]
+    def field(self, field_name: str) -> np.ndarray:
+        return self.fields[field_name]
 
 
-def zero_truth(hand: Hand, ticks: int, offset_ns: int = 0) -> TruthRecord:
+def zero_truth(hand: Hand, tick_count: int, offset_ns: int = 0) -> TruthRecord:
     """Create a truth record with one row of zeros for each tick, and two further rows before and after the run."""
     columns = [f"tension/{name}" for name in hand.tendon_names]
     columns += [f"q/{name}" for name in hand.joints]
     columns += [f"contact_force/{name}/{axis}" for name in hand.digit_names for axis in "xyz"]
     columns += ["object/x", "object/y", "object/z"]
-    t_ns = offset_ns + np.arange(-2, ticks + 2) * PERIOD_NS
+    t_ns = offset_ns + np.arange(-2, tick_count + 2) * PERIOD_NS
     return TruthRecord({}, t_ns, np.zeros((len(t_ns), len(columns))), tuple(columns))
 
 
-def set_truth_column(truth: TruthRecord, name: str, values: np.ndarray | float) -> None:
+def set_truth_column(truth: TruthRecord, column_name: str, values: np.ndarray | float) -> None:
     """Set a column of a truth record in the ticks of the run.
 
     The rows outside of the run get the first and the last value.
     """
-    column = truth.values[:, truth.columns.index(name)]
+    column = truth.values[:, truth.columns.index(column_name)]
     column[2:-2] = values
     column[:2], column[-2:] = column[2], column[-3]
 
 
-def write_truth(path: Path, truth: TruthRecord) -> None:
+def write_truth(truth_file: Path, truth: TruthRecord) -> None:
     """Write a truth record to a file, in the format of a simulator."""
     rows = np.zeros(len(truth.t_ns), [("t_ns", "<i8"), ("v", "<f8", (len(truth.columns),))])
     rows["t_ns"], rows["v"] = truth.t_ns, truth.values
-    path.write_bytes(json.dumps({"columns": list(truth.columns)}).encode() + b"\n" + rows.tobytes())
+    truth_file.write_bytes(
+        json.dumps({"columns": list(truth.columns)}).encode() + b"\n" + rows.tobytes()
+    )
 
 
-JAMIA = load_hand("jamia")
+JAMIA_HAND = load_hand("jamia")

@@ -10,12 +10,12 @@ shifted at random by up to 1 mm along x and 2 mm along y. The seed determines th
 import random
 from dataclasses import dataclass
 
-TURN_S = 0.5
-STAGE_S = 5.0
-PUSH_N = 1.0
-PUSH_AT_S = 2.0
-PUSH_S = 1.0
-MAX_MOTION_M = 2e-3
+TURN_DURATION_S = 0.5
+STAGE_DURATION_S = 5.0
+PUSH_FORCE_N = 1.0
+PUSH_START_S = 2.0
+PUSH_DURATION_S = 1.0
+MAX_OBJECT_MOTION_M = 2e-3
 """Largest motion of a held object within a stage [m].
 
 If the object moves further, the grasp has failed.
@@ -53,7 +53,7 @@ class GraspCase:
         """Return a name such as ``cylinder 35 mm, friction 0.5``."""
         return f"{self.shape} {1e3 * self.width:g} mm, friction {self.friction:g}"
 
-    def scene_text(self, seed: int, stages: bool = True) -> str:
+    def scene_text(self, seed: int, with_stages: bool = True) -> str:
         """Return the text of the scene file. Seed 0 places the object at its nominal position."""
         chance = random.Random(f"{self} {seed}")
         x, y = (
@@ -80,25 +80,31 @@ class GraspCase:
         ]
         lines += ['drop_when = "grasped"', "drop_hold_s = 1.0", "sink_speed_m_s = 0.1"]
         lines += [f"drop_digits = {digits}", f"drop_opposed = {opposed}"]
-        for down in GRAVITY_DIRECTIONS[self.grasp] if stages else ():
-            push = [PUSH_N * v for v in down]
+        for down in GRAVITY_DIRECTIONS[self.grasp] if with_stages else ():
+            push = [PUSH_FORCE_N * v for v in down]
             lines += [
                 "[[stage]]",
                 f"down = {list(down)}",
-                f"turn_s = {TURN_S}",
-                f"last_s = {STAGE_S}",
+                f"turn_s = {TURN_DURATION_S}",
+                f"last_s = {STAGE_DURATION_S}",
             ]
-            lines += [f"push_N = {push}", f"push_at_s = {PUSH_AT_S}", f"push_s = {PUSH_S}"]
+            lines += [
+                f"push_N = {push}",
+                f"push_at_s = {PUSH_START_S}",
+                f"push_s = {PUSH_DURATION_S}",
+            ]
         return "\n".join(lines) + "\n"
 
 
-def _power_grasp_case(shape: str, width_mm: float, friction: float, mass: float) -> GraspCase:
+def _power_grasp_case(
+    object_shape: str, width_mm: float, friction: float, mass_kg: float
+) -> GraspCase:
     """Return an object for a power grasp.
 
     The object is 2 mm in front of the palm, and midway between fingers and thumb.
     """
     return GraspCase(
-        "power", shape, width_mm * 1e-3, friction, mass, (width_mm * 0.5e-3 + 2e-3, 0.0)
+        "power", object_shape, width_mm * 1e-3, friction, mass_kg, (width_mm * 0.5e-3 + 2e-3, 0.0)
     )
 
 

@@ -15,21 +15,21 @@ OPERATION_COUNT = 8
 KeyPath = tuple[Any, ...]
 
 
-def paths_of_values(node: Any, path: KeyPath = ()) -> Iterator[KeyPath]:
+def paths_of_values(document_node: Any, node_path: KeyPath = ()) -> Iterator[KeyPath]:
     """Yield the path (keys and indices) of every value below a node of a document.
 
     Tables and lists also count as values.
     """
     entries = (
-        node.items()
-        if isinstance(node, Mapping)
-        else enumerate(node)
-        if isinstance(node, list)
+        document_node.items()
+        if isinstance(document_node, Mapping)
+        else enumerate(document_node)
+        if isinstance(document_node, list)
         else ()
     )
     for key, value in entries:
-        yield (*path, key)
-        yield from paths_of_values(value, (*path, key))
+        yield (*node_path, key)
+        yield from paths_of_values(value, (*node_path, key))
 
 
 class ByteSource:
@@ -43,14 +43,14 @@ class ByteSource:
         self.data = data
         self.at = 0
 
-    def take_bytes(self, size: int) -> bytes:
+    def take_bytes(self, byte_count: int) -> bytes:
         """Consume and return a number of bytes."""
-        self.at += size
-        return self.data[self.at - size : self.at].ljust(size, b"\0")
+        self.at += byte_count
+        return self.data[self.at - byte_count : self.at].ljust(byte_count, b"\0")
 
-    def take_number(self, below: int) -> int:
-        """Consume bytes, and return a number from 0 to ``below`` - 1."""
-        return int.from_bytes(self.take_bytes(2), "little") % below
+    def take_number(self, upper_limit: int) -> int:
+        """Consume bytes, and return a number from 0 to ``upper_limit`` - 1."""
+        return int.from_bytes(self.take_bytes(2), "little") % upper_limit
 
     @property
     def is_empty(self) -> bool:
@@ -58,15 +58,15 @@ class ByteSource:
         return self.at >= len(self.data)
 
 
-def replacement_value(source: ByteSource, old: Any) -> Any:
+def replacement_value(source: ByteSource, old_value: Any) -> Any:
     """Return a replacement for a value: an unusual value, random bits, or the scaled old value."""
     kind = source.take_number(5)
     if kind == 0:
         return struct.unpack("<d", source.take_bytes(8))[0]
     if kind == 1:
         return source.take_bytes(source.take_number(12)).decode("latin-1")
-    if kind == 2 and isinstance(old, int | float) and -1e300 < old < 1e300:
-        return old * (1000.0, 0.001, -1.0, 1.0001, 2.0)[source.take_number(5)]
+    if kind == 2 and isinstance(old_value, int | float) and -1e300 < old_value < 1e300:
+        return old_value * (1000.0, 0.001, -1.0, 1.0001, 2.0)[source.take_number(5)]
     if kind == 3:
         return int.from_bytes(source.take_bytes(3), "little", signed=True)
     return UNUSUAL_VALUES[source.take_number(len(UNUSUAL_VALUES))]
@@ -94,13 +94,13 @@ def mutated_content(
     return made
 
 
-def _copied_node(root: dict[str, Any], path: KeyPath) -> Any:
+def _copied_node(root_table: dict[str, Any], node_path: KeyPath) -> Any:
     """Replace each node on a path by a copy, and return the copy of the last node.
 
     Return None if an earlier change has removed a node of the path.
     """
-    node: Any = root
-    for key in path:
+    node: Any = root_table
+    for key in node_path:
         try:
             child = node[key]
         except (LookupError, TypeError):
@@ -113,19 +113,19 @@ def _copied_node(root: dict[str, Any], path: KeyPath) -> Any:
     return node
 
 
-def _change_entry(parent: Any, key: Any, source: ByteSource) -> None:
+def _change_entry(parent_node: Any, entry_key: Any, source: ByteSource) -> None:
     try:
-        old = parent[key]
+        old = parent_node[entry_key]
     except (LookupError, TypeError):
         return
     operation = source.take_number(OPERATION_COUNT)
     if operation == 0:
-        del parent[key]
-    elif operation == 1 and isinstance(parent, dict):
-        parent[str(key) + chr(97 + source.take_number(26))] = parent.pop(key)
-    elif operation == 2 and isinstance(parent, list):
-        parent.insert(key, old)
-    elif operation == 3 and isinstance(parent, list):
-        parent.reverse()
+        del parent_node[entry_key]
+    elif operation == 1 and isinstance(parent_node, dict):
+        parent_node[str(entry_key) + chr(97 + source.take_number(26))] = parent_node.pop(entry_key)
+    elif operation == 2 and isinstance(parent_node, list):
+        parent_node.insert(entry_key, old)
+    elif operation == 3 and isinstance(parent_node, list):
+        parent_node.reverse()
     else:
-        parent[key] = replacement_value(source, old)
+        parent_node[entry_key] = replacement_value(source, old)

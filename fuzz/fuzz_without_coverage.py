@@ -1,4 +1,6 @@
-"""Fuzz one target without measuring coverage: ``python -m fuzz.blind TARGET CORPUS FOUND SECONDS RUNS LONGEST``.
+"""Fuzz one target without measuring coverage.
+
+    python -m fuzz.fuzz_without_coverage TARGET CORPUS FOUND SECONDS RUNS LONGEST
 
 Coverage-guided fuzzing has collected a corpus of inputs before. This program changes these inputs
 at random. Fuzzing without coverage (blind fuzzing) is a few times faster, and therefore tests more
@@ -19,18 +21,20 @@ INPUTS_PER_CLOCK_READ = 256
 """Number of inputs between two readings of the clock."""
 
 
-def changed_inputs(chance: random.Random, corpus: list[bytes], max_bytes: int) -> Iterator[bytes]:
+def changed_inputs(
+    random_source: random.Random, corpus: list[bytes], max_bytes: int
+) -> Iterator[bytes]:
     """Yield randomly changed inputs of the corpus, without end.
 
     A change replaces, removes or inserts bytes, or copies the end of another input. One in sixteen
     inputs is entirely random.
     """
-    pick = chance.choice
-    bits = chance.getrandbits
+    pick = random_source.choice
+    bits = random_source.getrandbits
     while True:
         kind = bits(4)
         if kind == 0:
-            yield chance.randbytes(bits(16) % max_bytes)
+            yield random_source.randbytes(bits(16) % max_bytes)
             continue
         data = bytearray(pick(corpus))
         for _ in range(1 + (kind & 3)):
@@ -43,7 +47,7 @@ def changed_inputs(chance: random.Random, corpus: list[bytes], max_bytes: int) -
             elif operation == 5:
                 del data[at : at + 1 + bits(2)]
             elif operation == 6:
-                data[at:at] = chance.randbytes(1 + bits(3))
+                data[at:at] = random_source.randbytes(1 + bits(3))
             else:
                 data[at:] = pick(corpus)[at:]
         yield bytes(data[:max_bytes])
@@ -52,9 +56,9 @@ def changed_inputs(chance: random.Random, corpus: list[bytes], max_bytes: int) -
 def feed_inputs(
     target: Callable[[bytes], bool],
     inputs: Iterator[bytes],
-    crashes: Path,
-    seconds: float,
-    runs: int,
+    crash_folder: Path,
+    duration_s: float,
+    run_count: int,
 ) -> tuple[int, int]:
     """Feed inputs to a target.
 
@@ -68,18 +72,18 @@ def feed_inputs(
     taken = 0
     data = b""
     try:
-        while runs < 0 or number < runs:
+        while run_count < 0 or number < run_count:
             for data, _ in zip(inputs, range(INPUTS_PER_CLOCK_READ), strict=False):
                 taken += target(data)
             number += INPUTS_PER_CLOCK_READ
             now = time.monotonic()
-            if 0 < seconds <= now - start:
+            if 0 < duration_s <= now - start:
                 break
             if now - reported > REPORT_PERIOD_S:
                 reported = now
                 print(f"{number} runs, {number / (now - start):.0f}/s", file=sys.stderr, flush=True)
     except BaseException:
-        (crashes / "blind").write_bytes(data)
+        (crash_folder / "blind").write_bytes(data)
         raise
     return number, taken
 

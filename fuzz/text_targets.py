@@ -6,8 +6,8 @@ from pathlib import Path
 from firmware_sim.faults.fault_text import FAULT_KINDS, parse_fault
 from firmware_sim.hand_description import SimulatorError
 from firmware_sim.hand_description import load_hand as load_simulated_hand
-from fuzz.files import check_one_line
-from fuzz.mutate import ByteSource
+from fuzz.document_mutation import ByteSource
+from fuzz.file_targets import check_one_line
 from handctl.programs.requests import parse_request
 
 FuzzTarget = Callable[[bytes], bool]

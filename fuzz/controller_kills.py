@@ -1,4 +1,4 @@
-"""Kill or stop hundreds of controllers at random times: ``python -m fuzz.kills --times 500``."""
+"""Kill or stop hundreds of controllers at random times: ``python -m fuzz.controller_kills --times 500``."""
 
 import argparse
 import sys
@@ -11,7 +11,7 @@ def main() -> int:
 
     Return 1 if a drive kept its torque or a log is incomplete.
     """
-    parser = argparse.ArgumentParser(prog="python -m fuzz.kills", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m fuzz.controller_kills", description=__doc__)
     parser.add_argument(
         "--times",
         type=int,

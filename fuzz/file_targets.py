@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from fuzz.mutate import ByteSource, mutated_content, paths_of_values
+from fuzz.document_mutation import ByteSource, mutated_content, paths_of_values
 from handctl.controller.bus_load import bus_loads
 from handctl.core.calibration import calibration_from
 from handctl.core.gains.gains import Gains, GainsFile, GainsProvenance
@@ -70,21 +70,21 @@ def check_one_line(error: Exception) -> None:
     assert "\n" not in str(error), str(error)
 
 
-def _text_target(path: Path, load: Callable[[Path], object]) -> FuzzTarget:
+def _text_target(file_path: Path, load_file: Callable[[Path], object]) -> FuzzTarget:
     def target(data: bytes) -> bool:
-        path.write_bytes(data)
-        return _is_accepted(lambda: load(path))
+        file_path.write_bytes(data)
+        return _is_accepted(lambda: load_file(file_path))
 
     return target
 
 
-def _is_accepted(load: Callable[[], object]) -> bool:
+def _is_accepted(load_input: Callable[[], object]) -> bool:
     """Return True if the loading function accepts its input.
 
     After a refusal, check that the error message is one line.
     """
     try:
-        load()
+        load_input()
     except HandctlError as error:
         check_one_line(error)
         return False
@@ -99,22 +99,22 @@ All other inputs are changed documents that need no parsing, because parsing is 
 
 
 def _document_target(
-    path: Path, contents: list[FileContent], use_content: Callable[[FileContent], object]
+    file_path: Path, file_contents: list[FileContent], use_content: Callable[[FileContent], object]
 ) -> FuzzTarget:
     """Return the target for one kind of TOML file.
 
     Inputs are arbitrary bytes, or a valid document with up to four changes.
     """
-    paths = [list(paths_of_values(content)) for content in contents]
-    noise = _text_target(path, lambda file: use_content(read_toml(file)))
+    paths = [list(paths_of_values(content)) for content in file_contents]
+    noise = _text_target(file_path, lambda file: use_content(read_toml(file)))
 
     def target(data: bytes) -> bool:
         source = ByteSource(data)
         kind = source.take_number(DOCUMENTS_PER_TEXT)
         if kind == 1:
             return noise(data[source.at :])
-        i = source.take_number(len(contents))
-        content = mutated_content(contents[i], paths[i], source)
+        i = source.take_number(len(file_contents))
+        content = mutated_content(file_contents[i], paths[i], source)
         if kind == 2:
             return noise(toml_text(content).encode("utf-8", "surrogatepass"))
         return _is_accepted(lambda: use_content(content))

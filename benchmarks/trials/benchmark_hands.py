@@ -11,9 +11,9 @@ from pathlib import Path
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content, hand_path, load_hand
 
-CLEAR_SUFFIX = ".clear"
+SPREAD_DIGITS_SUFFIX = ".clear"
 """Suffix in the names of the variants with free space around every digit."""
-SIDE_SUFFIX = ".side"
+SIDEWAYS_SUFFIX = ".side"
 """Suffix in the names of the variants that also lie on their side.
 
 Gravity then acts in the plane in which the digits flex.
@@ -28,36 +28,36 @@ FINGERTIP_LOAD = 10.0
 
 A fingertip then weighs 21 g.
 """
-FORWARD_M, APART_M = 0.04, 0.1
+FORWARD_SHIFT_M, DIGIT_DISTANCE_M = 0.04, 0.1
 """Distances in the variants [m]: from the palm to the digits, and between neighbouring digits."""
 
 
 @cache
-def hand_by_name(name: str) -> Hand:
+def hand_by_name(hand_name: str) -> Hand:
     """Return the hand with this name: a packaged hand or one of its variants."""
-    if not name.endswith((CLEAR_SUFFIX, SIDE_SUFFIX)):
-        return load_hand(name)
-    content = hand_content(packaged_name(name))
+    if not hand_name.endswith((SPREAD_DIGITS_SUFFIX, SIDEWAYS_SUFFIX)):
+        return load_hand(hand_name)
+    content = hand_content(packaged_name(hand_name))
     for i, digit in enumerate(content["digit"]):
         x, y, z = digit["mount_position_m"]
-        digit["mount_position_m"] = [x + FORWARD_M, y, z + i * APART_M]
-        if name.endswith(SIDE_SUFFIX):
+        digit["mount_position_m"] = [x + FORWARD_SHIFT_M, y, z + i * DIGIT_DISTANCE_M]
+        if hand_name.endswith(SIDEWAYS_SUFFIX):
             for key in ("link_mass_kg", "link_inertia_kg_m2"):
                 digit[key][-1] *= FINGERTIP_LOAD
-    if name.endswith(SIDE_SUFFIX):
+    if hand_name.endswith(SIDEWAYS_SUFFIX):
         content["mount"]["gravity_m_s2"] = SIDE_GRAVITY_M_S2
-    return hand_from_content(content, name)
+    return hand_from_content(content, hand_name)
 
 
-def packaged_name(name: str) -> str:
+def packaged_name(hand_name: str) -> str:
     """Return the name of the packaged hand from which a variant is derived."""
-    return name.removesuffix(CLEAR_SUFFIX).removesuffix(SIDE_SUFFIX)
+    return hand_name.removesuffix(SPREAD_DIGITS_SUFFIX).removesuffix(SIDEWAYS_SUFFIX)
 
 
-def hand_file_of(name: str, folder: Path) -> Path:
+def hand_file_of(hand_name: str, file_folder: Path) -> Path:
     """Return the path of the hand file for the simulator. The file of a variant is written into the folder."""
-    if not name.endswith((CLEAR_SUFFIX, SIDE_SUFFIX)):
-        return hand_path(name)
-    path = folder / f"{name}.toml"
-    path.write_text(hand_by_name(name).to_toml())
+    if not hand_name.endswith((SPREAD_DIGITS_SUFFIX, SIDEWAYS_SUFFIX)):
+        return hand_path(hand_name)
+    path = file_folder / f"{hand_name}.toml"
+    path.write_text(hand_by_name(hand_name).to_toml())
     return path

@@ -26,12 +26,12 @@ DEFAULT_GAINS = Gains()
 
 
 @cache
-def hand_model(hand: str, gains: Gains = DEFAULT_GAINS) -> tuple[HandModel, float]:
+def hand_model(hand_name: str, gains: Gains = DEFAULT_GAINS) -> tuple[HandModel, float]:
     """Return the model of a hand at its default rate.
 
     A process computes the model of each hand only once.
     """
-    described = load_hand(hand)
+    described = load_hand(hand_name)
     rate = default_rate(described)
     return HandModel.from_hand(described, gains, rate), rate
 
@@ -44,45 +44,45 @@ class GraspRun:
         t: (ticks,) time of each tick [s].
         phase: (ticks,) name of the phase of the task.
         stage: (ticks,) number of the stage of the scene.
-        place: (ticks, 3) position of the object [m].
+        object_position: (ticks, 3) position of the object [m].
         force: (ticks, D) true contact force on each digit [N].
         contact: (ticks, D) True where the controller reports contact of the digit.
         tension: (ticks, N) tension that the controller estimates [N].
-        external: (ticks, N) external tension that the controller estimates [N].
+        external_tension: (ticks, N) external tension that the controller estimates [N].
         excursion: (ticks, N) tendon excursion that the controller reports [m].
         q: (ticks, J) true joint angles [rad].
-        normal: (ticks, D) sum of the normal forces on each digit [N]. The array exists only in
+        contact_normal: (ticks, D) sum of the normal forces on each digit [N]. The array exists only in
             scenes with a load.
         events: every event, with the index of its tick.
         failure: reason for which the controller ended the run.
-        dropped_at: time at which the table begins to sink [s], or None.
+        drop_time: time at which the table begins to sink [s], or None.
     """
 
     t: np.ndarray
     phase: list[str]
     stage: np.ndarray
-    place: np.ndarray
+    object_position: np.ndarray
     force: np.ndarray
     contact: np.ndarray
     tension: np.ndarray
-    external: np.ndarray
+    external_tension: np.ndarray
     excursion: np.ndarray
-    filter: np.ndarray
+    filter_states: np.ndarray
     tip_force: np.ndarray
     q: np.ndarray
-    normal: np.ndarray
-    turn: np.ndarray
+    contact_normal: np.ndarray
+    object_rotation: np.ndarray
     events: list[tuple[int, TickEvent]] = field(default_factory=list)
     failure: str = ""
-    dropped_at: float | None = None
+    drop_time: float | None = None
 
 
-def task_program(task: str, hand: str, hold_s: float | None = None) -> TaskProgram:
+def task_program(task_name: str, hand_name: str, hold_s: float | None = None) -> TaskProgram:
     """Return the program of a packaged task or a task file for a hand.
 
     ``hold_s`` replaces the duration of each hold phase [s].
     """
-    packaged_task, _ = load_task_for_hand(Path(task), load_hand(hand))
+    packaged_task, _ = load_task_for_hand(Path(task_name), load_hand(hand_name))
     phases = [
         phase.model_copy(update={"duration_s": hold_s})
         if hold_s is not None and isinstance(phase, HoldPhase)
@@ -93,41 +93,41 @@ def task_program(task: str, hand: str, hold_s: float | None = None) -> TaskProgr
 
 
 def simulate_grasp(
-    hand: str,
+    hand_name: str,
     program: Program,
     scene: str | None,
     *,
     seed: int = 0,
-    perturb: dict[str, float] | None = None,
-    until: str = "",
+    plant_factors: dict[str, float] | None = None,
+    last_phase: str = "",
     gains: Gains = DEFAULT_GAINS,
-    timeout: float = TIMEOUT_S,
-    give_up: float = TIMEOUT_S,
+    timeout_s: float = TIMEOUT_S,
+    give_up_s: float = TIMEOUT_S,
 ) -> GraspRun:
     """Run a program on a simulated hand whose motor zeros are known.
 
     Args:
-        hand: name of a packaged hand.
+        hand_name: name of a packaged hand.
         program: program of the controller.
         scene: text of a scene file, name of a packaged scene, or None.
         seed: seed of the simulator.
-        perturb: factors that multiply parameters of the simulated hand.
-        until: the run ends when this phase begins.
-        timeout: the run ends at this time [s].
-        give_up: the run ends after this time if the table has not begun to sink [s].
+        plant_factors: factors that multiply parameters of the simulated hand.
+        last_phase: the run ends when this phase begins.
+        timeout_s: the run ends at this time [s].
+        give_up_s: the run ends after this time if the table has not begun to sink [s].
     """
-    model, rate = hand_model(hand, gains)
+    model, rate = hand_model(hand_name, gains)
     controller = homed_controller(model, program)
     rows = []
     phases = []
     events = []
     stages = []
-    with SimulatorSettings(hand, scene, seed, perturb, homed=True).begin_run(
+    with SimulatorSettings(hand_name, scene, seed, plant_factors, homed=True).begin_run(
         controller
     ) as simulation:
         plant = simulation.simulated_hand.world.plant
         simulation.record_ticks = False
-        for entry, out in simulation.run_ticks(timeout):
+        for entry, out in simulation.run_ticks(timeout_s):
             k = entry.k
             state = simulation.state
             states = state.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T.ravel()
@@ -141,12 +141,12 @@ def simulate_grasp(
             phases.append(out.phase)
             stages.append(plant.stage)
             events += [(k, event) for event in out.events]
-            if state.mode == HandMode.RELAX or (until and out.phase == until):
+            if state.mode == HandMode.RELAX or (last_phase and out.phase == last_phase):
                 break
             if (
                 _is_over(plant)
                 or _is_lost(plant)
-                or (k / rate > give_up and plant.table and plant.table.dropped_at is None)
+                or (k / rate > give_up_s and plant.table and plant.table.dropped_at is None)
             ):
                 break
     columns = [np.array(column) for column in zip(*rows, strict=True)]
@@ -178,6 +178,6 @@ def stage_motions(run: GraspRun) -> list[float]:
     """Return how far the object moves at most in each stage from where it was at the start of the stage [m]."""
     motions = []
     for stage in range(int(run.stage.max(initial=-1)) + 1):
-        path = run.place[run.stage == stage]
+        path = run.object_position[run.stage == stage]
         motions.append(float(np.linalg.norm(path - path[0], axis=1).max()))
     return motions

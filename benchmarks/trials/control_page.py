@@ -18,13 +18,13 @@ benchmarks, and were not changed to improve a result. Results that are weak or n
 PART_ORDER = ("estimation", "tracking", "gravity", "force", "tip", "grasps")
 
 
-def write_part(part: str, text: str) -> None:
+def write_part(part_name: str, part_text: str) -> None:
     """Replace one part of the page by a Markdown text.
 
     All other parts of the page stay unchanged.
     """
     parts = _page_parts(PAGE_FILE.read_text("utf-8")) if PAGE_FILE.exists() else {}
-    parts[part] = text.strip()
+    parts[part_name] = part_text.strip()
     ordered = sorted(
         parts, key=lambda name: PART_ORDER.index(name) if name in PART_ORDER else len(PART_ORDER)
     )
@@ -32,16 +32,16 @@ def write_part(part: str, text: str) -> None:
     PAGE_FILE.write_text("\n".join([PAGE_HEAD, *blocks]), "utf-8")
 
 
-def _page_parts(text: str) -> dict[str, str]:
+def _page_parts(page_text: str) -> dict[str, str]:
     """Split the page into its parts, and return them by name."""
     parts = {}
-    for block in text.split("<!-- end of ")[:-1]:
+    for block in page_text.split("<!-- end of ")[:-1]:
         name, _, body = block.rpartition("<!-- ")[2].partition(" -->")
         parts[name] = body.strip()
     return parts
 
 
-def markdown_table(head: list[str], rows: list[list[str]]) -> str:
+def markdown_table(column_titles: list[str], rows: list[list[str]]) -> str:
     """Format a Markdown table."""
-    lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
+    lines = [column_titles, ["---"] + ["---:"] * (len(column_titles) - 1), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from fuzz import files
-from fuzz.mutate import ByteSource
+from fuzz import file_targets
+from fuzz.document_mutation import ByteSource
 from handctl.core.tick_types import TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.read.chunk_reader import schemas_and_channels
@@ -49,28 +49,28 @@ UNUSUAL_BYTES = (
 )
 
 
-def read_all(path: Path) -> None:
+def read_whole_log(log_path: Path) -> None:
     """Read all parts of a log that any command of handctl reads."""
-    with RunLog(path) as log:
+    with RunLog(log_path) as log:
         log.field(TELEMETRY_FIELDS[0]), log.field(TELEMETRY_FIELDS[-1])
         len(log), list(log.ticks()), log.events, log.phases, log.gaps, log.clock_pairs
         list(log.tick_digests()), list(log.tick_messages()), list(log.packed_telemetry())
 
 
-def small_log(folder: Path, seconds: float = 0.3) -> Path:
+def write_small_log(log_folder: Path, duration_s: float = 0.3) -> Path:
     """Write a small but complete log with a few ticks."""
-    path = folder / "small.mcap"
+    path = log_folder / "small.mcap"
     synthetic_run.write_synthetic_run(
-        path, synthetic_run.synthetic_header(rate_hz=10, attachments={}), seconds
+        path, synthetic_run.synthetic_header(rate_hz=10, attachments={}), duration_s
     )
     return path
 
 
 def _is_readable(path: Path) -> bool:
     try:
-        read_all(path)
+        read_whole_log(path)
     except LogError as error:
-        files.check_one_line(error)
+        file_targets.check_one_line(error)
         return False
     return True
 
@@ -80,7 +80,7 @@ def log_target(folder: Path) -> FuzzTarget:
 
     Most of the changed records have a valid length.
     """
-    parts = _log_parts(small_log(folder))
+    parts = _log_parts(write_small_log(folder))
     joined = [_join_records(i, part) for i, part in enumerate(parts)]
     path = folder / "log.mcap"
 
@@ -146,10 +146,10 @@ def _split_records(data: bytes) -> Iterator[bytes]:
         at = end
 
 
-def _is_of_channels(record: bytes, kept: dict[int, int]) -> bool:
-    """Return True if a record belongs to one of the channels in ``kept`` or to its schema."""
+def _is_of_channels(record: bytes, kept_channels: dict[int, int]) -> bool:
+    """Return True if a record belongs to one of the channels in ``kept_channels`` or to its schema."""
     (number,) = struct.unpack_from("<H", record, 9)
-    return number in (kept.values() if record[0] == Opcode.SCHEMA else kept)
+    return number in (kept_channels.values() if record[0] == Opcode.SCHEMA else kept_channels)
 
 
 CHECKED_OPCODES = (Opcode.ATTACHMENT, Opcode.DATA_END, Opcode.FOOTER)
@@ -163,10 +163,13 @@ def _without_checksum(record: bytes) -> bytes:
     return record[:-4] + bytes(4) if record[0] in CHECKED_OPCODES else record
 
 
-def _join_records(i: int, records: list[bytes]) -> bytes:
-    """Join the records of part ``i`` of a log: the head with its magic bytes, an uncompressed chunk, or the end."""
+def _join_records(part_index: int, records: list[bytes]) -> bytes:
+    """Join the records of one part of a log.
+
+    The part is the head with its magic bytes, an uncompressed chunk, or the end.
+    """
     content = b"".join(records)
-    if i == 0:
+    if part_index == 0:
         return MCAP_MAGIC + content
     return (
         content + MCAP_MAGIC

@@ -21,7 +21,7 @@ Even a busy core wakes such a process within some milliseconds.
 """
 
 
-class StallMeter:
+class MachineStallMeter:
     """Processes that sleep and report when they wake up late.
 
     These processes run until :meth:`close`.
@@ -44,7 +44,7 @@ class StallMeter:
         self.pids = [sleeper.pid for sleeper in self._sleepers]
         self._unread: list[tuple[float, float]] = []
 
-    def longest_since(self, begin: float) -> float:
+    def longest_since(self, start_time_s: float) -> float:
         """Return the duration of the longest stall that ended after a given time of ``time.monotonic`` [s].
 
         If there was no stall, return zero.
@@ -54,7 +54,7 @@ class StallMeter:
             for line in (sleeper.stdout.read() or b"").splitlines():
                 ended, late = map(float, line.split())
                 self._unread.append((ended, late))
-        self._unread = [(ended, late) for ended, late in self._unread if ended > begin]
+        self._unread = [(ended, late) for ended, late in self._unread if ended > start_time_s]
         return max((late for _, late in self._unread), default=0.0)
 
     def close(self) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from grasps.objects import GRASP_CASES, GRAVITY_DIRECTIONS, MAX_MOTION_M, GraspCase
-from grasps.trial import GraspRun, simulate_grasp, stage_motions, task_program
+from grasps.grasp_objects import GRASP_CASES, GRAVITY_DIRECTIONS, MAX_OBJECT_MOTION_M, GraspCase
+from grasps.grasp_trial import GraspRun, simulate_grasp, stage_motions, task_program
 
 TASK_BY_GRASP = {
     ("jamia", "power"): "grasp",
@@ -23,7 +23,7 @@ PALM_GAP_M = 0.5e-3
 
 With a smaller gap, the hand has drawn the object to the palm instead of pinching it.
 """
-GIVE_UP_S = 10.0
+GRASP_TIMEOUT_S = 10.0
 """Time limit from the start of a run until the hand must hold the object [s].
 """
 
@@ -37,7 +37,12 @@ def measure_grasp(job: tuple[str, int, int]) -> dict[str, Any]:
     case = GRASP_CASES[number]
     program = task_program(TASK_BY_GRASP[hand, case.grasp], hand, hold_s=60.0)
     run = simulate_grasp(
-        hand, program, case.scene_text(seed), seed=seed, until="release", give_up=GIVE_UP_S
+        hand,
+        program,
+        case.scene_text(seed),
+        seed=seed,
+        last_phase="release",
+        give_up_s=GRASP_TIMEOUT_S,
     )
     motion = [round(1e3 * value, 2) for value in stage_motions(run)]
     reason = failure_reason(run, case, motion)
@@ -47,17 +52,18 @@ def measure_grasp(job: tuple[str, int, int]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def failure_reason(run: GraspRun, case: GraspCase, motion: list[float]) -> str:
+def failure_reason(run: GraspRun, case: GraspCase, motion_by_stage: list[float]) -> str:
     """Describe why a grasp failed. Return an empty string for a successful grasp."""
     if run.failure:
         return run.failure
-    if run.dropped_at is None:
+    if run.drop_time is None:
         return "not grasped: too few digits press"
-    if max(motion) >= 1e3 * MAX_MOTION_M:
-        stage = int(np.argmax([value >= 1e3 * MAX_MOTION_M for value in motion]))
-        return f"the object moves {motion[stage]:.1f} mm with gravity along {GRAVITY_DIRECTIONS[case.grasp][stage]}"
-    if len(motion) < len(GRAVITY_DIRECTIONS[case.grasp]):
+    if max(motion_by_stage) >= 1e3 * MAX_OBJECT_MOTION_M:
+        stage = int(np.argmax([value >= 1e3 * MAX_OBJECT_MOTION_M for value in motion_by_stage]))
+        direction = GRAVITY_DIRECTIONS[case.grasp][stage]
+        return f"the object moves {motion_by_stage[stage]:.1f} mm with gravity along {direction}"
+    if len(motion_by_stage) < len(GRAVITY_DIRECTIONS[case.grasp]):
         return "ended early"
-    if case.grasp == "pinch" and run.place[-1, 0] - case.width / 2 < PALM_GAP_M:
+    if case.grasp == "pinch" and run.object_position[-1, 0] - case.width / 2 < PALM_GAP_M:
         return "drawn to the palm: held, but not pinched"
     return ""

@@ -20,7 +20,7 @@ class FuzzedDrive(NamedTuple):
 
     protocol: str
     options: str = ""
-    without: str = "-"
+    skipped_option: str = "-"
 
 
 FUZZED_DRIVES = {

@@ -4,20 +4,20 @@ from typing import Any
 
 import numpy as np
 
-from grasps.objects import GRASP_CASES
-from grasps.trial import simulate_grasp, task_program
+from grasps.grasp_objects import GRASP_CASES
+from grasps.grasp_trial import simulate_grasp, task_program
 from handctl.programs.task import HoldPhase
 from handctl.programs.task_program import TaskProgram
 
 LOAD_START_S = 6.0
 LOAD_RATE_N_PER_S = 2.0
-RUN_S = 14.0
+RUN_DURATION_S = 14.0
 CYLINDER_FRICTION = {"jamia": 0.3, "jamia11": 0.2}
 """Friction coefficient of the cylinder for each hand.
 
 The friction is so low that a hand with 20 N per tendon loses the cylinder before the largest load.
 """
-TENSION_N = 20.0
+GRASP_TENSION_N = 20.0
 SLIP_LIMIT_N = 60.0
 LOST_MOTION_M = 10e-3
 
@@ -30,20 +30,20 @@ def measure_slip(job: tuple[str, bool, int]) -> dict[str, Any]:
     hand, answered, seed = job
     scene = (
         GRASP_CASES[1]
-        .scene_text(seed, stages=False)
+        .scene_text(seed, with_stages=False)
         .replace("friction = 0.5", f"friction = {CYLINDER_FRICTION[hand]}")
     )
     scene += f"[load]\ndirection = [1.0, 0.0, 0.0]\nstart_s = {LOAD_START_S}\nrate_N_per_s = {LOAD_RATE_N_PER_S}\n"
     program = task_program("grasp", hand, hold_s=60.0)
-    change = {"tension_N": TENSION_N, "slip_limit_N": SLIP_LIMIT_N if answered else None}
+    change = {"tension_N": GRASP_TENSION_N, "slip_limit_N": SLIP_LIMIT_N if answered else None}
     phases = [
         phase.model_copy(update=change) if isinstance(phase, HoldPhase) else phase
         for phase in program.task.phase
     ]
     program = TaskProgram(program.task.model_copy(update={"phase": tuple(phases)}))
-    run = simulate_grasp(hand, program, scene, seed=seed, timeout=RUN_S)
+    run = simulate_grasp(hand, program, scene, seed=seed, timeout_s=RUN_DURATION_S)
     after = np.flatnonzero(run.t >= LOAD_START_S)
-    motion = np.linalg.norm(run.place[after] - run.place[after[0]], axis=1)
+    motion = np.linalg.norm(run.object_position[after] - run.object_position[after[0]], axis=1)
     load = LOAD_RATE_N_PER_S * (run.t[after] - LOAD_START_S)
     lost = np.flatnonzero(motion > LOST_MOTION_M)
     every = slice(None, None, 10)
@@ -57,7 +57,11 @@ def measure_slip(job: tuple[str, bool, int]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _motion_at_first_slip(run: Any, motion: np.ndarray, after: np.ndarray) -> float | None:
+def _motion_at_first_slip(
+    run: Any, object_motion: np.ndarray, is_after_load_start: np.ndarray
+) -> float | None:
     """Return the motion of the object at the first slip event [mm], or None if there is no such event."""
-    ticks = [k for k, event in run.events if event.name == "slip" and k >= after[0]]
-    return round(1e3 * float(motion[ticks[0] - after[0]]), 2) if ticks else None
+    ticks = [k for k, event in run.events if event.name == "slip" and k >= is_after_load_start[0]]
+    return (
+        round(1e3 * float(object_motion[ticks[0] - is_after_load_start[0]]), 2) if ticks else None
+    )

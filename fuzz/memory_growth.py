@@ -1,4 +1,4 @@
-"""Measure how the memory of controller and recorder grows: ``python -m fuzz.growth --hours 1``.
+"""Measure how the memory of controller and recorder grows: ``python -m fuzz.memory_growth --hours 1``.
 
 The time is simulated.
 
@@ -57,7 +57,7 @@ class MemorySampler:
 
 def main() -> int:
     """Run controller and recorder in lockstep. Return 1 if the memory grows or the run fails."""
-    parser = argparse.ArgumentParser(prog="python -m fuzz.growth", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m fuzz.memory_growth", description=__doc__)
     parser.add_argument(
         "--hours",
         type=float,

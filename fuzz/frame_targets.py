@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from fuzz.drives import FUZZED_DRIVES
+from fuzz.fuzzed_drives import FUZZED_DRIVES
 from handctl.core.block_schema import BlockArray
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
@@ -74,12 +74,12 @@ class RecordedState(NamedTuple):
     received: tuple[Frame, ...]
 
 
-def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[RecordedState]]:
+def states_until_torque(drive_name: str, folder: Path) -> tuple[Drive, list[RecordedState]]:
     """Return a drive of ``FUZZED_DRIVES``, and the states of the drive from the first tick until it makes torque."""
-    fuzzed = FUZZED_DRIVES[name]
+    fuzzed = FUZZED_DRIVES[drive_name]
     path = hand_file(folder, [fuzzed.protocol], fuzzed.options)
     lines = path.read_text().splitlines(keepends=True)
-    path.write_text("".join(line for line in lines if not line.startswith(fuzzed.without)))
+    path.write_text("".join(line for line in lines if not line.startswith(fuzzed.skipped_option)))
     bench = ProtocolBench(path)
     motor = bench.drives[0]
     seen = list[RecordedState]()
@@ -94,9 +94,9 @@ def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[RecordedState]]
     return motor, seen
 
 
-def recorded_inputs(name: str, folder: Path) -> list[bytes]:
+def recorded_inputs(drive_name: str, folder: Path) -> list[bytes]:
     """Return the frames that were recorded until the drive makes torque, encoded as inputs of the target."""
-    motor, seen = path_to_torque(name, folder)
+    motor, seen = states_until_torque(drive_name, folder)
     ours = selectable_identifiers(motor, seen)
     inputs = []
     for i, (_, _, received) in enumerate(seen):
@@ -108,12 +108,12 @@ def recorded_inputs(name: str, folder: Path) -> list[bytes]:
     return [data for data in inputs if len(data) > 1]
 
 
-def selectable_identifiers(motor: Drive, seen: Sequence[RecordedState]) -> list[int]:
+def selectable_identifiers(motor: Drive, recorded_states: Sequence[RecordedState]) -> list[int]:
     """Return at most 256 identifiers, of which one byte of an input selects one.
 
     The identifiers of the recorded frames come first.
     """
-    received = {frame.can_id for one in seen for frame in one.received}
+    received = {frame.can_id for one in recorded_states for frame in one.received}
     return [*sorted(received), *sorted(motor.node_ids - received)][:256]
 
 
@@ -122,11 +122,11 @@ def _payload_header(payload: bytes) -> tuple[int, int]:
     return (1, int(DriveTarget.POLL)) if len(payload) == 8 else (0, len(payload))
 
 
-def drive_target_factory(name: str) -> Callable[[Path], FuzzTarget]:
+def drive_target_factory(drive_name: str) -> Callable[[Path], FuzzTarget]:
     """Return the function that makes the target for a drive of ``FUZZED_DRIVES``."""
 
     def make_target(folder: Path) -> FuzzTarget:
-        motor, seen = path_to_torque(name, folder)
+        motor, seen = states_until_torque(drive_name, folder)
         ours = selectable_identifiers(motor, seen)
         return lambda data: _feed_drive(
             motor, seen[data[0] % len(seen)] if data else seen[0], ours, data
@@ -135,14 +135,16 @@ def drive_target_factory(name: str) -> Callable[[Path], FuzzTarget]:
     return make_target
 
 
-def _feed_drive(motor: Drive, begin: RecordedState, ours: Sequence[int], data: bytes) -> bool:
+def _feed_drive(
+    motor: Drive, start_state: RecordedState, own_identifiers: Sequence[int], data: bytes
+) -> bool:
     """Feed the frames of an input to a drive, and request a phase of the drive after each frame.
 
     Return True if any frame changed the state of the drive.
     """
-    state = begin.state
+    state = start_state.state
     taken = False
-    for frame, more in frames_of_input(data, ours, begin.t_ns):
+    for frame, more in frames_of_input(data, own_identifiers, start_state.t_ns):
         after = motor.receive(state, frame)
         taken = taken or after is not state
         state, sent = _advance_drive(motor, after, frame.t_ns + STEP_NS, more)
@@ -153,13 +155,13 @@ def _feed_drive(motor: Drive, begin: RecordedState, ours: Sequence[int], data: b
 
 
 def _advance_drive(
-    motor: Drive, state: DriveState, t_ns: int, more: int
+    motor: Drive, state: DriveState, t_ns: int, further_byte: int
 ) -> tuple[DriveState, tuple[Frame, ...]]:
     if state.phase == DrivePhase.FAULT:
         motor.fault_cause(state.error)
-        if more & CLEAR_BIT:
+        if further_byte & CLEAR_BIT:
             return motor.clear(state)
-    target = DRIVE_TARGETS[more % len(DRIVE_TARGETS)]
+    target = DRIVE_TARGETS[further_byte % len(DRIVE_TARGETS)]
     return motor.advance(state, t_ns, target, 0.1 if target == DriveTarget.ENABLE else 0.0)
 
 
@@ -173,22 +175,22 @@ def sensor_target(folder: Path) -> FuzzTarget:
 
 
 def _feed_sensor_node(
-    wired: WiredDrives, begin: BlockArray, ours: Sequence[int], data: bytes
+    wired_drives: WiredDrives, start_block: BlockArray, own_identifiers: Sequence[int], data: bytes
 ) -> bool:
     """Feed the frames of an input to the decoder of the sensor node.
 
-    The decoder starts in the state ``begin``.
+    The decoder starts in the state ``start_block``.
 
     Return True if the decoder used any frame, or found any frame malformed or stale.
     """
-    wired.block[:] = begin
+    wired_drives.block[:] = start_block
     taken = 0
-    for frame, more in frames_of_input(data, ours, STEP_NS):
-        wired.begin_tick_with_sync(more)
-        wired.receive([frame]).observe_readings()
+    for frame, more in frames_of_input(data, own_identifiers, STEP_NS):
+        wired_drives.begin_tick_with_sync(more)
+        wired_drives.receive([frame]).observe_readings()
         taken += (
-            int(wired.field_view("group_answered").sum())
-            + wired.field_number("stale_now")
-            + wired.has_malformed_frame
+            int(wired_drives.field_view("group_answered").sum())
+            + wired_drives.field_number("stale_now")
+            + wired_drives.has_malformed_frame
         )
     return taken > 0
