@@ -7,9 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from handctl.campaign.run_stages import hand_with_protocol
+from handctl.controller.run_setup import make_controller
 from handctl.core.calibration import Calibration
 from handctl.core.control_law.digit_goal import GoalKind
-from handctl.core.gains.gains import Gains
+from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from handctl.drives.frame import Frame
@@ -24,6 +26,8 @@ from handctl.programs.commission import (
 )
 from handctl.programs.program import ProgramProgress
 from handctl.session.calibration import load_calibration
+from handctl.session.plan import default_rate
+from handctl.session.simulate import SimulatorSettings
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 from tests.controller.synthetic_states import (
     empty_readings,
@@ -377,6 +381,40 @@ def test_a_motor_that_turns_the_other_way_is_found(commissioning_bench: Controll
     assert commissioning_bench.state.failure == "fault N17 index_motor", (
         "safety is there before the rope would have to be taut"
     )
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(
+    ("name", "protocol", "first", "second"),
+    [
+        ("t42", "odrive", "left", "right"),
+        ("jamia", "odrive", "index", "thumb"),
+        ("jamia", "mit", "middle", "ring"),
+    ],
+)
+@pytest.mark.parametrize("fault", ["", "swap", "cross"])
+def test_exchanged_drives_are_refused_and_both_tendons_named(
+    name: str, protocol: str, first: str, second: str, fault: str, seed: int
+) -> None:
+    """Reproduce a defect: with the encoders of two drives exchanged (swap), the commissioning succeeded.
+
+    The result then had the zeros of the wrong motors.
+    """
+    hand = hand_with_protocol(name, protocol)
+    rate = default_rate(hand)
+    controller = make_controller(hand, packaged_gains(name), rate, CommissionProgram(), None, True)
+    with SimulatorSettings(hand, None, seed).begin_run(controller) as run:
+        if fault:
+            run.simulated_hand.inject(f"{fault} node={first}_motor with={second}_motor")
+        assert run.run_until(lambda out: out.mode == HandMode.DONE, 30.0)
+        failure = run.state.failure
+    assert bool(failure) == bool(fault)
+    if fault:
+        assert [one in failure for one in hand.tendon_names if one.startswith((first, second))] == [
+            True,
+            True,
+        ]
+        assert ("exchanged?" if fault == "swap" else "swapped?") in failure
 
 
 @pytest.fixture

@@ -394,7 +394,7 @@ def lose_gains(run: SimulatedRun, motor_name: str) -> None:
 
 EXPECTED_FAULTS = {
     "stuck encoder=index_motor": {"N04"},
-    "swap node=index_motor with=thumb_motor": {"N05b", "N14", "N17"},
+    "swap node=index_motor with=thumb_motor": {"N05b", "N14", "N17", "T04b"},
     "cross node=index_motor with=thumb_motor": {"N14", "N17", "N04", "T04b", "N05b"},
     # With the fault "replay", old replies of a moteus drive arrive again, in addition to the
     # present replies.

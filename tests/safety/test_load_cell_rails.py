@@ -26,11 +26,11 @@ def test_a_cell_at_a_rail_relaxes_the_hand_at_the_third_tick(rail_tension_N: flo
 @pytest.mark.parametrize("tension", [-2.0, 0.0, 100.0, math.nan])
 def test_tensions_possible_for_a_tendon_are_no_fault(tension: float) -> None:
     monitor = SyntheticMonitor(RAIL_LIMITS)
+    force = {0: 5.0, 1: tension}
+    explained = state_rows(measured_force=force, asked=force)
+    tick_input = merge_inputs(measured_tensions(t0=5.0, t1=tension), explained)
     for _ in range(10):
-        assert (
-            monitor.judge(measured_tensions(t0=5.0, t1=tension).state_rows).action
-            == SafetyAction.PASS
-        )
+        assert monitor.judge(tick_input.state_rows).action == SafetyAction.PASS
 
 
 def test_a_saturated_load_cell_is_reported_once_with_its_reading_for_any_tare() -> None:

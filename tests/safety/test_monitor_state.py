@@ -619,7 +619,7 @@ def test_refused_goals_are_reported_in_their_tick():
 def test_thresholds_follow_from_the_hand():
     assert safety_thresholds.POSITION_STEP_FACTOR == 1.5
     assert residuals.GAIN_FRACTION == 0.1
-    assert TIME_CONSTANTS_S == (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
+    assert TIME_CONSTANTS_S == (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0, 0.02)
 
 
 def test_fast_residuals_start_at_the_first_reading():

@@ -21,7 +21,11 @@ from handctl.core.detectors.residuals import (
 )
 from handctl.core.tick_types import HandMode
 from handctl.safety.faults.node import NOT_OBEYED_N
-from handctl.safety.faults.tendon import FRICTION_WARN_N, RESIDUAL_WARN_N
+from handctl.safety.faults.tendon import (
+    EXCESS_TENSION_TRIP_N,
+    FRICTION_WARN_N,
+    RESIDUAL_WARN_N,
+)
 from tests.safety.synthetic_monitor import (
     NOW_NS,
     PERIOD_NS,
@@ -64,6 +68,13 @@ class MotorWithTendon(SyntheticMonitor):
         """Return the part of the tension that motor, inertia, friction and tolerances leave unexplained [N]."""
         return float(
             call_interpreted(residuals.unexplained_tension, self.state_tables, self.hand_tables, 0)
+        )
+
+    @property
+    def excess_tension(self) -> float:
+        """Return by how much the tension exceeds the tension that the motor can explain [N], filtered with 20 ms."""
+        return float(
+            call_interpreted(residuals.excess_tension, self.state_tables, self.hand_tables, 0)
         )
 
     @property
@@ -135,6 +146,26 @@ def test_acceleration_torque_is_no_residual():
 def test_a_load_cell_that_is_wrong_is_seen_within_a_second(cell_drift_N):
     state = residuals_after(1.0, lambda t: 24.0 + cell_drift_N, lambda t: 24.0)
     assert state.unexplained_tension > 10.0
+
+
+@pytest.mark.parametrize(("excess", "found"), [(35.0, False), (45.0, True), (-45.0, False)])
+def test_a_tendon_pulled_much_harder_than_commanded_is_found_within_20_ms(
+    excess: float, found: bool
+) -> None:
+    """After 20 ms, the filter has 63 % of a step. Friction explains 3 N, and the motor's tolerance 1.5 N.
+
+    A tension that is too small is no excess.
+    """
+    state = residuals_after(0.02, lambda t: 24.0 + excess, lambda t: 24.0, noise=0.0)
+    assert (state.excess_tension > EXCESS_TENSION_TRIP_N) == found
+
+
+def test_the_reading_of_a_saturated_load_cell_is_no_excess_tension() -> None:
+    """Reproduce a defect: T04b (a load cell is wrong) was reported before T06 (a load cell is saturated)."""
+    rotor = MotorWithTendon(saturated=1)
+    for _ in range(10):
+        rotor.run_tick(250.0, 24.0)
+    assert rotor.excess_tension == 0.0
 
 
 def test_a_torque_constant_within_its_tolerance_is_no_fault():

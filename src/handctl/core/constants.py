@@ -247,7 +247,7 @@ STEP_LIMIT = _real("step_limit", "tendon", "rad", "largest step of a motor posit
 JOINT_STEP_LIMIT = _real("joint_step_limit", "joint", "rad",
     "largest step of a joint angle in a period")  # fmt: skip
 RESIDUAL_FRACTION = _real("residual_fraction", "tendon", "",
-    "update fraction of each low-passed residual", rows=8)  # fmt: skip
+    "update fraction of each low-passed residual", rows=9)  # fmt: skip
 ARMS_SUM = _real("arms_sum", "tendon", "m",
     "sum of the absolute moment arms of a tendon, times the scale of each joint")  # fmt: skip
 MOTOR_PERIOD = _real("motor_period", "tendon", "s",

@@ -313,7 +313,7 @@ def _block_elements(block: FilterBlock) -> Vector:
 
 
 def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: float) -> Vector:
-    """Return the fraction (8, N) of the distance to its input by which each low-passed residual moves in an update."""
+    """Return the fraction (9, N) of the distance to its input by which each low-passed residual moves in an update."""
     every = np.full((len(TIME_CONSTANTS_S), model.tendon_count), model.period)
     every[2] = motor_period  # row COMMAND_DIFFERENCE
     every[5] = joint_period  # row SLIP

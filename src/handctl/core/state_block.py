@@ -342,7 +342,7 @@ ACCEPTED_JOINT_GAP = _real("joint_gap", "joint", "",
     "number of ticks before the last tick at which that angle may have been measured")  # fmt: skip
 REJECTED_JOINT_ANGLES = _real("joint_dropped", "joint", "",
     "number of joint angles in a row that the outlier test rejected")  # fmt: skip
-RESIDUAL = _real("residual", "tendon", "", "low-passed residuals, see detectors.residuals", rows=8)
+RESIDUAL = _real("residual", "tendon", "", "low-passed residuals, see detectors.residuals", rows=9)
 LAST_SPEED = _real("last_speed", "tendon", "m/s", "tendon speed of the last tick", initial=NAN)
 LAST_POSITION = _real("last_position", "tendon", "rad",
     "motor position of the last tick", initial=NAN)  # fmt: skip

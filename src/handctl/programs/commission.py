@@ -1,8 +1,8 @@
 """Program that commissions a hand: tares, motor zeros, and the proof that each motor pulls its own tendon.
 
 One tendon after the other is pulled gently, while all other tendons are slack. Only the load cell
-of the pulled tendon may respond. The pull is too weak to move a digit against its springs, so the
-joint encoders are not tested.
+of the pulled tendon may respond, and only the encoder of its motor may turn. The pull is too weak
+to move a digit against its springs, so the joint encoders are not tested.
 
 A tendon without load cell has no tare. The force at its motor shows when the tendon becomes taut.
 
@@ -71,6 +71,12 @@ MIN_ANSWER_FRACTION = 0.6
 """Smallest accepted response of the tendon's own load cell, as a fraction of the pull."""
 MAX_CROSSTALK_FRACTION = 0.3
 """Largest accepted response of any other load cell, as a fraction of the pull."""
+MIN_TAKE_UP_M = 0.1e-3
+"""Smallest motion of another motor during a pull that shows exchanged encoders, if its own motor moves less [m].
+
+A motor without torque moves by less: simulated ones by at most 10 um, and a motor that gives back
+the stretch of an earlier pull by at most 70 um.
+"""
 
 (
     TARE_SUM,
@@ -81,8 +87,9 @@ MAX_CROSSTALK_FRACTION = 0.3
     PULL_SUM,
     REST_SUM,
     REST_SAMPLES,
-) = range(8)
-COLUMN_COUNT = 8
+    START_TRAVEL,
+) = range(9)
+COLUMN_COUNT = 9
 """Number of columns of the table in `ProgramProgress.record`.
 
 The constants above are the indices of its columns.
@@ -101,7 +108,8 @@ class CommissionProgram:
 
     Step 0 tares all load cells, step i + 1 pulls tendon i. `ProgramProgress.record` is a table with a row
     for each tendon: sum of tare samples, their number, motor zero [rad], response [N], crosstalk
-    [N], sum of samples during the present pull, sum and number of samples just before it.
+    [N], sum of samples during the present pull, sum and number of samples just before it, travel at the
+    start of the pull [m].
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
@@ -169,7 +177,8 @@ class CommissionProgram:
         are renewed together.
         """
         tension = _known_tensions(model, measured)
-        if t - progress.since < REST_SETTLING_S or np.isnan(tension).any():
+        missing = np.isnan(tension + measured.travel).any()
+        if t - progress.since < REST_SETTLING_S or missing:
             return progress, ()
         i = progress.step - 1
         table = _table_of(progress)
@@ -188,6 +197,7 @@ class CommissionProgram:
         )
         table[fresh, TARE_SUM] += table[fresh, REST_SUM] / samples * table[fresh, TARE_SAMPLES]
         table[fresh, REST_SUM] = 0.0
+        table[:, START_TRAVEL] = measured.travel
         progress = _with_new_tare(_with_table(progress, table))
         if not model.redundancy.sprung[i]:
             held, events = self._begin_hold(model, progress, t, taut=False)
@@ -310,11 +320,8 @@ class CommissionProgram:
                 else (progress, ())
             )
         tension = _known_tensions(model, measured, estimate)
-        if (
-            t - progress.since < PULL_SETTLING_S
-            or np.isnan(tension).any()
-            or np.isnan(measured.travel[i])
-        ):
+        missing = np.isnan(tension + measured.travel).any()
+        if t - progress.since < PULL_SETTLING_S or missing:
             return progress, ()
         table = _table_of(progress)
         table[:, PULL_SUM] += tension
@@ -324,6 +331,11 @@ class CommissionProgram:
             table[i, ZERO_COLUMN] += measured.travel[i] / model.space.spool[i]
         samples = progress.touching[0]
         if samples * model.period >= MEASUREMENT_DURATION_S:
+            other = _encoder_that_turned(model, table, i, measured.travel)
+            if other is not None:
+                name = model.hand.tendon_names[other]
+                text = f"the motor encoder of {name} turns instead of its own: exchanged?"
+                return self._refuse_tendon(model, progress, i, text)
             return self._judge_response(
                 model, _with_table(progress, _with_results(model, table, i, samples)), i, t
             )
@@ -532,6 +544,25 @@ def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vect
     table[i, CROSSTALK_COLUMN] = np.maximum(rise, -rise - held)[others].max(initial=0.0)
     table[:, [PULL_SUM, REST_SUM, REST_SAMPLES]] = 0.0
     return table
+
+
+def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector) -> int | None:
+    """Return the tendon whose motor encoder turned in place of that of the pulled tendon i, or None.
+
+    A digit without springs is not tested, because it moves by its weight while its motors make no
+    torque.
+
+    Args:
+        model: model of the hand.
+        table: table of the progress, with the travel at the start of the pull.
+        i: index of the pulled tendon.
+        travel: (N,) measured travel at the end of the pull [m].
+    """
+    sprung = model.redundancy.sprung
+    moved = np.where(sprung, np.abs(travel - table[:, START_TRAVEL]), 0.0)
+    largest = int(moved.argmax())
+    exchanged = sprung[i] and moved[largest] > max(moved[i], MIN_TAKE_UP_M)
+    return largest if exchanged else None
 
 
 def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]:

@@ -7,6 +7,8 @@ mass, a the acceleration and v the speed of the rotor at the spool, F the motor 
 tension, b the viscous friction and c the Coulomb friction. If the measurements disagree with the
 equation over 0.2 s, the load cell, the motor or the friction differs from the model. The thresholds
 of the residuals are far above the noise, and cause less than one false alarm in ten thousand hours.
+A second filter of the same residual, with 20 ms, finds a tendon that is pulled much harder than its
+motor is commanded.
 """
 
 import math
@@ -17,14 +19,22 @@ from handctl.compiled import kernel_helper, square
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.measurements import monitored_tension
+from handctl.core.estimation.measurements import is_cell_saturated, monitored_tension
 from handctl.core.state_block import StateTables
 
-BALANCE, MOTOR_FORCE, COMMAND_DIFFERENCE, TENSION, QUICK_FORCE, SLIP, JERK, EXCESS_FRICTION = range(
-    8
-)
+(
+    BALANCE,
+    MOTOR_FORCE,
+    COMMAND_DIFFERENCE,
+    TENSION,
+    QUICK_FORCE,
+    SLIP,
+    JERK,
+    EXCESS_FRICTION,
+    QUICK_BALANCE,
+) = range(9)
 """Rows of ``state_block.RESIDUAL``."""
-TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
+TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0, 0.02)
 """Time constant of the low-pass filter of each row [s]."""
 GAIN_FRACTION = 0.1
 """Relative error of the motor force that the usual tolerance of a motor's torque constant K_t causes."""
@@ -43,13 +53,15 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
             speeds are not used.
         tared: True if the zeros of the load cells are known.
     """
-    now = np.empty(8)
+    now = np.empty(len(TIME_CONSTANTS_S))
     initialized = x.run_int[s.RESIDUALS_STARTED] == 1
     x.run_int[s.RESIDUALS_STARTED] = 1
     for n in range(x.tendon.shape[1]):
         position = x.tendon[s.MEASURED_POSITION, n] if missed == 0 else math.nan
         speed = x.tendon[s.SPEED, n] if missed == 0 else math.nan
-        tension = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+        # The reading of a saturated load cell is no tension. Fault T06 reports it.
+        readable = tared and not is_cell_saturated(x, c, n)
+        tension = x.tendon[s.MEASURED_TENSION, n] if readable else math.nan
         force = x.tendon[s.MEASURED_FORCE, n]
         commanded = x.tendon[s.COMMANDED_FORCE, n]
         made = commanded if math.isnan(force) else force
@@ -67,7 +79,7 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
         )
         inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.PERIOD]
         balance = made - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
-        now[BALANCE] = balance
+        now[BALANCE] = now[QUICK_BALANCE] = balance
         now[MOTOR_FORCE] = made
         now[COMMAND_DIFFERENCE] = commanded - force
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
@@ -83,7 +95,7 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
             if abs(speed) > FULL_FRICTION_SPEED_M_S
             else math.nan
         )
-        for row in range(8):
+        for row in range(len(TIME_CONSTANTS_S)):
             low = x.tendon[s.RESIDUAL + row, n]
             if not math.isnan(now[row] - low):
                 x.tendon[s.RESIDUAL + row, n] = low + c.tendon[h.RESIDUAL_FRACTION + row, n] * (
@@ -98,11 +110,27 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
 def unexplained_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the difference [N] between two tensions that friction and the tolerance of the motor cannot explain.
 
-    The result is 0 or more."""
-    explained = c.tendon[h.MOTOR_COULOMB, n] + GAIN_FRACTION * abs(
-        x.tendon[s.RESIDUAL + MOTOR_FORCE, n]
-    )
-    return max(abs(x.tendon[s.RESIDUAL + BALANCE, n]) - explained, 0.0)
+    The difference is filtered with 0.2 s. The result is 0 or more.
+    """
+    difference = abs(x.tendon[s.RESIDUAL + BALANCE, n])
+    return max(difference - _explained_difference(x, c, n, MOTOR_FORCE), 0.0)
+
+
+@kernel_helper
+def excess_tension(x: StateTables, c: ConstantTables, n: int) -> float:
+    """Return by how much a tension exceeds the tension that its motor can explain [N], 0 or more.
+
+    The excess is filtered with 20 ms.
+    """
+    excess = -x.tendon[s.RESIDUAL + QUICK_BALANCE, n]
+    return max(excess - _explained_difference(x, c, n, QUICK_FORCE), 0.0)
+
+
+@kernel_helper
+def _explained_difference(x: StateTables, c: ConstantTables, n: int, force_row: int) -> float:
+    """Return the largest difference [N] that friction and the tolerance of a filtered motor force explain."""
+    tolerance = GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + force_row, n])
+    return float(c.tendon[h.MOTOR_COULOMB, n] + tolerance)
 
 
 @kernel_helper

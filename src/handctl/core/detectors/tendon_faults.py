@@ -16,7 +16,7 @@ from handctl.core.detectors import residuals, stuck_sensors
 from handctl.core.detectors.bus_faults import Evidence
 from handctl.core.detectors.replayed_readings import age_of_repeated_readings
 from handctl.core.detectors.tendon_slip import derailed_limit
-from handctl.core.estimation.measurements import monitored_tension
+from handctl.core.estimation.measurements import is_cell_saturated, monitored_tension
 from handctl.core.estimation.varying_moment_arms import moment_arm
 from handctl.core.state_block import StateTables
 from handctl.core.tick_types import RELAX_MODE
@@ -24,6 +24,7 @@ from handctl.safety.faults.tendon import (
     CELL_FORCE_N,
     CELL_TICKS,
     DERAILED_READINGS,
+    EXCESS_TENSION_TRIP_N,
     FREE_SPOOL_FRACTION,
     FRICTION_WARN_N,
     MIN_SNAP_SPEED,
@@ -60,7 +61,6 @@ def detect_tendon_faults(
 ) -> None:
     """Run the detectors of tendon faults that need no torque, and write their results into the evidence table."""
     rail = c.run[h.TENSION_RAIL]
-    low = c.run[h.TENSION_LOW]
     relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
     relaxed = x.run_int[s.MODE] == RELAX_MODE and relaxing_s > RELAXED_S
     for n in range(x.tendon.shape[1]):
@@ -76,9 +76,7 @@ def detect_tendon_faults(
             evidence[T03B, n] = tension
         if relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
             evidence[T03C, n] = tension
-        # The raw reading may be at an end of its range, or the tared reading may be beyond any
-        # possible tension. The tare may hide either of these cases, so the function tests both values.
-        if armed and (tension >= rail or tension <= low or x.tendon_int[s.SATURATED, n]):
+        if armed and is_cell_saturated(x, c, n):
             evidence[T06, n] = tension
 
 
@@ -93,8 +91,9 @@ def detect_tendon_faults_under_torque(
         rubs = residuals.excess_friction(x, n)
         if unexplained > RESIDUAL_WARN_N:
             evidence[T04A, n] = unexplained
-        if unexplained > RESIDUAL_TRIP_N:
-            evidence[T04B, n] = unexplained
+        excess = residuals.excess_tension(x, c, n)
+        if unexplained > RESIDUAL_TRIP_N or excess > EXCESS_TENSION_TRIP_N:
+            evidence[T04B, n] = max(unexplained, excess)
         if rubs > FRICTION_WARN_N:
             evidence[T09, n] = rubs
         pushed = stuck_sensors.motion_since_reading(

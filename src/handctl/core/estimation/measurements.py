@@ -143,6 +143,18 @@ def convert_positions(x: StateTables, c: ConstantTables) -> None:
 
 
 @kernel_helper
+def is_cell_saturated(x: StateTables, c: ConstantTables, n: int) -> bool:
+    """Return True if a load cell is at an end of its range.
+
+    The raw reading may be at an end of its range, or the tared reading may be beyond any possible
+    tension. The tare may hide either of these cases, so the function tests both values.
+    """
+    tension = x.tendon[s.MEASURED_TENSION, n]
+    beyond = tension >= c.run[h.TENSION_RAIL] or tension <= c.run[h.TENSION_LOW]
+    return bool(beyond or x.tendon_int[s.SATURATED, n])
+
+
+@kernel_helper
 def monitored_tension(x: StateTables, c: ConstantTables, n: int, tared: bool) -> float:
     """Return the tension that detectors judge [N]: the load-cell reading, or the estimate without load cell.
 

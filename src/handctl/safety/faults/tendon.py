@@ -53,6 +53,16 @@ RESIDUAL_TRIP_N = 10.0
 
 The reaction is WARN above the first tension, and RELAX above the second.
 """
+EXCESS_TENSION_TRIP_N = 20.0
+"""Tension in excess of the tension that the motor explains, filtered with 20 ms, that is a fault [N].
+
+The reaction is RELAX. If the power stages of two drives are exchanged, the tension loops of the two
+tendons drive each other. The excess tension then rises from 10 to 80 N in 30 ms. Without a fault,
+and with three times the usual noise, it stays below 3 N.
+
+A tension that is too small is judged only by ``RESIDUAL_TRIP_N``. A drive that switches off then has
+the time to report its own error.
+"""
 FRICTION_WARN_N = 3.0
 """Friction in excess of the friction in the hand file above which there is a fault [N]."""
 CELL_TICKS = 40
@@ -148,10 +158,13 @@ T04A = declare_fault(
     remedy="Commission the hand again (handctl commission). If it repeats, identify the hand (handctl identify).",
 )  # fmt: skip
 T04B = declare_fault(
-    "T04b", "a load cell is wrong", f"Torque, inertia and friction do not explain {RESIDUAL_TRIP_N:g} N of the tension",
+    "T04b", "a load cell is wrong",
+    f"Torque, inertia and friction do not explain {RESIDUAL_TRIP_N:g} N of the tension, "
+    f"or the tension is {EXCESS_TENSION_TRIP_N:g} N too large over 20 ms",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     makes_tension_unreliable=True, needs_load_cell=True,
-    cause="The load cell or its amplifier has failed, or the motor's torque constant is wrong.",
+    cause="The load cell or its amplifier has failed, the motor's torque constant is wrong, "
+    "or the cables of two motors are exchanged.",
     remedy="Check the load cell with a known weight with handctl bus watch, then commission (handctl commission).",
 )  # fmt: skip
 
