@@ -30,8 +30,8 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.excitation import ExciteProgram
 from handctl.runtime.hold_limit import HoldLimit
-from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
+from handctl.session.run_plan import RunPlan, default_rate
 from handctl.session.simulate import SimulatorSettings
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.identify import TendonResult, identify_tendons

@@ -154,8 +154,8 @@ def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
     The clock sleeps until shortly before a deadline. With real-time priority, the clock then polls
     until the deadline.
     """
-    from handctl.runtime.clocks.priority import request_priority
-    from handctl.runtime.clocks.real import RealClock
+    from handctl.runtime.clocks.real_clock import RealClock
+    from handctl.runtime.clocks.realtime_priority import request_priority
 
     clock = RealClock(round(1e9 / rate_hz))
     clock.busy_wait = request_priority().realtime
@@ -182,7 +182,7 @@ def both_cores_loaded():
 
 def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
     """Measure how late ``time.sleep`` ends, without the work of a tick and with the priority of the control loop."""
-    from handctl.runtime.clocks.priority import request_priority
+    from handctl.runtime.clocks.realtime_priority import request_priority
 
     request_priority()
     start = time.monotonic_ns()

@@ -106,7 +106,7 @@ def process_cpu_s(pid: int) -> float:
 
 def until_first_frame(hand: str, folder: Path) -> StartTime:
     """Return the wall time and CPU time from the start of ``handctl run`` to its first frame."""
-    from handctl.runtime.buses.local import connect_to_hub
+    from handctl.runtime.buses.local_bus import connect_to_hub
 
     listener = connect_to_hub(BUS_NAME)
     words = ["run", "--hand", hand, "--bus", f"local:{BUS_NAME}", "--log", str(folder / "run.mcap")]

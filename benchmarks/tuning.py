@@ -27,8 +27,8 @@ from handctl.core.gains.gain_bounds import values_by_key, with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
-from handctl.session.plan import default_rate
-from handctl.tune.loops.design import linear_factors, worst_margins
+from handctl.session.run_plan import default_rate
+from handctl.tune.loops.gain_design import linear_factors, worst_margins
 from handctl.tune.scoring import GainScore, score_exercise
 from handctl.tune.search.ensemble import draw_ensemble
 from handctl.tune.search.search import SearchPlan, SearchResult, run_search

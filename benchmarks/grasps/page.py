@@ -7,7 +7,7 @@ import numpy as np
 
 from grasps import payload, slip
 from grasps.objects import MAX_MOTION_M
-from handctl.output import save_figure
+from handctl.output_files import save_figure
 
 DOCS_FOLDER = Path(__file__).parents[2] / "docs"
 PAGE_FILE = DOCS_FOLDER / "evidence" / "control-grasps.md"

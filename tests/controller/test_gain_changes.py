@@ -31,7 +31,7 @@ from handctl.programs.commission import CommissionProgram
 from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import parse_request
 from handctl.runtime.clocks.lockstep import load_simulator
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from tests.controller.controller_bench import (
     ControllerBench,
     make_controller_bench,

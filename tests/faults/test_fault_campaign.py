@@ -37,10 +37,10 @@ from handctl.campaign.run_stages import (
 from handctl.campaign.scenario_run import ScenarioResult, run_scenario
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
-from handctl.safety.action import SafetyAction
 from handctl.safety.faults.tendon import RELAXED_S
+from handctl.safety.safety_action import SafetyAction
 from handctl.safety.safety_limits import MIN_STALLED_TICKS, STALLED_S, ticks_for
-from handctl.session.plan import default_rate
+from handctl.session.run_plan import default_rate
 from handctl.session.simulate import SimulatedRun
 from tests.hand.hand_on_wrist import mount_on_wrist
 

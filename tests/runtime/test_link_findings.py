@@ -8,8 +8,8 @@ import json
 import pytest
 
 from handctl.runtime.buses.adapter import UsbAdapter, read_adapter
-from handctl.runtime.buses.interface import set_up_commands
-from handctl.runtime.buses.link import parse_link
+from handctl.runtime.buses.interface_setup import set_up_commands
+from handctl.runtime.buses.link_state import parse_link
 from handctl.runtime.diagnostics.link_findings import (
     adapter_findings,
     interface_findings,

@@ -12,7 +12,7 @@ import pytest
 from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
-from handctl.tune.loops.design import (
+from handctl.tune.loops.gain_design import (
     GainDesign,
     design_gains,
     distinct_tendons,
@@ -20,7 +20,7 @@ from handctl.tune.loops.design import (
     linear_factors,
     with_largest_authority,
 )
-from handctl.tune.loops.linear import (
+from handctl.tune.loops.linear_models import (
     LinearSystem,
     LoopKind,
     _half_closed,

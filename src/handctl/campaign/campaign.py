@@ -10,7 +10,7 @@ from handctl.campaign.run_stages import hand_with_protocol, homed_run, run_exper
 from handctl.campaign.scenario_run import ScenarioResult, run_scenario
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.description import Hand
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from handctl.session.simulate import SimulatedRun
 
 QUICK_SCENARIO_STEP = 7

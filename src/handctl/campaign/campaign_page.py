@@ -8,7 +8,7 @@ from pathlib import Path
 from handctl.campaign.campaign import CampaignReport
 from handctl.campaign.fault_matrix import UNTESTED_ROWS
 from handctl.campaign.scenario_run import ScenarioResult
-from handctl.output import write_text_atomically
+from handctl.output_files import write_text_atomically
 from handctl.safety.faults.table import FAULT_CATALOGUE
 
 PAGE_STYLE = """

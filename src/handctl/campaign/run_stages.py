@@ -25,7 +25,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.processes import run_in_forked_copy
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.plan import default_rate
+from handctl.session.run_plan import default_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
 
 FIRST_NODE_NUMBER = 0x10

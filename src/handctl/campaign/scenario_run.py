@@ -22,7 +22,7 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, IoEvent, TickOut
 from handctl.errors import REMOVE_POWER
 from handctl.runtime.mailbox import CUT_REQUEST
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from handctl.session.simulate import SimulatedRun
 
 OBSERVATION_TIME_S = 1.3

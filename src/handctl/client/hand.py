@@ -48,7 +48,7 @@ from handctl.runtime.confirmed_requests import (
 )
 from handctl.runtime.mailbox import MAX_REQUEST_BYTES, StatusWatcher, is_running
 from handctl.runtime.observations import ObservationReader
-from handctl.runtime.targets import TargetSender, stream_name
+from handctl.runtime.target_socket import TargetSender, stream_name
 from handctl.session.buses import named_buses, refuse_default_hand
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode

@@ -29,9 +29,9 @@ from handctl.drives.contract import (
 )
 from handctl.drives.frame import Frame
 from handctl.errors import REMOVE_POWER
-from handctl.safety.action import SafetyAction
 from handctl.safety.faults.node import STILL_PULLING_S
 from handctl.safety.faults.table import FAULT_BY_ID
+from handctl.safety.safety_action import SafetyAction
 
 LISTENING_DURATION_S = 0.5
 """Time before this host sends its first frame, in which it detects a second controller [s]."""

@@ -24,8 +24,8 @@ from handctl.core import state_block as s
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import Vector
-from handctl.safety.action import RelaxMethod
 from handctl.safety.faults.table import FAULT_BY_ID
+from handctl.safety.safety_action import RelaxMethod
 
 RELAX_RATE_N_PER_S = 500.0
 OVER_TENSION_RATE_N_PER_S = 2000.0

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.drives.frame import Frame
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 Vector = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ by this project.
 """
 
 from handctl.core.tick_types import HandMode
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 PHASE_NUMBERS = {
     name: number

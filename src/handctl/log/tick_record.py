@@ -51,7 +51,7 @@ from handctl.drives.frame_records import (
 )
 from handctl.log.cdr import ENCAPSULATION_HEADER, CdrReader, CdrWriter
 from handctl.programs.requests import request_text
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 RECORD_FRAMING_STRUCT = struct.Struct("<II")
 HEADER_RECORD_KIND = 1

@@ -13,8 +13,8 @@ from handctl.hand.file.error_text import shortened_list
 from handctl.hand.file.new_file import CLEARANCE_MM, OBJECT_DIAMETER_RATIO, SMALLEST_OBJECT_MM
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import parse_toml
-from handctl.hand.hand_tree import HandTree
 from handctl.hand.kinematics import link_rotations
+from handctl.hand.link_tree import HandLinkTree
 from handctl.hand.readiness import displayed_range
 from handctl.programs.task import Task
 
@@ -170,7 +170,7 @@ def _flexion_directions(hand: Hand) -> dict[str, Array]:
 
     It is the direction of the y axis of the last link when all joint angles are 0.
     """
-    tree = HandTree.from_hand(hand)
+    tree = HandLinkTree.from_hand(hand)
     turned = link_rotations(tree.poses(np.zeros(len(hand.joints))))
     return {
         digit.name: turned[digit.joints][-1, :, 1]
@@ -276,7 +276,7 @@ def default_scene(hand: Hand) -> str:
 
 def _largest_object(hand: Hand, ball: bool) -> float:
     """Return the diameter of the largest cylinder or ball between the open digits [m]."""
-    tree = HandTree.from_hand(hand)
+    tree = HandLinkTree.from_hand(hand)
     q = np.concatenate([np.maximum(digit.joint_min, 0.0) for digit in tree.digits])
     largest = 1.0
     along = np.linspace(0.0, 1.0, LINK_SAMPLES)[:, None]

@@ -16,9 +16,9 @@ from typing import Any
 from handctl.core.tick_types import HandMode
 from handctl.errors import REMOVE_POWER, BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import events_for_request
-from handctl.runtime.buses.open import LOCAL_BUS_PREFIX
+from handctl.runtime.buses.bus_opening import LOCAL_BUS_PREFIX
 from handctl.runtime.mailbox import SEND_RETRY_PERIOD_S, WATCH_REQUEST, StatusWatcher
-from handctl.runtime.paths import mailbox_path
+from handctl.runtime.socket_paths import mailbox_path
 
 CONFIRMATION_TIMEOUT_S = 2.0
 """Longest wait for a confirmation [s].

@@ -24,7 +24,7 @@ from handctl.core.tick_types import HandMode, IoEvent, TickIn, TickOut, TickRequ
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import Frames, frames_as_records, join_frames
 from handctl.errors import REMOVE_POWER, PowerError
-from handctl.runtime.clocks.real import TickClock
+from handctl.runtime.clocks.real_clock import TickClock
 from handctl.runtime.mailbox import CUT_REQUEST, STOP_REQUEST
 from handctl.signal_handlers import installed_handler
 

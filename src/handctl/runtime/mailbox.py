@@ -19,7 +19,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from handctl.errors import BusError
-from handctl.runtime.paths import is_socket_served, mailbox_path, watcher_path
+from handctl.runtime.socket_paths import is_socket_served, mailbox_path, watcher_path
 from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
 
 MAX_REQUEST_BYTES = 4096

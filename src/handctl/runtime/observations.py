@@ -32,7 +32,7 @@ from handctl.core.tick_types import (
 from handctl.errors import BusError
 from handctl.programs.stream_plans import StreamStatus
 from handctl.runtime.mailbox import SHORT_RUN_FOLDER_TEXT
-from handctl.runtime.paths import observations_path
+from handctl.runtime.socket_paths import observations_path
 
 OBSERVATION_FILE_MAGIC = b"HCOBS001"
 HEADER_STRUCT = struct.Struct("<8sQQQQQ")

@@ -20,7 +20,7 @@ from handctl.core.gains.gains import (
     packaged_gains,
 )
 from handctl.errors import ConfigError
-from handctl.output import write_text_atomically
+from handctl.output_files import write_text_atomically
 
 EDITED_BY_HAND_NOTE = "edited by hand"
 """Note in the provenance of gains that a user edited."""

@@ -23,10 +23,10 @@ from handctl.core.tick_types import HandMode, PackedTelemetry, Telemetry, TickIn
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
-from handctl.programs.exercise import move_amplitude
-from handctl.report.summary import mean_angles
+from handctl.programs.gains_exercise import move_amplitude
+from handctl.report.run_summary import mean_angles
 from handctl.report.truth_record import TruthRecord
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from handctl.tune.scoring import GainScore, GroundTruth, digit_angles, score_ticks
 
 OLD_GAINS_ROUNDS = 2

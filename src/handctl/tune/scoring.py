@@ -20,12 +20,12 @@ from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.document import validate_content
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content
-from handctl.programs.exercise import ExerciseProgram
+from handctl.programs.gains_exercise import ExerciseProgram
 from handctl.programs.program import Program
-from handctl.report.summary import mean_angles, root_mean_square
+from handctl.report.run_summary import mean_angles, root_mean_square
 from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.session.simulate import SimulatorSettings, homed_controller, simulate_controller
-from handctl.tune.loops.design import linear_factors, worst_margins
+from handctl.tune.loops.gain_design import linear_factors, worst_margins
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.requests import REFUSED_PREFIX
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments, read_gains_for_hand
-from handctl.session.plan import check_gain_margins
+from handctl.session.run_plan import check_gain_margins
 from handctl.tune.gains_store import GainsStore, StoredGains
 
 GAIN_CHANGE_TIMEOUT_S = 3.0

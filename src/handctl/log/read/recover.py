@@ -16,7 +16,7 @@ from handctl.log.container import McapContainer, MessageBlock
 from handctl.log.read.chunk_reader import iter_messages, schemas_and_channels
 from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
-from handctl.output import atomic_path
+from handctl.output_files import atomic_path
 
 
 class RecoveryStatus(enum.IntEnum):

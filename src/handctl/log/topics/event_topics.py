@@ -15,7 +15,7 @@ from handctl.log.tick_batch import TickBatch
 from handctl.log.tick_record import TickRecord
 from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, variable_length_block
 from handctl.programs.requests import is_routine_request, request_text
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 LOG_LEVEL_NUMBERS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 """Number of each level of a log line in rcl_interfaces/Log."""

@@ -17,8 +17,8 @@ from handctl.log.topics.message_streams import (
     TopicRegistry,
     variable_length_block,
 )
-from handctl.log.topics.transforms import ROOT_FRAME
-from handctl.safety.action import SafetyAction
+from handctl.log.topics.transform_topics import ROOT_FRAME
+from handctl.safety.safety_action import SafetyAction
 
 TEMPERATURE_PERIOD_NS = 200_000_000
 """Interval between the temperature messages of a motor [ns]."""

@@ -27,8 +27,8 @@ from handctl.log.tick_record import (
     SNAPSHOT_RECORD_KIND,
     TICK_RECORD_KIND,
 )
-from handctl.log.write.syncer import DiskSyncer
-from handctl.log.write.writer import LogWriter
+from handctl.log.write.disk_syncer import DiskSyncer
+from handctl.log.write.log_writer import LogWriter
 
 READ_BYTES = 1 << 20
 """Largest number of bytes that one read takes from the pipe."""

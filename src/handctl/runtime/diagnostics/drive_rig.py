@@ -13,7 +13,7 @@ from handctl.drives.contract import (
 )
 from handctl.drives.frame import Frame
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.clocks.real import TickClock
+from handctl.runtime.clocks.real_clock import TickClock
 
 PERIOD_NS = 5_000_000
 """Period of a tick [ns]."""

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from handctl.runtime.buses.adapter import UsbAdapter
-from handctl.runtime.buses.interface import RESTART_MS, TX_QUEUE_FRAMES, set_up_text
-from handctl.runtime.buses.link import CanLinkState
+from handctl.runtime.buses.interface_setup import RESTART_MS, TX_QUEUE_FRAMES, set_up_text
+from handctl.runtime.buses.link_state import CanLinkState
 from handctl.runtime.buses.socketcan import MIN_QUEUE_FRAMES
 
 # Rules for udev. With such a rule, the setting is made again after each restart of the machine.

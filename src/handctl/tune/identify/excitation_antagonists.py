@@ -15,7 +15,7 @@ import numpy as np
 from handctl.core.control_law.tendon_redundancy import redundancy_of_hand
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
-from handctl.hand.hand_tree import HandTree
+from handctl.hand.link_tree import HandLinkTree
 from handctl.programs.excitation import ExciteStep
 
 LOWEST_SWEEP_ANGLE_DEG = 0.0
@@ -206,7 +206,7 @@ def _sign_patterns(count: int) -> list[Array]:
 
 def _swing_amplitudes(hand: Hand, digit: DigitModel, middle: Array, half: Array) -> Array:
     """Return the amplitudes (n_c,) of an oscillation that the motors can produce [rad]."""
-    tree = HandTree.from_hand(hand)
+    tree = HandLinkTree.from_hand(hand)
     q = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
     q[digit.joints] = digit.coupling @ middle
     moved = tree.mass_matrix(q)[digit.joints, digit.joints]

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import inverse_dynamics
 from handctl.tune.identify.contact_detection import ResidualRamp, steepest_ramp
-from handctl.tune.identify.fit import (
+from handctl.tune.identify.fit_load import MAX_FRICTION_EXPONENT
+from handctl.tune.identify.fit_tendon import (
     DEFAULT_PRIOR_DEVIATION,
     MAX_SCALED_PARAMETER,
     MIN_SCALED_PARAMETER,
@@ -28,7 +29,6 @@ from handctl.tune.identify.fit import (
     TendonFit,
     merge_solution,
 )
-from handctl.tune.identify.fit_load import MAX_FRICTION_EXPONENT
 from handctl.tune.identify.least_squares import FitSolution, solve_least_squares
 from handctl.tune.identify.tendon_data import Array, TendonData, average_samples
 
@@ -137,7 +137,7 @@ class TorqueBalance:
             offset: (tendons,) offsets of the load cells [N].
         """
         torque = np.zeros_like(self.q)
-        present = self.digit.arms_at(self.q)
+        present = self.digit.moment_arms_at(self.q)
         for j, arms in enumerate(self.digit.moment_arms):
             angle = np.full(len(self.t), self.digit.wrap[j])
             for i, mean_arm in enumerate(arms.tolist()):
@@ -198,7 +198,8 @@ def _joint_rates(
     dq = np.einsum("mjn,mn->mj", to_rates, speed)
     bend = np.einsum(
         "mnj,mj->mn",
-        digit.arms_at(q + DIFFERENCE_STEP_S * dq) - digit.arms_at(q - DIFFERENCE_STEP_S * dq),
+        digit.moment_arms_at(q + DIFFERENCE_STEP_S * dq)
+        - digit.moment_arms_at(q - DIFFERENCE_STEP_S * dq),
         dq,
     )
     return dq, np.einsum("mjn,mn->mj", to_rates, acceleration - bend / (2.0 * DIFFERENCE_STEP_S))

@@ -21,7 +21,7 @@ import numpy as np
 
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import gravity_torque, mass_matrix
-from handctl.hand.moment_arms import arms_at, excursions_at
+from handctl.hand.moment_arms import excursions_at, moment_arms_at
 from handctl.tune.identify.tendon_data import Array, Mask, TendonData
 
 BIN_DURATION_S = 0.01
@@ -213,8 +213,8 @@ class DigitLoad:
         polynomial = self.varying.arm_polynomials[:1, i : i + 1]
         limits = self.varying.joint_limits[:, i : i + 1]
         angle = q[:, None]
-        here = arms_at(polynomial, limits, angle)[:, 0, 0]
-        ahead = arms_at(polynomial, limits, angle + DIFFERENCE_STEP_RAD)[:, 0, 0]
+        here = moment_arms_at(polynomial, limits, angle)[:, 0, 0]
+        ahead = moment_arms_at(polynomial, limits, angle + DIFFERENCE_STEP_RAD)[:, 0, 0]
         return (
             here,
             (ahead - here) / DIFFERENCE_STEP_RAD,

@@ -24,9 +24,11 @@ from numpy.typing import NDArray
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
-from handctl.hand.hand_tree import HandTree
+from handctl.hand.link_tree import HandLinkTree
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
-from handctl.tune.identify.fit import (
+from handctl.tune.identify.fit_load import SignalBins
+from handctl.tune.identify.fit_motor import MotorWindows, WindowWeights, motor_windows, quick_speed
+from handctl.tune.identify.fit_tendon import (
     DEFAULT_PRIOR_DEVIATION,
     MAX_SCALED_PARAMETER,
     MIN_SCALED_PARAMETER,
@@ -37,8 +39,6 @@ from handctl.tune.identify.fit import (
     parameter_scales,
     with_model_error,
 )
-from handctl.tune.identify.fit_load import SignalBins
-from handctl.tune.identify.fit_motor import MotorWindows, WindowWeights, motor_windows, quick_speed
 from handctl.tune.identify.fit_travel import SENSOR_SKEW_S, tendon_excursions
 from handctl.tune.identify.least_squares import (
     MIN_DEGREES_OF_FREEDOM,
@@ -152,7 +152,7 @@ class PairWindows:
         if len(windows.t) < 20:
             raise LogError(f"{own.tendon} hardly moves", "the log", "a run in which it moves")
         q, dq, ddq = _joint_motion(digit, means[:, :, clear], data, rest[digit.joints])
-        tree = HandTree.from_hand(hand)
+        tree = HandLinkTree.from_hand(hand)
         rigid = np.array(
             [_torque_of_digit(tree, digit, rest, *row) for row in zip(q, dq, ddq, strict=True)]
         )
@@ -199,7 +199,7 @@ def _joint_motion(
 
 
 def _torque_of_digit(
-    tree: HandTree, digit: DigitModel, rest: Array, q: Array, dq: Array, ddq: Array
+    tree: HandLinkTree, digit: DigitModel, rest: Array, q: Array, dq: Array, ddq: Array
 ) -> Array:
     """Return the torques (joints,) that are necessary because of the inertia and the weight of a digit's links [N m].
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from handctl.hand.digit import DigitModel
-from handctl.tune.identify.fit import (
+from handctl.tune.identify.fit_tendon import (
     DEFAULT_PRIOR_DEVIATION,
     MAX_SCALED_PARAMETER,
     MIN_SCALED_PARAMETER,

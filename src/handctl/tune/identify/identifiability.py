@@ -12,7 +12,12 @@ from scipy.signal import coherence
 
 from handctl.core.identified_parameters import PARAMETER_UNITS
 from handctl.hand.description import Hand
-from handctl.tune.identify.fit import MAX_HALF_WIDTH, PARAMETER_NAMES, SCALE_DELAY_S, TendonFit
+from handctl.tune.identify.fit_tendon import (
+    MAX_HALF_WIDTH,
+    PARAMETER_NAMES,
+    SCALE_DELAY_S,
+    TendonFit,
+)
 from handctl.tune.identify.tendon_data import Array, TendonData
 
 MAX_CORRELATION = 0.95

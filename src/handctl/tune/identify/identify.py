@@ -15,9 +15,14 @@ from handctl.hand.digit import DigitModel
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
 from handctl.tune.identify.contact_detection import are_joints_moving
-from handctl.tune.identify.fit import PARAMETER_NAMES, TendonFit, TendonFitProblem, fit_tendon
 from handctl.tune.identify.fit_digit import TorqueBalance, fit_digit, fits_with_digit
 from handctl.tune.identify.fit_pair import fit_pair
+from handctl.tune.identify.fit_tendon import (
+    PARAMETER_NAMES,
+    TendonFit,
+    TendonFitProblem,
+    fit_tendon,
+)
 from handctl.tune.identify.fit_travel import fit_travel, with_arms
 from handctl.tune.identify.identifiability import (
     Identifiability,

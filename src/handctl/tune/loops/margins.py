@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.hand_model import HandModel
-from handctl.tune.loops.linear import (
+from handctl.tune.loops.linear_models import (
     NOMINAL_FACTORS,
     LinearSystem,
     LoopKind,

@@ -16,10 +16,10 @@ from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
-from handctl.programs.exercise import HOME_ANGLE_RAD, ExerciseProgram, ExerciseStage
+from handctl.programs.gains_exercise import HOME_ANGLE_RAD, ExerciseProgram, ExerciseStage
 from handctl.report.truth_record import TruthRecord
-from handctl.tune.loops.design import distinct_tendons, linear_factors, weakest_plant
-from handctl.tune.loops.linear import LoopKind, Matrix, PlantFactors, open_loop
+from handctl.tune.loops.gain_design import distinct_tendons, linear_factors, weakest_plant
+from handctl.tune.loops.linear_models import LoopKind, Matrix, PlantFactors, open_loop
 from handctl.tune.scoring import GroundTruth, simulate_program
 from handctl.tune.search.ensemble import MIN_FACTOR_SPREAD
 

@@ -75,7 +75,7 @@ class ProcessPool:
         environment = os.environ | dict.fromkeys(
             ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
         )
-        command = [sys.executable, "-m", "handctl.tune.search.worker"]
+        command = [sys.executable, "-m", "handctl.tune.search.worker_process"]
         # The worker has a process session of its own. So it does not receive Ctrl-C from the
         # terminal, not even during its imports.
         return subprocess.Popen(

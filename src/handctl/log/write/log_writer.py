@@ -16,10 +16,10 @@ from handctl.log.container import McapContainer, MessageBlock
 from handctl.log.header import RunHeader
 from handctl.log.tick_batch import TickBatcher
 from handctl.log.tick_record import SNAPSHOT_HEAD_STRUCT
-from handctl.log.topics.clock_pairs import PAIR_PERIOD_NS
-from handctl.log.topics.snapshots import ControllerSnapshot
+from handctl.log.topics.clock_pair_topic import PAIR_PERIOD_NS
+from handctl.log.topics.snapshot_topic import ControllerSnapshot
 from handctl.log.topics.topic_set import TopicSet
-from handctl.log.write.syncer import sync_now
+from handctl.log.write.disk_syncer import sync_now
 
 CHUNK_SPAN_NS = 250_000_000
 """Longest time span of a chunk [ns].

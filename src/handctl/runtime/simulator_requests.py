@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from handctl.errors import BusError, ConfigError
-from handctl.runtime.buses.open import check_bus_spec
-from handctl.runtime.paths import faults_path, is_socket_served, run_dir
+from handctl.runtime.buses.bus_opening import check_bus_spec
+from handctl.runtime.socket_paths import faults_path, is_socket_served, run_dir
 
 ANSWER_TIMEOUT_S = 5.0
 """Longest wait for the answer of a simulator [s]."""

@@ -6,8 +6,8 @@ The module ``link`` reads the state of an interface.
 import shlex
 import socket
 
-from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES
-from handctl.runtime.buses.link import CanLinkState, MissingTool, read_link
+from handctl.runtime.buses.canfd_structs import CANFD_FRAME_BYTES
+from handctl.runtime.buses.link_state import CanLinkState, MissingTool, read_link
 
 CommandWords = tuple[str, ...]
 """A shell command as a list of words."""

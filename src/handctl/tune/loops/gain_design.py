@@ -31,7 +31,7 @@ from handctl.core.gains.motion_design import design_motion, largest_force_weight
 from handctl.core.hand_model import HandModel
 from handctl.document import validate_content
 from handctl.errors import ConfigError
-from handctl.tune.loops.linear import (
+from handctl.tune.loops.linear_models import (
     LinearSystem,
     LoopKind,
     PlantFactors,

@@ -8,7 +8,7 @@ import subprocess
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES
+from handctl.runtime.buses.canfd_structs import CANFD_FRAME_BYTES
 
 IP_TOOL_TIMEOUT_S = 5.0
 """Longest wait for the program ``ip`` to answer [s]."""

@@ -8,11 +8,11 @@ import numpy as np
 from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
-from handctl.output import save_figure
-from handctl.report.summary import mean_angles
+from handctl.output_files import save_figure
+from handctl.report.run_summary import mean_angles
 from handctl.report.truth_record import TruthRecord
 from handctl.tune.gains_verification import OLD_GAINS_ROUNDS, GainsRollback
-from handctl.tune.loops.linear import LoopKind, open_loop
+from handctl.tune.loops.linear_models import LoopKind, open_loop
 from handctl.tune.loops.margins import (
     MIN_GAIN_MARGIN_DB,
     MIN_PHASE_MARGIN_DEG,

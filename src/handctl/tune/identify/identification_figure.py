@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from handctl.core.identified_parameters import PARAMETER_UNITS
-from handctl.output import save_figure
-from handctl.tune.identify.fit import LOAD_PARAMETERS, PARAMETER_NAMES, stop_stiffness
+from handctl.output_files import save_figure
 from handctl.tune.identify.fit_load import LoadParameters
+from handctl.tune.identify.fit_tendon import LOAD_PARAMETERS, PARAMETER_NAMES, stop_stiffness
 from handctl.tune.identify.identify import EXCITATION_BAND_HZ, TendonResult
 
 MEASURED_COLOR = "#3b6fb6"

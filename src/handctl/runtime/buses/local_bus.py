@@ -18,10 +18,10 @@ from collections.abc import Sequence
 from handctl.drives.frame import ERROR_FLAG, Frame
 from handctl.drives.frame_records import NO_FRAMES, Frames, join_frames
 from handctl.errors import BusError, NoSimulatorError
-from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES, FrameStructs, without_errors
+from handctl.runtime.buses.bus_events import BusEvent, BusEvents
+from handctl.runtime.buses.canfd_structs import CANFD_FRAME_BYTES, FrameStructs, without_errors
 from handctl.runtime.buses.contract import TimeConversion, check_payload_size
-from handctl.runtime.buses.events import BusEvent, BusEvents
-from handctl.runtime.paths import local_bus_path
+from handctl.runtime.socket_paths import local_bus_path
 from handctl.runtime.socket_peers import is_served_by_us
 
 FRAME_RECORD_STRUCT = struct.Struct("<IBBH64s")

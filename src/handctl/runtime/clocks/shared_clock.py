@@ -32,7 +32,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from handctl.runtime.clocks.real import RealClock
+from handctl.runtime.clocks.real_clock import RealClock
 
 CLOCK_FILE_VERSION = 1
 GATE_INDEX, PAUSED_INDEX, SENT_INDEX, ANSWERED_INDEX, REACHED_INDEX = 1, 2, 3, 4, 5

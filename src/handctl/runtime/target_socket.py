@@ -21,7 +21,7 @@ from handctl.core.tick_types import StreamTarget
 from handctl.errors import BusError
 from handctl.programs.requests import MAX_TARGET_VALUES
 from handctl.runtime.mailbox import SHORT_RUN_FOLDER_TEXT
-from handctl.runtime.paths import targets_path
+from handctl.runtime.socket_paths import targets_path
 from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
 
 TARGET_MAGIC = b"HCT1"
