@@ -22,7 +22,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from handctl.core.gains.gain_bounds import with_values
+from handctl.core.gains.gain_bounds import gains_with_values
 from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.core.identified_parameters import DIGIT_KEYS
 from handctl.hand.description import Hand
@@ -92,7 +92,7 @@ def draw_gains(packaged: Gains, seed: int) -> Gains:
         values[key] = getattr(getattr(packaged, section), name) * MAX_GAIN_FACTOR ** chance.uniform(
             -1.0, 1.0
         )
-    return with_values(packaged, values, "detuned")
+    return gains_with_values(packaged, values, "detuned")
 
 
 def true_parameters(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float]:

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.tuning.tune_files import load_tuned_hand
-from handctl.core.gains.gain_bounds import values_by_key, with_values
+from handctl.core.gains.gain_bounds import gains_with_values, values_by_key
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
@@ -99,7 +99,7 @@ def main() -> int:
 def detuned_gains() -> Gains:
     """Return the initial gains: the packaged gains times ``DETUNING_FACTORS``."""
     packaged = values_by_key(Gains())
-    return with_values(
+    return gains_with_values(
         Gains(),
         {key: factor * packaged[key] for key, factor in DETUNING_FACTORS.items()},
         "benchmark",
@@ -198,7 +198,7 @@ def _run_timed_search(
 def _best_gains(base: Gains, result: SearchResult) -> Gains:
     if result.best is None:
         raise SystemExit("no trial kept its margins; expected more --trials")
-    return with_values(base, result.best.values, "study") if result.best.number else base
+    return gains_with_values(base, result.best.values, "study") if result.best.number else base
 
 
 def _judge_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:

@@ -18,8 +18,8 @@ from handctl.core import state_block as s
 from handctl.core.gains.gain_bounds import (
     bounds_after_check,
     gain_bounds,
+    gains_with_values,
     values_by_key,
-    with_values,
 )
 from handctl.core.gains.gains import Gains, TensionGains
 from handctl.core.gains.motion_design import design_motion, design_piece_count
@@ -313,8 +313,8 @@ def test_every_corner_of_the_live_bounds_can_be_designed(jamia: HandModel, high:
                 if high
                 else bound.low + (0.01 * bound.default if bound.open_low else 0.0)
             )
-            gains = with_values(
-                Gains(), {key: value if not bound.whole else round(value)}, "test", live=True
+            gains = gains_with_values(
+                Gains(), {key: value if not bound.whole else round(value)}, "test", is_live=True
             )
             design = design_motion(jamia.space, gains, jamia.period)
             assert np.isfinite(

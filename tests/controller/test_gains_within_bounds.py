@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handctl.core.gains.gain_bounds import gain_bounds, with_values
+from handctl.core.gains.gain_bounds import gain_bounds, gains_with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.errors import ConfigError
@@ -30,7 +30,7 @@ WEIGHT_KEYS = [
 
 @pytest.mark.parametrize("key", EXTREME_GAINS)
 def test_solver_failure_is_one_line(key: str) -> None:
-    gains = with_values(Gains(), {key: EXTREME_GAINS[key]}, "test")
+    gains = gains_with_values(Gains(), {key: EXTREME_GAINS[key]}, "test")
     with pytest.raises(ConfigError, match=f"gains: {key.partition('.')[0]}: no controller follows"):
         HandModel.from_hand(load_hand("jamia"), gains, 500.0)
 
@@ -39,7 +39,7 @@ def test_solver_failure_is_one_line(key: str) -> None:
 @given(st.dictionaries(st.sampled_from(WEIGHT_KEYS), st.floats(-30.0, 0.0), min_size=1))
 def test_gains_within_bounds_are_designed_or_refused(powers: dict[str, float]) -> None:
     known = gain_bounds()
-    gains = with_values(
+    gains = gains_with_values(
         Gains(), {key: known[key].high * math.exp(power) for key, power in powers.items()}, "test"
     )
     with suppress(ConfigError):

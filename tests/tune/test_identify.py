@@ -279,7 +279,7 @@ def test_each_parameter_has_one_row_with_its_value_or_the_reason(name: str) -> N
             assert (row.split()[1] == "-") == bool(row[reason:].strip()), row
             assert row[unit:].split()[0] != "1" or row.split()[1] == "-", row
     assert not any("combinations" in line or "stop_softness" in line for line in lines)
-    assert any("combinations" in line for line in result_table(results, verbose=True))
+    assert any("combinations" in line for line in result_table(results, is_verbose=True))
 
 
 @pytest.mark.parametrize("encoders", [False, True])

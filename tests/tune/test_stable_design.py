@@ -197,7 +197,7 @@ def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
         assert 0.85 * gain - 0.2 <= found.gain_db <= 1.01 * gain + 0.02
         assert 0.85 * phase - 1.0 <= found.phase_deg <= 1.01 * phase + 0.1
         ticks = int(found.delay_s / system.period)
-        assert all(is_stable(system, delay=k) for k in range(ticks))
+        assert all(is_stable(system, delay_ticks=k) for k in range(ticks))
 
 
 def judged_stable(model: HandModel, found: GainDesign, seed: int) -> HandModel:

@@ -11,9 +11,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
 from handctl.controller.pending_gains import PendingGains
-from handctl.core.gains.gain_bounds import check_tendon_names, different_values, with_values
+from handctl.core.gains.gain_bounds import check_tendon_names, different_values, gains_with_values
 from handctl.core.gains.gains import Gains
-from handctl.core.gains.motion_design import design_from_pieces, design_piece, design_piece_count
+from handctl.core.gains.motion_design import (
+    design_from_pieces,
+    design_loop_piece,
+    design_piece_count,
+)
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import GAIN_EVENT, TickEvent, Vector
 from handctl.errors import ConfigError
@@ -97,7 +101,7 @@ class DesignCache:
             del self.designed_pieces[oldest]
         while len(designed_pieces) < piece_count:
             designed_pieces.append(
-                design_piece(model.space, gains, model.period, len(designed_pieces))
+                design_loop_piece(model.space, gains, model.period, len(designed_pieces))
             )
         return designed_pieces
 
@@ -116,7 +120,7 @@ def begin_design(
         event with the reason.
     """
     try:
-        return PendingGains(with_values(present, values, "gains", live=True)), ()
+        return PendingGains(gains_with_values(present, values, "gains", is_live=True)), ()
     except ConfigError as error:
         return None, (TickEvent("warn", "request", "", f"{REFUSED_PREFIX}{error}"),)
 

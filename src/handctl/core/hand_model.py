@@ -209,9 +209,11 @@ def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
     return largest if gain is None else largest * np.minimum(gain, 1.0)
 
 
-def _joint_period(hand: Hand, period: float) -> Vector:
+def _joint_period(hand: Hand, period_s: float) -> Vector:
     """Return the time (N,) between two readings of all joints of a tendon [s].
 
     The time is inf if a joint has no encoder.
     """
-    return np.where(hand.tendons_with_encoders, hand.sensor_node.joint_decimation * period, np.inf)
+    return np.where(
+        hand.tendons_with_encoders, hand.sensor_node.joint_decimation * period_s, np.inf
+    )

@@ -111,17 +111,17 @@ def _position_step(motor: Motor) -> float:
     return max(2 * motor.position_range_rad / 0xFFFF, make_drive(motor, 0).position_step)
 
 
-def _load_along_tendons(digit: DigitModel, mass: Vector) -> Vector:
+def _load_along_tendons(digit: DigitModel, mass_matrix: Vector) -> Vector:
     """Return the effective mass, stiffness and damping along each tendon of a digit, (3, n_t).
 
     Args:
         digit: model of the digit.
-        mass: (n, n) mass matrix of the joints, with the digit half closed and with all links that
+        mass_matrix: (n, n) mass matrix of the joints, with the digit half closed and with all links that
             it carries [kg m2].
     """
     coupling = digit.coupling
     joint_space = (
-        mass,
+        mass_matrix,
         np.diag(digit.spring_stiffness),
         np.diag(digit.joint_damping),
     )

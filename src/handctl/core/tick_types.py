@@ -215,15 +215,15 @@ class PackedTelemetry:
 
     __slots__ = ("numbers", "places")
 
-    def __init__(self, numbers: Vector, places: dict[str, slice]) -> None:
+    def __init__(self, packed_numbers: Vector, field_slices: dict[str, slice]) -> None:
         """Store the array, without a copy.
 
         Args:
-            numbers: array of all fields in order.
-            places: slice of each field in the array.
+            packed_numbers: array of all fields in order.
+            field_slices: slice of each field in the array.
         """
-        self.numbers = numbers
-        self.places = places
+        self.numbers = packed_numbers
+        self.places = field_slices
 
     def __getattr__(self, name: str) -> Vector:
         """Return a telemetry field by its name."""

@@ -13,8 +13,8 @@ from handctl.core.gains.gain_bounds import (
     GainBounds,
     bounds_after_check,
     different_values,
+    gains_with_values,
     values_by_key,
-    with_values,
 )
 from handctl.core.gains.gains import Gains, GainsProvenance, load_gains_file, packaged_gains
 from handctl.errors import ConfigError, UnconfirmedError
@@ -257,7 +257,7 @@ def _change_live_gains(args: argparse.Namespace) -> int:
     )
 
     values = gain_assignments(args.values, "gains set")
-    with_values(Gains(), values, "gains set", live=True)
+    gains_with_values(Gains(), values, "gains set", is_live=True)
     bus = controller_bus(args)
     watcher = open_watcher(bus, "gains")
     try:
