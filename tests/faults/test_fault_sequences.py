@@ -111,16 +111,16 @@ def test_violated_rule_of_a_tick_is_found(arming_copy):
     before.decide(latched=(LatchedFault("T03", "index_tendon"),))
     after = before.copy()
     after.view("setpoint")[...] += 1.0
-    assert violations_in_tick(before, after, cleared=False) == [
+    assert violations_in_tick(before, after, is_cleared=False) == [
         "a setpoint rises while the hand relaxes"
     ]
     gone = before.copy()
     gone.decide(latched=())
-    assert violations_in_tick(before, gone, cleared=False) == ["no longer latched: T03"]
-    assert violations_in_tick(before, gone, cleared=True) == []
+    assert violations_in_tick(before, gone, is_cleared=False) == ["no longer latched: T03"]
+    assert violations_in_tick(before, gone, is_cleared=True) == []
     back = before.copy()
     back.mode = HandMode.ACTIVE
-    assert violations_in_tick(before, back, cleared=False) == [
+    assert violations_in_tick(before, back, is_cleared=False) == [
         "the mode goes back: RELAX to ACTIVE"
     ]
 

@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
             protocols,
             default_rate,
             jobs=args.jobs,
-            quick=args.quick,
+            is_quick=args.quick,
             fault_free_s=fault_free_s,
             on_progress=lambda protocol, done, total: update_progress(done, total, protocol),
             on_failure=failure_log_writer(folder),

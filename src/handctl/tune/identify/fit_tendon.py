@@ -308,7 +308,9 @@ class TendonFit:
         return self.half_widths_of(1)
 
     def half_widths_of(self, parameter_count: int) -> dict[str, float]:
-        """Return half of the widths of intervals that together contain `parameter_count` parameters with 95 % probability.
+        """Return half of the widths of intervals that contain `parameter_count` parameters with 95 % probability.
+
+        This is the probability that all of these parameters are in their intervals.
 
         Source: Sidak (1967). If the parameters are not independent of each other, the intervals
             are wider than necessary.
