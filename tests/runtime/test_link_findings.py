@@ -93,7 +93,7 @@ def test_the_set_up_of_a_finding_is_that_of_bus_up(data_bitrate):
     finding demanded ``restart-ms``.
     """
     (finding, *_) = bad_findings(link_json(link={"flags": ["NOARP"]}), data_bitrate)
-    commands = set_up_commands("can0", MEGABIT_PER_S, data_bitrate, exists=True)
+    commands = set_up_commands("can0", MEGABIT_PER_S, data_bitrate, interface_exists=True)
     assert finding.fix.split(" && ") == ["sudo " + " ".join(command) for command in commands]
     assert "restart-ms 100" in finding.fix
 

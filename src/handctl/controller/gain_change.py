@@ -107,20 +107,20 @@ class DesignCache:
 
 
 def begin_design(
-    present: Gains, values: dict[str, float]
+    present_gains: Gains, new_values: dict[str, float]
 ) -> tuple[PendingGains | None, tuple[TickEvent, ...]]:
     """Begin the controller design for requested gains.
 
     Args:
-        present: present gains.
-        values: requested values, by the key of the gain.
+        present_gains: present gains.
+        new_values: requested values, by the key of the gain.
 
     Returns:
         The requested gains with the state of their design. If no design can begin, None and an
         event with the reason.
     """
     try:
-        return PendingGains(gains_with_values(present, values, "gains", is_live=True)), ()
+        return PendingGains(gains_with_values(present_gains, new_values, "gains", is_live=True)), ()
     except ConfigError as error:
         return None, (TickEvent("warn", "request", "", f"{REFUSED_PREFIX}{error}"),)
 
