@@ -21,8 +21,8 @@ from typing import Any
 from handctl.campaign.run_stages import CAMPAIGN_TASK, hand_with_protocol, homed_run
 from handctl.core.tick_types import HandMode
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
-from handctl.safety.action import SafetyAction
-from handctl.session.plan import default_rate
+from handctl.safety.safety_action import SafetyAction
+from handctl.session.run_plan import default_rate
 from handctl.session.simulate import SimulatedRun
 
 OPERATOR_DELAY_S = 2.0

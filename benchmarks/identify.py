@@ -22,7 +22,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from handctl.core.gains.gain_bounds import with_values
+from handctl.core.gains.gain_bounds import gains_with_values
 from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.core.identified_parameters import DIGIT_KEYS
 from handctl.hand.description import Hand
@@ -30,8 +30,8 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.excitation import ExciteProgram
 from handctl.runtime.hold_limit import HoldLimit
-from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
+from handctl.session.run_plan import RunPlan, default_rate
 from handctl.session.simulate import SimulatorSettings
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.identify import TendonResult, identify_tendons
@@ -92,7 +92,7 @@ def draw_gains(packaged_gains: Gains, seed: int) -> Gains:
         values[key] = getattr(
             getattr(packaged_gains, section), name
         ) * MAX_GAIN_FACTOR ** chance.uniform(-1.0, 1.0)
-    return with_values(packaged_gains, values, "detuned")
+    return gains_with_values(packaged_gains, values, "detuned")
 
 
 def true_parameters(

@@ -169,8 +169,8 @@ def measure_bare_spin(duration_s: float, rate_hz: float) -> tuple[float, float, 
     The clock sleeps until shortly before a deadline. With real-time priority, the clock then polls
     until the deadline.
     """
-    from handctl.runtime.clocks.priority import request_priority
-    from handctl.runtime.clocks.real import RealClock
+    from handctl.runtime.clocks.real_clock import RealClock
+    from handctl.runtime.clocks.realtime_priority import request_priority
 
     clock = RealClock(round(1e9 / rate_hz))
     clock.busy_wait = request_priority().realtime
@@ -197,7 +197,7 @@ def both_cores_loaded():
 
 def measure_bare_sleep(duration_s: float, rate_hz: float) -> tuple[float, float, list[int]]:
     """Measure how late ``time.sleep`` ends, without the work of a tick and with the priority of the control loop."""
-    from handctl.runtime.clocks.priority import request_priority
+    from handctl.runtime.clocks.realtime_priority import request_priority
 
     request_priority()
     start = time.monotonic_ns()

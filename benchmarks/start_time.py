@@ -106,7 +106,7 @@ def process_cpu_s(pid: int) -> float:
 
 def time_until_first_frame(hand_name: str, work_folder: Path) -> StartTime:
     """Return the wall time and CPU time from the start of ``handctl run`` to its first frame."""
-    from handctl.runtime.buses.local import connect_to_hub
+    from handctl.runtime.buses.local_bus import connect_to_hub
 
     listener = connect_to_hub(BUS_NAME)
     words = [

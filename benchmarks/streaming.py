@@ -30,8 +30,8 @@ from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.report.truth_record import TruthRecord, read_truth
-from handctl.runtime.clocks.shared import PAUSED_INDEX
-from handctl.runtime.paths import clock_path
+from handctl.runtime.clocks.shared_clock import PAUSED_INDEX
+from handctl.runtime.socket_paths import clock_path
 
 STREAMED_DIGIT = "index"
 STREAM_RATE_HZ = 100.0

@@ -23,12 +23,12 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.tuning.tune_files import load_tuned_hand
-from handctl.core.gains.gain_bounds import values_by_key, with_values
+from handctl.core.gains.gain_bounds import gains_with_values, values_by_key
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
-from handctl.session.plan import default_rate
-from handctl.tune.loops.design import linear_factors, worst_margins
+from handctl.session.run_plan import default_rate
+from handctl.tune.loops.gain_design import linear_factors, worst_margins
 from handctl.tune.scoring import GainScore, score_exercise
 from handctl.tune.search.ensemble import draw_ensemble
 from handctl.tune.search.search import SearchPlan, SearchResult, run_search
@@ -99,7 +99,7 @@ def main() -> int:
 def detuned_gains() -> Gains:
     """Return the initial gains: the packaged gains times ``DETUNING_FACTORS``."""
     packaged = values_by_key(Gains())
-    return with_values(
+    return gains_with_values(
         Gains(),
         {key: factor * packaged[key] for key, factor in DETUNING_FACTORS.items()},
         "benchmark",
@@ -214,7 +214,7 @@ def _best_gains(initial_gains: Gains, result: SearchResult) -> Gains:
     if result.best is None:
         raise SystemExit("no trial kept its margins; expected more --trials")
     return (
-        with_values(initial_gains, result.best.values, "study")
+        gains_with_values(initial_gains, result.best.values, "study")
         if result.best.number
         else initial_gains
     )

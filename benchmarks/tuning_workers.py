@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from handctl.core.gains.gain_bounds import with_values
+from handctl.core.gains.gain_bounds import gains_with_values
 from handctl.core.gains.gains import Gains
 from handctl.hand.hand_loading import load_hand
 from handctl.tune.search.ensemble import draw_ensemble
@@ -32,7 +32,7 @@ def scoring_jobs(job_count: int) -> list[ScoringJob]:
     The search would compute equal trials only once.
     """
     changed = [
-        with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark")
+        gains_with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark")
         for i in range(job_count)
     ]
     plain = {

@@ -19,7 +19,7 @@ from handctl.log.read.logfile import LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.recover import recover_log
-from handctl.log.topics.clock_pairs import CLOCK_PAIRS_TOPIC as CLOCK_TOPIC
+from handctl.log.topics.clock_pair_topic import CLOCK_PAIRS_TOPIC as CLOCK_TOPIC
 from handctl.log.topics.hash_chain import CHAIN_TOPIC as CHAIN_TOPIC
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 from tests.log import synthetic_run

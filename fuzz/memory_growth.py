@@ -22,8 +22,8 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import load_task
 from handctl.programs.task_program import TaskProgram
 from handctl.runtime.mailbox import STOP_REQUEST
-from handctl.session.plan import RunPlan
 from handctl.session.run import run_lockstep
+from handctl.session.run_plan import RunPlan
 from handctl.session.simulate import SimulatorSettings
 
 SAMPLE_PERIOD_S = 30.0

@@ -82,7 +82,7 @@ class HandctlExchange:
         from handctl.core import tick_stages
         from handctl.drives.contract import DriveTarget
         from handctl.drives.frame_records import WORDS_PER_RECORD
-        from handctl.runtime.buses.open import open_bus
+        from handctl.runtime.buses.bus_opening import open_bus
 
         self.controller, state = enabled_controller(motor_count)
         self.state = state.copy()

@@ -7,7 +7,7 @@ import numpy as np
 
 from grasps import payload, slip_reaction
 from grasps.grasp_objects import MAX_OBJECT_MOTION_M
-from handctl.output import save_figure
+from handctl.output_files import save_figure
 
 DOCS_FOLDER = Path(__file__).parents[2] / "docs"
 PAGE_FILE = DOCS_FOLDER / "evidence" / "control-grasps.md"

@@ -16,13 +16,13 @@ from handctl.log.header import RunHeader
 from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.programs.program import ProgramProgress, motion_to
-from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clocks.priority import awake_processors, request_priority
-from handctl.runtime.clocks.real import RealClock
+from handctl.runtime.buses.bus_opening import open_bus
+from handctl.runtime.clocks.real_clock import RealClock
+from handctl.runtime.clocks.realtime_priority import awake_processors, request_priority
 from handctl.runtime.loop import ControlLoop
 from handctl.runtime.mailbox import STOP_REQUEST
-from handctl.session.plan import RunPlan
 from handctl.session.run import make_controller
+from handctl.session.run_plan import RunPlan
 
 DESIGN_RATE_HZ = 1000.0
 

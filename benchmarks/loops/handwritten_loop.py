@@ -16,7 +16,7 @@ from filterpy.kalman import KalmanFilter
 
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.hand_loading import load_hand
-from handctl.runtime.clocks.priority import request_priority
+from handctl.runtime.clocks.realtime_priority import request_priority
 
 ENABLE_PAYLOAD = b"\xff" * 7 + b"\xfc"
 DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfd"

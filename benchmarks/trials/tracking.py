@@ -25,9 +25,9 @@ from pathlib import Path
 import numpy as np
 
 from handctl.core.hand_model import HandModel
-from handctl.report.summary import mean_angles
-from handctl.tune.loops.design import keeps_required_margins, linear_factors
-from handctl.tune.loops.linear import LoopKind
+from handctl.report.run_summary import mean_angles
+from handctl.tune.loops.gain_design import keeps_required_margins, linear_factors
+from handctl.tune.loops.linear_models import LoopKind
 from handctl.tune.search.ensemble import draw_ensemble
 from trials import control_page, force_page, force_step, tracking_page
 from trials.benchmark_hands import SPREAD_DIGITS_SUFFIX, hand_by_name

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from handctl.output import save_figure
+from handctl.output_files import save_figure
 from trials.control_page import FIGURES_FOLDER, markdown_table
 
 ENDED_TEXT = "ended"

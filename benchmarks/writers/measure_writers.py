@@ -21,8 +21,8 @@ from benchmarks.writers.library_writers import LIBRARY_WRITERS, LogMessage
 from benchmarks.writers.sustained_recording import measure_sustained, packed_tick
 from handctl.log.read.reader import RunLog
 from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.write.log_writer import LogWriter
 from handctl.log.write.recorder import Recorder
-from handctl.log.write.writer import LogWriter
 from handctl.replay.controller_rebuild import rebuild_controller
 
 RATE_HZ = 1000

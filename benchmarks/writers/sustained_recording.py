@@ -34,8 +34,8 @@ from handctl.drives.frame_records import Frames, frames_as_records
 from handctl.log.read.reader import RunLog
 from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
-from handctl.runtime.clocks.priority import request_priority, restore_priority
-from handctl.runtime.clocks.real import RealClock
+from handctl.runtime.clocks.real_clock import RealClock
+from handctl.runtime.clocks.realtime_priority import request_priority, restore_priority
 from handctl.runtime.loop import ControlLoop, LoopStats
 
 HAND_NAME = "jamia11"

@@ -7,7 +7,7 @@ import pytest
 
 from handctl.cli.checks import bus_up
 from handctl.cli.main import main
-from handctl.runtime.buses.interface import set_up_commands
+from handctl.runtime.buses.interface_setup import set_up_commands
 
 MEGABIT_PER_S = 1_000_000
 

@@ -25,8 +25,8 @@ from handctl.hand.hand_loading import (
     load_hand,
     packaged_hands,
 )
-from handctl.hand.hand_tree import HandTree
 from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement
+from handctl.hand.link_tree import HandLinkTree
 from tests.cli.command_refusals import refusal_line, refusal_lines
 from tests.conftest import NIGHTLY
 
@@ -182,7 +182,7 @@ def test_links_in_any_frames_have_the_dynamics_of_pinocchio(work_folder: Path) -
     Path("full.toml").write_text(
         text_with_all_values(import_description("--urdf", TRIPOD_URDF, *IMPORT_OPTIONS))
     )
-    tree = HandTree.from_hand(load_hand("full.toml"))
+    tree = HandLinkTree.from_hand(load_hand("full.toml"))
     model = pinocchio.buildModelFromUrdf(str(TRIPOD_URDF))
     data = model.createData()
     # The first finger of the description flexes towards negative angles.

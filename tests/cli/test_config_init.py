@@ -9,7 +9,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.hand.hand_loading import load_hand
-from handctl.session.plan import default_rate
+from handctl.session.run_plan import default_rate
 from tests.cli.command_refusals import refusal_line
 
 INIT_CASES = [

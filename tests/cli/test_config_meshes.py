@@ -21,7 +21,7 @@ from handctl.hand.hand_loading import (
     packaged_hands,
 )
 from handctl.log.attached_meshes import MAX_MESH_BYTES
-from handctl.session.plan import RunChoice, make_plan
+from handctl.session.run_plan import RunChoice, make_plan
 from tests.cli.command_refusals import refusal_line, refusal_lines
 from tests.cli.test_config_import import TRIPOD_URDF
 from tests.hand.mesh_files import (

@@ -11,7 +11,7 @@ from handctl.cli.main import main
 from handctl.drives.frame import Frame
 from handctl.drives.mit.codec import MotorRanges, command_message
 from handctl.drives.signals import SignalTable
-from handctl.runtime.buses.local import LocalBus
+from handctl.runtime.buses.local_bus import LocalBus
 from handctl.runtime.mailbox import Mailbox
 from handctl.session.exit_codes import ExitCode
 from tests.drives.bench_process import run_simulated_drives

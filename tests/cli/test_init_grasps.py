@@ -14,7 +14,7 @@ from handctl.cli.main import main
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.default_task import default_scene
 from handctl.report.truth_record import read_truth
-from handctl.session.plan import default_rate
+from handctl.session.run_plan import default_rate
 from tests.cli.command_refusals import refusal_line
 from tests.cli.test_config_init import SENSOR_CASES, sensor_options
 from tests.conftest import NIGHTLY

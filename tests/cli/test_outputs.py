@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from handctl.cli.main import main
 from handctl.errors import ConfigError
 from handctl.hand.hand_loading import hand_path
-from handctl.output import atomic_path, save_figure, write_text_atomically
+from handctl.output_files import atomic_path, save_figure, write_text_atomically
 
 GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"
 FULL_DEVICE = Path("/dev/full")
@@ -133,7 +133,7 @@ def test_an_export_that_fails_leaves_nothing(work_folder, monkeypatch, capsys, e
     def raise_full_disk(path):
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr("handctl.output._fsync_file", raise_full_disk)
+    monkeypatch.setattr("handctl.output_files._fsync_file", raise_full_disk)
     assert (
         main(["log", "export", f"--{export_format}", GOLDEN_LOG_TEXT, "--output", "new", "--json"])
         == 1

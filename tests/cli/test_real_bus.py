@@ -21,7 +21,7 @@ import handctl as library
 from handctl.cli.console.motion_confirmation import age_text
 from handctl.cli.main import main
 from handctl.hand.hand_loading import load_hand
-from handctl.runtime.buses.open import real_buses
+from handctl.runtime.buses.bus_opening import real_buses
 from handctl.session.calibration import load_calibration, write_calibration
 from tests.cli.command_refusals import refusal_line
 from tests.runtime.processes import write_homed_calibration

@@ -12,7 +12,7 @@ import pytest
 from handctl.cli.main import VERB_HELP, main
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, packaged_hands
-from handctl.runtime.paths import mailbox_path
+from handctl.runtime.socket_paths import mailbox_path
 from tests.cli.command_refusals import refusal_line
 
 ABSENT_BUS_OPTION = ("--bus", "local:does-not-exist")

@@ -13,8 +13,8 @@ from handctl.core.gains.gains import Gains
 from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.runtime.loop import LoopStats
 from handctl.session import time_scale_advice
-from handctl.session.plan import RunPlan
 from handctl.session.run import RunOutcome
+from handctl.session.run_plan import RunPlan
 from handctl.session.time_scale_advice import pace_advice
 
 TORQUE_LIMIT = ("--torque-limit-Nm", "0.1")

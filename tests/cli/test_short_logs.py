@@ -9,7 +9,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.log.read.reader import RunLog
 from handctl.log.tick_record import TICK_SIZES_STRUCT
-from handctl.log.write.writer import LogWriter
+from handctl.log.write.log_writer import LogWriter
 
 GRASP_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 

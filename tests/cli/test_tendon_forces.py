@@ -11,8 +11,8 @@ from handctl.controller.pending_gains import PendingGains
 from handctl.core.gains.gain_bounds import (
     bounds_after_check,
     different_values,
+    gains_with_values,
     values_by_key,
-    with_values,
 )
 from handctl.core.gains.gains import (
     Gains,
@@ -38,26 +38,28 @@ def jamia_model() -> HandModel:
 
 def gains_with_own_force(force_N: float) -> Gains:
     """Return gains with a separate force weight [N] for the tendon of jamia's index finger."""
-    return with_values(Gains(), {FORCE_KEY: force_N}, "test")
+    return gains_with_values(Gains(), {FORCE_KEY: force_N}, "test")
 
 
 def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia_model: HandModel) -> None:
     shared = design_motion(jamia_model.space, Gains(), jamia_model.period)
     own = design_motion(jamia_model.space, gains_with_own_force(5.0), jamia_model.period)
     all_five = design_motion(
-        jamia_model.space, with_values(Gains(), {"motion.force_N": 5.0}, "test"), jamia_model.period
+        jamia_model.space,
+        gains_with_values(Gains(), {"motion.force_N": 5.0}, "test"),
+        jamia_model.period,
     )
     assert own.stiffness[0] == all_five.stiffness[0] < shared.stiffness[0]
     assert np.array_equal(own.stiffness[1:], shared.stiffness[1:])
     assert np.array_equal(own.tension, shared.tension)
-    tension = with_values(Gains(), {"tendon.index_tendon.tension_force_N": 2.0}, "test")
+    tension = gains_with_values(Gains(), {"tendon.index_tendon.tension_force_N": 2.0}, "test")
     held = design_motion(jamia_model.space, tension, jamia_model.period)
     assert held.tension[0] < shared.tension[0]
     assert np.array_equal(held.stiffness, shared.stiffness)
 
 
 def test_the_text_of_the_gains_reads_back(tmp_path: Path) -> None:
-    gains = with_values(
+    gains = gains_with_values(
         gains_with_own_force(5.0),
         {"tendon.thumb_tendon.tension_force_N": 2.0, "motion.force_N": 9.0},
         "test",
@@ -66,7 +68,7 @@ def test_the_text_of_the_gains_reads_back(tmp_path: Path) -> None:
     path.write_text(gains_text(gains, GainsProvenance(hand="jamia")))
     assert load_gains_file(path).gains == gains
     assert values_by_key(gains)[FORCE_KEY] == 5.0
-    assert with_values(gains, values_by_key(gains), "test") == gains
+    assert gains_with_values(gains, values_by_key(gains), "test") == gains
 
 
 def test_a_tendon_without_its_own_force_uses_the_common_force() -> None:
@@ -128,7 +130,9 @@ def test_a_key_that_no_tendon_can_have_is_unknown(gain_key: str) -> None:
 
 
 def test_a_running_controller_refuses_a_tendon_of_another_hand(jamia_model: HandModel) -> None:
-    gains = with_values(Gains(), {"tendon.wrist_flex.motion_force_N": 5.0}, "test", live=True)
+    gains = gains_with_values(
+        Gains(), {"tendon.wrist_flex.motion_force_N": 5.0}, "test", is_live=True
+    )
     progress = DesignCache().advance(jamia_model, PendingGains(gains))
     assert progress is not None
     assert progress.pending is None

@@ -20,7 +20,7 @@ from handctl.cli.tuning.tune_verify import _print_rounds
 from handctl.core.calibration import Calibration, TendonCalibration
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.log.write.writer import LogWriter
+from handctl.log.write.log_writer import LogWriter
 from handctl.session.calibration import load_calibration, write_calibration
 from handctl.tune.gains_verification import BlockedDigit, GainsRollback
 from handctl.tune.scoring import GainScore
@@ -61,7 +61,7 @@ def test_a_design_without_stable_gains_writes_nothing(
     def refuses(*command_words):
         raise ValueError("no authority keeps the margins")
 
-    monkeypatch.setattr("handctl.tune.loops.design.design_gains", refuses)
+    monkeypatch.setattr("handctl.tune.loops.gain_design.design_gains", refuses)
     assert main(["tune", "design", "--plants", "1", *command_words]) == 1
     said = capsys.readouterr()
     assert said.err == "handctl: tune design: no authority keeps the margins; nothing is written\n"
@@ -192,7 +192,7 @@ def test_the_last_line_of_a_verification_is_its_verdict(
 
 
 def test_an_existing_commissioning_log_is_accepted(work_folder):
-    from handctl.session.plan import commission_log
+    from handctl.session.run_plan import commission_log
 
     first = commission_log(work_folder / "run.mcap")
     assert first.name == "run.commission.mcap"
@@ -313,7 +313,7 @@ def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("te
 
     ``blocked`` and ``met`` describe what the tendon's digit touched during the excitation.
     """
-    from handctl.tune.identify.fit import PARAMETER_NAMES
+    from handctl.tune.identify.fit_tendon import PARAMETER_NAMES
     from handctl.tune.identify.identify import TendonResult
 
     values = dict.fromkeys(PARAMETER_NAMES, 1.0) | {"tendon_stiffness": spring_stiffness}

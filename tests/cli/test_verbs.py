@@ -126,7 +126,7 @@ def small_log(tmp_path_factory):
     from handctl.log.header import RunHeader
     from handctl.log.tick_record import pack_tick_record
     from handctl.log.write.recorder import Recorder
-    from handctl.safety.action import SafetyAction
+    from handctl.safety.safety_action import SafetyAction
 
     hand = load_hand("jamia")
     path = tmp_path_factory.mktemp("log") / "run.mcap"

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.campaign.run_stages import FIRST_NODE_NUMBER, with_drives
+from handctl.campaign.run_stages import FIRST_NODE_NUMBER, hand_with_drives
 from handctl.controller.controller_state import ControllerState
 from handctl.controller.run_setup import make_controller
 from handctl.controller.tick import Controller
@@ -100,7 +100,7 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
         "sensor_node": node,
     }
     hand = hand_from_content(made, "random.toml")
-    hand = with_drives(hand, str(rng.choice(GUARDED_PROTOCOLS)))
+    hand = hand_with_drives(hand, str(rng.choice(GUARDED_PROTOCOLS)))
     servos = _motors_with_position_loop(hand, rng)
     loop: dict[str, object] = {"control": "position"}
     if hand.motor[0].protocol == "moteus":

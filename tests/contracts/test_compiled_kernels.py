@@ -33,7 +33,7 @@ from handctl.core.state_block import STATE_SCHEMA, STREAM_RANGE
 from handctl.drives.frame import FDF
 from handctl.log.read.reader import RunLog
 from handctl.replay.controller_rebuild import rebuild_controller
-from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES, FrameStructs
+from handctl.runtime.buses.canfd_structs import CANFD_FRAME_BYTES, FrameStructs
 from tests.contracts.random_hands import TICKS_PER_HAND, tick_hashes
 
 REPOSITORY = Path(__file__).parents[2]

@@ -18,7 +18,7 @@ READ_BACK = """
 import json, sys
 import varied_run
 from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
-from handctl.log.write.writer import LogWriter
+from handctl.log.write.log_writer import LogWriter
 from rosbags.highlevel import AnyReader
 from pathlib import Path
 

@@ -15,7 +15,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
-from handctl.session.plan import RunPlan
+from handctl.session.run_plan import RunPlan
 from handctl.session.run import make_controller
 from handctl.session.simulate import SimulatorSettings
 

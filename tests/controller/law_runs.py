@@ -20,7 +20,7 @@ from handctl.core.control_law.goal_writer import write_goals
 from handctl.core.control_law.required_tensions import allocate_bounded_tensions
 from handctl.core.hand_model import HandModel
 from handctl.core.state_block import state_tables
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,

@@ -20,7 +20,7 @@ from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
 from handctl.core.gains.gains import Gains, MotionGains
 from handctl.core.hand_model import HandModel, _torque_limit
 from handctl.hand.hand_loading import load_hand
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from tests.controller.digit_goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, run_control_law, run_law_tick
 from tests.controller.synthetic_states import (

@@ -21,7 +21,7 @@ from handctl.core.tick_types import HandMode, IoEvent
 from handctl.drives.frame import Frame
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 STOP_REQUEST, CUT_REQUEST, ARM_REQUEST = '{"do": "stop"}', '{"do": "cut"}', '{"do": "arm"}'

@@ -17,7 +17,7 @@ from handctl.core.tick_types import TELEMETRY_AXES, HandMode, IoEvent, TickIn, T
 from handctl.drives.frame import Frame
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.programs.live_session import LiveProgram
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 

@@ -17,7 +17,7 @@ from handctl.core import tick_stages
 from handctl.core.control_law.computed_torque import HOLD_MARGIN_N
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from tests.controller.digit_goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, run_law_tick, tension_limits_of
 from tests.controller.synthetic_states import active_state, estimate_under_tension

@@ -6,7 +6,7 @@ from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.hand_loading import load_hand
-from handctl.programs.exercise import GENTLE_RISE_N_PER_S, ExerciseProgram
+from handctl.programs.gains_exercise import GENTLE_RISE_N_PER_S, ExerciseProgram
 from tests.controller.synthetic_states import empty_readings, estimate_under_tension
 from tests.hand.hand_on_wrist import mount_on_wrist
 

@@ -18,8 +18,8 @@ from handctl.core import state_block as s
 from handctl.core.gains.gain_bounds import (
     bounds_after_check,
     gain_bounds,
+    gains_with_values,
     values_by_key,
-    with_values,
 )
 from handctl.core.gains.gains import Gains, TensionGains
 from handctl.core.gains.motion_design import design_motion, design_piece_count
@@ -31,7 +31,7 @@ from handctl.programs.commission import CommissionProgram
 from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import parse_request
 from handctl.runtime.clocks.lockstep import load_simulator
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from tests.controller.controller_bench import (
     ControllerBench,
     make_controller_bench,
@@ -322,8 +322,8 @@ def test_every_corner_of_the_live_bounds_can_be_designed(
                 if at_upper_bound
                 else bound.low + (0.01 * bound.default if bound.open_low else 0.0)
             )
-            gains = with_values(
-                Gains(), {key: value if not bound.whole else round(value)}, "test", live=True
+            gains = gains_with_values(
+                Gains(), {key: value if not bound.whole else round(value)}, "test", is_live=True
             )
             design = design_motion(jamia.space, gains, jamia.period)
             assert np.isfinite(

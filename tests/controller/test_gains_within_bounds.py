@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handctl.core.gains.gain_bounds import gain_bounds, with_values
+from handctl.core.gains.gain_bounds import gain_bounds, gains_with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.errors import ConfigError
@@ -30,7 +30,7 @@ WEIGHT_KEYS = [
 
 @pytest.mark.parametrize("gain_key", EXTREME_GAINS)
 def test_solver_failure_is_one_line(gain_key: str) -> None:
-    gains = with_values(Gains(), {gain_key: EXTREME_GAINS[gain_key]}, "test")
+    gains = gains_with_values(Gains(), {gain_key: EXTREME_GAINS[gain_key]}, "test")
     with pytest.raises(
         ConfigError, match=f"gains: {gain_key.partition('.')[0]}: no controller follows"
     ):
@@ -41,7 +41,7 @@ def test_solver_failure_is_one_line(gain_key: str) -> None:
 @given(st.dictionaries(st.sampled_from(WEIGHT_KEYS), st.floats(-30.0, 0.0), min_size=1))
 def test_gains_within_bounds_are_designed_or_refused(exponent_by_gain: dict[str, float]) -> None:
     known = gain_bounds()
-    gains = with_values(
+    gains = gains_with_values(
         Gains(),
         {key: known[key].high * math.exp(power) for key, power in exponent_by_gain.items()},
         "test",

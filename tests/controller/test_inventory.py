@@ -15,7 +15,7 @@ from handctl.core.tick_types import HandMode
 from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
 from handctl.programs.live_session import LiveProgram
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 READ_REGISTER, WRITE_REGISTER = 0x33, 0x55

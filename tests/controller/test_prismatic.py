@@ -24,7 +24,7 @@ from handctl.programs.requests import MoveDigits
 from handctl.programs.stream_plans import mapping_of_stream
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.report.summary import mean_angles
+from handctl.report.run_summary import mean_angles
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
 from tests.controller.synthetic_states import slack_hand_estimate
 

@@ -33,7 +33,7 @@ from handctl.core.constants import (
 )
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.trajectory import MinimumJerk
-from handctl.core.gains.gain_bounds import with_values
+from handctl.core.gains.gain_bounds import gains_with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_constants import HandConstants
 from handctl.core.hand_model import HandModel
@@ -412,7 +412,7 @@ OTHER_STREAM_VALUES = {
 
 def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
     """For each part of a controller's decisions, yield a copy of the decisions in which only this part is changed."""
-    pending = PendingGains(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
+    pending = PendingGains(gains_with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
         "drives": [decisions.drives[::-1]],
         "progress": [progress for _, progress in changed_progresses(decisions.progress)],

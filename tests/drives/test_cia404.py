@@ -21,7 +21,7 @@ from handctl.drives.frame import Frame
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content, load_hand
-from handctl.runtime.diagnostics.scan import scan_bus
+from handctl.runtime.diagnostics.bus_scan import scan_bus
 from handctl.session.simulate import SimulatedRun
 from tests.drives.wired_drives import WiredDrives
 

@@ -16,8 +16,8 @@ from handctl.drives.frame import REMOTE_FLAG, Frame
 from handctl.drives.odrive import firmware_05 as odrive_05
 from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
+from handctl.runtime.diagnostics.bus_scan import scan_bus
 from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, run_checks
-from handctl.runtime.diagnostics.scan import scan_bus
 from tests.drives.protocol_bench import motor_on_bench
 from tests.drives.virtual_bench import DRIVE_NODE_ID, VirtualBench, drive_rig_on
 

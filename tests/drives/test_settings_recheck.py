@@ -17,7 +17,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.mit.progress import MitProgress
-from handctl.session.plan import default_rate
+from handctl.session.run_plan import default_rate
 
 TICK_NS = 2_000_000
 SIMULATOR_SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else (1,)

@@ -37,10 +37,10 @@ from handctl.campaign.run_stages import (
 from handctl.campaign.scenario_run import ScenarioResult, run_scenario
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
-from handctl.safety.action import SafetyAction
 from handctl.safety.faults.tendon import RELAXED_S
+from handctl.safety.safety_action import SafetyAction
 from handctl.safety.safety_limits import MIN_STALLED_TICKS, STALLED_S, ticks_for
-from handctl.session.plan import default_rate
+from handctl.session.run_plan import default_rate
 from handctl.session.simulate import SimulatedRun
 from tests.hand.hand_on_wrist import mount_on_wrist
 
@@ -52,7 +52,7 @@ SAMPLED_FAULTS = ("N08", "H13")
 def campaign_report():
     """Return the report of a campaign: some rows with MIT drives, and one second of a hand without faults."""
     return campaign.run_campaign(
-        "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, quick=False, fault_free_s=1.0,
+        "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, is_quick=False, fault_free_s=1.0,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
         row_ids=SAMPLED_FAULTS,
     )  # fmt: skip
@@ -103,7 +103,7 @@ def test_fault_free_run_alone_continues_its_seeds():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(campaign, "run_fault_free", record_run)
         report = campaign.run_campaign(
-            "jamia", ["mit"], lambda hand: RATE_HZ, jobs=1, quick=False, fault_free_s=30.0,
+            "jamia", ["mit"], lambda hand: RATE_HZ, jobs=1, is_quick=False, fault_free_s=30.0,
             fault_free_only=True, seed=76,
             on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
         )  # fmt: skip
@@ -534,10 +534,10 @@ def test_every_row_is_in_the_matrix_or_tested_elsewhere():
 def test_quick_samples_of_consecutive_seeds_are_the_whole_campaign():
     hand = hand_with_protocol("jamia11", "mit")
     samples = [
-        campaign.campaign_scenarios(hand, "mit", 200.0, quick=True, seed=seed)
+        campaign.campaign_scenarios(hand, "mit", 200.0, is_quick=True, seed=seed)
         for seed in range(campaign.QUICK_SCENARIO_STEP)
     ]
-    whole = campaign.campaign_scenarios(hand, "mit", 200.0, quick=False)
+    whole = campaign.campaign_scenarios(hand, "mit", 200.0, is_quick=False)
     assert sorted(one.name for sample in samples for one in sample) == sorted(
         one.name for one in whole
     )
@@ -558,7 +558,7 @@ KNOWN_FAILURES = {
 def test_the_quick_sample_passes_with_every_seed(hand: str, seed: int):
     protocol = ALL_PROTOCOLS[seed % len(ALL_PROTOCOLS)]
     report = campaign.run_campaign(
-        hand, [protocol], default_rate, jobs=2, quick=True, fault_free_s=4.0, seed=seed,
+        hand, [protocol], default_rate, jobs=2, is_quick=True, fault_free_s=4.0, seed=seed,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
     )  # fmt: skip
     failed = {result.scenario: result.problem for result in report.all_results if not result.ok}
@@ -579,7 +579,7 @@ def test_the_quick_sample_passes_with_every_seed(hand: str, seed: int):
 def test_every_scenario_of_the_matrix_is_detected_in_time(hand: str, protocol: str):
     wrong: list[ScenarioResult] = []
     report = campaign.run_campaign(
-        hand, [protocol], default_rate, jobs=2, quick=False, fault_free_s=600.0,
+        hand, [protocol], default_rate, jobs=2, is_quick=False, fault_free_s=600.0,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: wrong.append(result),
     )  # fmt: skip
     assert [

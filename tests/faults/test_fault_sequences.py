@@ -12,16 +12,9 @@ import pytest
 
 from firmware_sim.faults.fault_text import parse_fault
 from firmware_sim.hand_description import load_hand
-from handctl.campaign import sequences
+from handctl.campaign import fault_sequences
 from handctl.campaign.fault_matrix import ALL_PROTOCOLS, ARMING_STAGE, HOST_PREFIX
-from handctl.campaign.run_stages import (
-    RUN_STAGES,
-    advance_to_stage,
-    hand_with_protocol,
-    homed_run,
-    run_in_branches,
-)
-from handctl.campaign.sequences import (
+from handctl.campaign.fault_sequences import (
     SEQUENCE_TICKS,
     FaultSequence,
     FaultStep,
@@ -32,9 +25,16 @@ from handctl.campaign.sequences import (
     violations_in_tick,
     violations_on_replay,
 )
+from handctl.campaign.run_stages import (
+    RUN_STAGES,
+    advance_to_stage,
+    hand_with_protocol,
+    homed_run,
+    run_in_branches,
+)
 from handctl.core.tick_types import HandMode
 from handctl.safety.tick_verdict import LatchedFault
-from handctl.session.plan import default_rate
+from handctl.session.run_plan import default_rate
 
 NO_CALLBACKS = {
     "on_progress": lambda done: None,
@@ -90,8 +90,8 @@ def test_a_sequence_that_breaks_a_rule_names_it(arming_copy, monkeypatch):
     """
     results = []
     sequence = FaultSequence(0, ARMING_STAGE, (FaultStep(20, "runaway node=index_motor"),))
-    for explains in (sequences.RUNAWAY_FAULT, "nobody"):
-        monkeypatch.setattr(sequences, "RUNAWAY_FAULT", explains)
+    for explains in (fault_sequences.RUNAWAY_FAULT, "nobody"):
+        monkeypatch.setattr(fault_sequences, "RUNAWAY_FAULT", explains)
         run_in_branches(
             arming_copy,
             [sequence],
@@ -111,16 +111,16 @@ def test_violated_rule_of_a_tick_is_found(arming_copy):
     before.decide(latched=(LatchedFault("T03", "index_tendon"),))
     after = before.copy()
     after.view("setpoint")[...] += 1.0
-    assert violations_in_tick(before, after, cleared=False) == [
+    assert violations_in_tick(before, after, is_cleared=False) == [
         "a setpoint rises while the hand relaxes"
     ]
     gone = before.copy()
     gone.decide(latched=())
-    assert violations_in_tick(before, gone, cleared=False) == ["no longer latched: T03"]
-    assert violations_in_tick(before, gone, cleared=True) == []
+    assert violations_in_tick(before, gone, is_cleared=False) == ["no longer latched: T03"]
+    assert violations_in_tick(before, gone, is_cleared=True) == []
     back = before.copy()
     back.mode = HandMode.ACTIVE
-    assert violations_in_tick(before, back, cleared=False) == [
+    assert violations_in_tick(before, back, is_cleared=False) == [
         "the mode goes back: RELAX to ACTIVE"
     ]
 

@@ -17,8 +17,8 @@ from firmware_sim.scene.scene import load_scene
 from firmware_sim.simulated_world import SimulatedWorld
 from handctl.drives.frame import Frame
 from handctl.drives.frame_time import frame_time_s
+from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.buses.open import open_bus
 from tests.firmware_sim.manual_clock import ManualClock
 
 NS_PER_MS = 1_000_000

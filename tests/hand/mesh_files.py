@@ -10,8 +10,8 @@ from handctl.hand.description import Hand
 from handctl.hand.formats.link_meshes import PALM_LINK, meshes_of_hand
 from handctl.hand.formats.mesh_file import mesh_triangles
 from handctl.hand.hand_loading import hand_from_content, load_hand
-from handctl.hand.hand_tree import HandTree
 from handctl.hand.kinematics import joint_positions, link_rotations
+from handctl.hand.link_tree import HandLinkTree
 from tools.meshes.solids import stl
 
 TETRAHEDRON_CORNERS = np.array(
@@ -113,7 +113,7 @@ def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarra
 def corners_of_hand(hand, mesh_folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
     """Return the corners of the mesh of each link in the palm frame [m], as the kinematics of handctl places them."""
     poses = {PALM_LINK: (np.zeros(3), np.eye(3))}
-    tree = HandTree.from_hand(hand)
+    tree = HandLinkTree.from_hand(hand)
     all_poses = tree.poses(q)
     for digit in tree.digits:
         own = all_poses[digit.joints]

@@ -40,7 +40,7 @@ def test_moment_arms_are_the_derivative_of_the_excursion(
                 (excursions(digit, q + one) - excursions(digit, q - one)) / (2 * step)
                 for one in step * np.eye(digit.joint_count)
             ]
-            np.testing.assert_allclose(np.transpose(slope), digit.arms_at(q), atol=1e-9)
+            np.testing.assert_allclose(np.transpose(slope), digit.moment_arms_at(q), atol=1e-9)
             assert digit.at_angles(q).has_varying_arm
             theta = digit.joints_to_coordinates @ q
             found = digit.coordinates_of(excursions(digit, digit.coupling @ theta))
@@ -91,7 +91,7 @@ def test_the_simulator_has_the_same_arms_from_its_own_polynomials(
                     joint = routing.joints[i]
                     arms[n, joint - digit.joints.start] = _arm_at(routing.arms, i, float(q[joint]))
                     lengths[n] += _taken_up(routing.arms, i, float(q[joint]))
-            np.testing.assert_allclose(arms, digit.arms_at(angles), atol=1e-12)
+            np.testing.assert_allclose(arms, digit.moment_arms_at(angles), atol=1e-12)
             np.testing.assert_allclose(lengths, excursions(digit, angles), atol=1e-12)
 
 

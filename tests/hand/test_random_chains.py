@@ -21,10 +21,10 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.hand_loading import load_hand
-from handctl.hand.hand_tree import HandTree
 from handctl.hand.kinematics import forward_kinematics, joint_points, point_jacobian, tip_jacobian
 from handctl.hand.link_frames import link_transforms
-from handctl.log.topics.transforms import (
+from handctl.hand.link_tree import HandLinkTree
+from handctl.log.topics.transform_topics import (
     LinkFrame,
     link_frames,
     link_positions,
@@ -250,7 +250,7 @@ def test_jacobians_and_levers_are_derivatives(random_hand_and_digits, rng):
         pytest.param(EXAMPLE_HAND, id="shadow_like"),
     ]
 )
-def random_hand_tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
+def random_hand_tree(request: pytest.FixtureRequest) -> tuple[Hand, HandLinkTree]:
     """Return a hand in which digits carry other digits.
 
     A test that uses this fixture runs with each random hand, with the packaged hand of this kind,
@@ -261,7 +261,7 @@ def random_hand_tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
         if isinstance(request.param, str)
         else random_hand_tree_of(request.param)
     )
-    return hand, HandTree.from_hand(hand)
+    return hand, HandLinkTree.from_hand(hand)
 
 
 def test_random_trees_have_digits_on_digits_on_digits():

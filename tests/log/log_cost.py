@@ -13,8 +13,8 @@ import synthetic_run
 
 from handctl.log.read.reader import RunLog
 from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.write.log_writer import LogWriter
 from handctl.log.write.recorder import Recorder
-from handctl.log.write.writer import LogWriter
 
 
 def _us_per_item(item_count: int, measured_work: Callable[[], object]) -> float:

@@ -31,7 +31,7 @@ from handctl.log.header import RunHeader
 from handctl.log.tick_record import pack_tick_record
 from handctl.log.topics.state_topics import moment_arms
 from handctl.log.write.recorder import Recorder
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 PHASE_ENDS = (
     ("start", 0.02),

@@ -17,8 +17,7 @@ import pytest
 from handctl.core import tick_types
 from handctl.core.tick_types import TELEMETRY_FIELDS
 from handctl.drives.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
-from handctl.log.export.parquet import export_parquet
-from handctl.log.export.tables import (
+from handctl.log.export.csv_and_candump import (
     INTEGER_COLUMNS,
     TEXT_COLUMNS,
     _candump_line,
@@ -28,8 +27,9 @@ from handctl.log.export.tables import (
     export_candump,
     export_csv,
 )
+from handctl.log.export.parquet import export_parquet
 from handctl.log.read.reader import RunLog
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
 

@@ -17,9 +17,9 @@ from handctl.cli.main import main
 from handctl.core.tick_types import TELEMETRY_FIELDS, HandMode
 from handctl.errors import ConfigError, LogError
 from handctl.log.export.camera_video import histogram_statistics
+from handctl.log.export.csv_and_candump import column_names, column_title, export_csv
 from handctl.log.export.lerobot import export_lerobot
 from handctl.log.export.parquet import export_parquet
-from handctl.log.export.tables import column_names, column_title, export_csv
 from handctl.log.read.reader import RunLog
 from handctl.view.rerun_conversion import write_rrd
 from handctl.view.scene.run_info import RunInfo

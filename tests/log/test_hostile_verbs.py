@@ -14,7 +14,7 @@ from hostile_logs import hostile_files
 
 from handctl.cli.main import main
 from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
-from handctl.log.write.writer import LogWriter
+from handctl.log.write.log_writer import LogWriter
 
 EXIT_CODES = {
     "log recover": (1, 2, 3),

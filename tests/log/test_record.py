@@ -33,7 +33,7 @@ from handctl.log.tick_record import (
     unpack_tick_record,
     unpack_ticks,
 )
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 INT64_STRATEGY = st.integers(-(2**63), 2**63 - 1)
 TEXT_STRATEGY = st.text(st.characters(codec="utf-8"), max_size=30)

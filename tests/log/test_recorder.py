@@ -21,11 +21,11 @@ from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write import recorder_start
+from handctl.log.write.disk_syncer import DiskSyncer
+from handctl.log.write.log_writer import LogWriter
 from handctl.log.write.recorder import PIPE_BYTES, Recorder
 from handctl.log.write.recorder_process import RECORDER_NICE_VALUE
 from handctl.log.write.recorder_start import recorder_process_ahead
-from handctl.log.write.syncer import DiskSyncer
-from handctl.log.write.writer import LogWriter
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 FEEDER_KILLS, PARALLEL_KILLS = 100 if NIGHTLY else 8, 4

@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from handctl.log.write.syncer import DiskSyncer
+from handctl.log.write.disk_syncer import DiskSyncer
 
 
 def test_a_separate_process_syncs_and_ends_with_its_parent(tmp_path: Path) -> None:

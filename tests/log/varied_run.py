@@ -20,7 +20,7 @@ from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import BRS, ERROR_FLAG, ESI, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.log.header import RunHeader
 from handctl.programs.requests import target_request_text
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 BUS_NAMES = ("main", "a_second_bus")
 OPEN_STREAM = (

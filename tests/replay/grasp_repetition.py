@@ -7,7 +7,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.replay.motion_replay import active_interval
 from handctl.replay.run_comparison import resampled_field
-from handctl.report.summary import mean_angles
+from handctl.report.run_summary import mean_angles
 
 SETTLED_S = 0.4
 """Time from the start of a hold until the grasp is at rest [s]."""

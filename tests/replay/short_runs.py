@@ -28,9 +28,9 @@ from handctl.runtime.clocks.lockstep import (
     load_simulator,
 )
 from handctl.runtime.loop import ControlLoop
-from handctl.session.header import run_header
-from handctl.session.plan import RunPlan
 from handctl.session.run import snapshot_recorder
+from handctl.session.run_header import run_header
+from handctl.session.run_plan import RunPlan
 
 SHORT_GRASP_TASK = """schema = 1
 name = "short grasp"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from handctl.report.lift_judgement import MAX_SLIP_MM, judge_lift, lift_failure
-from handctl.report.summary import summarise_run
+from handctl.report.run_summary import summarise_run
 from handctl.report.truth_record import TruthRecord
 from tests.report.generated_run import JAMIA_HAND, GeneratedRunLog, set_truth_column, zero_truth
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
-from handctl.output import save_figure
+from handctl.output_files import save_figure
 from handctl.report.run_figure import MARK_WIDTH_FRACTION, _mark_positions, draw_run
 from handctl.report.truth_record import TruthRecord
 from tests.report.generated_run import GeneratedRunLog, set_truth_column, zero_truth

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handctl.core.tick_types import HandMode
-from handctl.report.summary import (
+from handctl.report.run_summary import (
     hold_windows,
     mean_angles,
     measured_bus_load,

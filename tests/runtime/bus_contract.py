@@ -14,8 +14,8 @@ import can
 import pytest
 
 from handctl.drives.frame import BRS, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
+from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.buses.open import open_bus
 
 RECEIVE_TIMEOUT_S = 20.0
 FD_PAYLOAD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)

@@ -28,10 +28,10 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.task_program import TaskProgram
 from handctl.report.truth_record import TruthRecord, read_truth
-from handctl.runtime.paths import faults_path, local_bus_path, run_dir
+from handctl.runtime.socket_paths import faults_path, local_bus_path, run_dir
 from handctl.session.calibration import load_calibration
-from handctl.session.plan import RunPlan, bus_specs
 from handctl.session.run import make_controller, run_live
+from handctl.session.run_plan import RunPlan, bus_specs
 from handctl.session.tasks import load_task
 from tests.runtime.processes import (
     LOCAL_BUS,

@@ -25,10 +25,10 @@ from firmware_sim.hand_description import SimulatorError
 from handctl.cli.main import main
 from handctl.errors import BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import describe_request, parse_request
-from handctl.runtime.buses.local import connect_to_hub
+from handctl.runtime.buses.local_bus import connect_to_hub
 from handctl.runtime.confirmed_requests import request_action, send_with_confirmation
 from handctl.runtime.mailbox import Mailbox, StatusWatcher
-from handctl.runtime.paths import mailbox_path, run_dir
+from handctl.runtime.socket_paths import mailbox_path, run_dir
 from tests.runtime.processes import (
     LOCAL_BUS,
     end_process,

@@ -23,8 +23,8 @@ from handctl.drives.frame_records import (
     frames_as_records,
     join_frames,
 )
+from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.buses.open import open_bus
 from handctl.runtime.buses.socketcan import MAX_FRAMES_PER_CALL, SocketCanBus
 from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record
 from tests.runtime.datagram_bus import datagram_bus

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from handctl.errors import BusError, ConfigError
-from handctl.runtime.buses.open import open_bus
+from handctl.runtime.buses.bus_opening import open_bus
 from tests.runtime.bus_contract import *  # noqa: F403 - the tests
 from tests.runtime.bus_contract import BusUnderTest
 from tests.runtime.bus_hub import RUN_DIR_VARIABLE, hub_process

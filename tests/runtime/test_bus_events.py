@@ -8,7 +8,7 @@ import errno
 import pytest
 
 from handctl.drives.frame import ERROR_FLAG
-from handctl.runtime.buses.events import BusEvents
+from handctl.runtime.buses.bus_events import BusEvents
 
 
 def event_kinds(events: BusEvents) -> set[str]:

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.drives.frame import ERROR_FLAG, FDF, Frame
+from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.buses.open import open_bus
 from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record
 
 RECORD_BYTES = 72

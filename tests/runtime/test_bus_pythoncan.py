@@ -14,8 +14,8 @@ import can
 import pytest
 
 from handctl.drives.frame import Frame
+from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.buses.open import open_bus
 from handctl.runtime.buses.pythoncan import PythonCanBus
 from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record, hub_process
 

@@ -12,8 +12,8 @@ from handctl.drives.frame import ERROR_FLAG, Frame
 from handctl.drives.frame_records import Frames, RecordArray, frames_as_records
 from handctl.errors import ConfigError
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, load_simulator
-from handctl.runtime.clocks.priority import GrantedPriority
-from handctl.runtime.clocks.real import RealClock
+from handctl.runtime.clocks.real_clock import RealClock
+from handctl.runtime.clocks.realtime_priority import GrantedPriority
 
 PERIOD_NS = 2_000_000
 

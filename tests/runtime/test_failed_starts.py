@@ -19,7 +19,7 @@ from handctl.programs.task import load_task
 from handctl.programs.task_program import TaskProgram
 from handctl.runtime.loop import StopSignals
 from handctl.session import run
-from handctl.session.plan import RunPlan, default_rate
+from handctl.session.run_plan import RunPlan, default_rate
 from handctl.session.simulate import SimulatorSettings
 from tests.drives.protocol_bench import hand_file, move_to_second_bus
 from tests.runtime.processes import MOVE_PHASE, TASK_HEAD

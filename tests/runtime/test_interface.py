@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from handctl.runtime.buses.interface import rate_difference, wrong_rate_text
-from handctl.runtime.buses.link import parse_link
+from handctl.runtime.buses.interface_setup import rate_difference, wrong_rate_text
+from handctl.runtime.buses.link_state import parse_link
 
 
 def ip_output(nominal_bit_rate: int | None, data_bit_rate: int | None) -> str:

@@ -27,7 +27,7 @@ from handctl.runtime.mailbox import (
     bus_lock,
     is_running,
 )
-from handctl.runtime.paths import local_bus_path, mailbox_path, run_dir, truth_path
+from handctl.runtime.socket_paths import local_bus_path, mailbox_path, run_dir, truth_path
 from tests.drives.protocol_bench import hand_file, move_to_second_bus
 
 

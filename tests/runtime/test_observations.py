@@ -36,8 +36,8 @@ from handctl.runtime.observations import (
     ObservationWriter,
     observation_dtype,
 )
-from handctl.runtime.paths import observations_path, targets_path
-from handctl.runtime.targets import (
+from handctl.runtime.socket_paths import observations_path, targets_path
+from handctl.runtime.target_socket import (
     HEADER_STRUCT,
     MAX_DATAGRAMS_PER_TICK,
     MAX_TARGETS_PER_TICK,
@@ -45,7 +45,7 @@ from handctl.runtime.targets import (
     TargetBox,
     TargetSender,
 )
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 AXIS_LENGTHS = {"joint": 3, "tendon": 2, "motor": 2, "digit": 1}
 

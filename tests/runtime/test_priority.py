@@ -7,8 +7,8 @@ from contextlib import suppress
 import pytest
 
 from handctl.cli.main import main
-from handctl.runtime.clocks import priority
-from handctl.runtime.clocks.priority import request_priority, restore_priority
+from handctl.runtime.clocks import realtime_priority
+from handctl.runtime.clocks.realtime_priority import request_priority, restore_priority
 
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="real-time scheduling is Linux's"
@@ -46,9 +46,13 @@ def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyP
     Locking the memory blocked all other processes on the core for a tenth of a second.
     """
     calls: list[str] = []
-    monkeypatch.setattr(priority, "_lock_memory", lambda: calls.append("memory") is None)
-    monkeypatch.setattr(priority, "_enter_fifo", lambda level: calls.append("priority") is None)
-    assert request_priority() == priority.GrantedPriority(realtime=True, memory_locked=True)
+    monkeypatch.setattr(realtime_priority, "_lock_memory", lambda: calls.append("memory") is None)
+    monkeypatch.setattr(
+        realtime_priority, "_enter_fifo", lambda level: calls.append("priority") is None
+    )
+    assert request_priority() == realtime_priority.GrantedPriority(
+        realtime=True, memory_locked=True
+    )
     assert calls == ["memory", "priority"]
 
 
@@ -57,10 +61,10 @@ def test_only_ticks_have_realtime_priority() -> None:
 
     The control loop thus blocked all other processes on its processor core.
     """
-    granted = priority.prepare_priority()
+    granted = realtime_priority.prepare_priority()
     seen = []
     assert scheduling_policy() == os.SCHED_OTHER
-    with priority.realtime_priority() as granted_now:
+    with realtime_priority.realtime_priority() as granted_now:
         seen.append(scheduling_policy())
     restore_priority()
     assert granted_now == granted.realtime
@@ -75,19 +79,19 @@ def test_processors_stay_awake_only_during_the_ticks(tmp_path, monkeypatch) -> N
     """
     latency = tmp_path / "cpu_dma_latency"
     latency.touch()
-    monkeypatch.setattr(priority, "LATENCY_FILE", str(latency))
+    monkeypatch.setattr(realtime_priority, "LATENCY_FILE", str(latency))
     assert str(latency) not in open_files()
-    with priority.realtime_priority():
+    with realtime_priority.realtime_priority():
         assert str(latency) in open_files()
         assert latency.read_bytes() == bytes(4)
     assert str(latency) not in open_files()
-    assert priority.prepare_priority().processors_awake
+    assert realtime_priority.prepare_priority().processors_awake
     restore_priority()
 
 
 def test_a_system_that_lets_processors_sleep_is_no_error(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(priority, "LATENCY_FILE", str(tmp_path / "absent"))
-    with priority.awake_processors() as awake:
+    monkeypatch.setattr(realtime_priority, "LATENCY_FILE", str(tmp_path / "absent"))
+    with realtime_priority.awake_processors() as awake:
         assert not awake
-    assert not priority.prepare_priority().processors_awake
+    assert not realtime_priority.prepare_priority().processors_awake
     restore_priority()

@@ -13,8 +13,8 @@ import pytest
 
 from firmware_sim import shared_clock as simulated
 from firmware_sim.bus.bus_ports import is_on_this_machine
-from handctl.runtime.clocks import shared
-from handctl.runtime.clocks.shared import ClockFile, SharedClock
+from handctl.runtime.clocks import shared_clock
+from handctl.runtime.clocks.shared_clock import ClockFile, SharedClock
 from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import LOCAL_BUS, process_result, start_handctl, wait_for_phase
 
@@ -69,8 +69,10 @@ def test_both_sides_agree_on_the_file(tmp_path) -> None:
         "CLOCK_FILE_VERSION", "GATE_INDEX", "PAUSED_INDEX", "SENT_INDEX", "ANSWERED_INDEX", "REACHED_INDEX",
         "INTEGER_COUNT", "OPEN_GATE_NS",
     )  # fmt: skip
-    assert [getattr(shared, name) for name in names] == [getattr(simulated, name) for name in names]
-    assert shared.MAX_CONTROLLER_PAUSE_NS < simulated.MAX_GATE_WAIT_NS, (
+    assert [getattr(shared_clock, name) for name in names] == [
+        getattr(simulated, name) for name in names
+    ]
+    assert shared_clock.MAX_CONTROLLER_PAUSE_NS < simulated.MAX_GATE_WAIT_NS, (
         "a pause must end before the limit of the simulator"
     )
 
@@ -143,7 +145,7 @@ def test_a_simulator_that_stopped_is_not_waited_for_again(clock_pair) -> None:
     clock_pair.between = lambda: None
     begin = clock_pair.now
     clock.wait(1)
-    assert clock_pair.now - begin == pytest.approx(shared.MAX_SIMULATOR_WAIT_NS, rel=0.02)
+    assert clock_pair.now - begin == pytest.approx(shared_clock.MAX_SIMULATOR_WAIT_NS, rel=0.02)
     begin = clock_pair.now
     for k in range(2, 50):
         clock.wait(k)
@@ -153,7 +155,7 @@ def test_a_simulator_that_stopped_is_not_waited_for_again(clock_pair) -> None:
     clock_pair.between = lambda: None
     begin = clock_pair.now
     clock.wait(51)
-    assert clock_pair.now - begin > shared.MAX_SIMULATOR_WAIT_NS, (
+    assert clock_pair.now - begin > shared_clock.MAX_SIMULATOR_WAIT_NS, (
         "after an answer the controller waits for the simulator again"
     )
 

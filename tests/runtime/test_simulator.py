@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from handctl.cli.main import main
-from handctl.runtime.paths import run_dir
+from handctl.runtime.socket_paths import run_dir
 
 
 @pytest.fixture

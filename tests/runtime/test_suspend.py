@@ -1,6 +1,6 @@
 """A run detects that the machine was suspended. The tests use simulated clocks."""
 
-from handctl.runtime.clocks.suspend import SuspendWatch
+from handctl.runtime.clocks.suspend_watch import SuspendWatch
 
 
 def test_a_suspend_is_reported_once_with_its_length():

@@ -7,7 +7,7 @@ time scale.
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.session.plan import RunChoice, make_plan
+from handctl.session.run_plan import RunChoice, make_plan
 from tests.runtime.processes import LOCAL_BUS, run_handctl, start_hand, time_scale_options
 
 

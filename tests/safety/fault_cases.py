@@ -21,7 +21,7 @@ from handctl.core.detectors.residuals import (
 )
 from handctl.core.tick_types import HandMode
 from handctl.drives.contract import DriveFaultCause, DrivePhase
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from handctl.safety.tick_verdict import EventReport, filter_error_frames, second_controller_reports
 from tests.safety.synthetic_monitor import (
     NOW_NS,

@@ -5,7 +5,6 @@ import pytest
 from handctl.core.detectors.node_faults import ROW_OF_CAUSE
 from handctl.drives.contract import DriveFaultCause
 from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
-from handctl.safety.action import SafetyAction
 from handctl.safety.faults.fault import CatalogueRow, Fault
 from handctl.safety.faults.markdown import (
     catalogue_markdown,
@@ -15,6 +14,7 @@ from handctl.safety.faults.markdown import (
     late_rows,
 )
 from handctl.safety.faults.table import DETECTOR_ROWS
+from handctl.safety.safety_action import SafetyAction
 from tests.safety.fault_cases import (
     drive_error,
     measured_tensions,

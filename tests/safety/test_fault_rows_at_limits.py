@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from handctl.safety.tick_verdict import LatchedFault, locate_reports, second_controller_reports
 from tests.safety.fault_cases import (
     EIGHT_TENDON_LIMITS,

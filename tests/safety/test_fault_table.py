@@ -11,7 +11,6 @@ import pytest
 from handctl.core.detectors import fault_detection as compiled_judge
 from handctl.core.detectors.residuals import COMMAND_DIFFERENCE
 from handctl.safety import tick_verdict as judgement
-from handctl.safety.action import RelaxMethod, SafetyAction
 from handctl.safety.faults.fault import (
     ENDED_BY_ITSELF,
     ENDED_BY_OPERATOR,
@@ -26,6 +25,7 @@ from handctl.safety.faults.table import (
     FAULT_TABLE,
     FAULTS_BY_EVENT_KIND,
 )
+from handctl.safety.safety_action import RelaxMethod, SafetyAction
 from handctl.safety.safety_limits import SafetyLimits, ticks_for
 from handctl.safety.tick_verdict import TickVerdict
 from tests.safety.fault_cases import (

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from tests.safety.fault_cases import measured_tensions, merge_inputs, state_rows, without_torque
 from tests.safety.synthetic_monitor import SyntheticMonitor, synthetic_limits
 

@@ -14,7 +14,7 @@ from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, ho
 from handctl.core.detectors import replayed_readings
 from handctl.core.tick_types import HandMode
 from handctl.safety.faults.node import SWING_S
-from handctl.session.plan import default_rate
+from handctl.session.run_plan import default_rate
 from tests.safety.synthetic_monitor import SyntheticMonitor, synthetic_limits
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"

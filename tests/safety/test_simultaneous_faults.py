@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.core.tick_types import HandMode
-from handctl.safety.action import SafetyAction
 from handctl.safety.faults.table import FAULT_TABLE
+from handctl.safety.safety_action import SafetyAction
 from handctl.safety.tick_verdict import LatchedFault
 from tests.safety.fault_cases import (
     CASE_BY_FAULT,

@@ -181,8 +181,8 @@ def test_only_a_sweep_that_the_fit_explains_clears_a_digit() -> None:
 
 
 def test_a_digit_that_closes_farther_than_two_of_its_joints_moves_all_three() -> None:
-    assert are_joints_moving(3, 0.67, 0.04, travel=11.0, full=15.0)
-    assert not are_joints_moving(3, 0.67, 0.04, travel=9.5, full=15.0)
-    assert are_joints_moving(3, 0.97, 0.04, travel=9.5, full=15.0)
-    assert not are_joints_moving(2, 0.5, 0.04, travel=4.0, full=10.0)
-    assert are_joints_moving(1, 0.6, 0.04, travel=1.0, full=5.0)
+    assert are_joints_moving(3, 0.67, 0.04, travel=11.0, full_travel=15.0)
+    assert not are_joints_moving(3, 0.67, 0.04, travel=9.5, full_travel=15.0)
+    assert are_joints_moving(3, 0.97, 0.04, travel=9.5, full_travel=15.0)
+    assert not are_joints_moving(2, 0.5, 0.04, travel=4.0, full_travel=10.0)
+    assert are_joints_moving(1, 0.6, 0.04, travel=1.0, full_travel=5.0)

@@ -14,8 +14,8 @@ from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.core.identified_parameters import IdentifiedParameters
 from handctl.hand.hand_loading import load_hand, packaged_hands
-from handctl.session.plan import control_rate
-from handctl.tune.loops.design import (
+from handctl.session.run_plan import control_rate
+from handctl.tune.loops.gain_design import (
     design_gains,
     design_with_poles,
     distinct_tendons,
@@ -25,7 +25,7 @@ from handctl.tune.loops.design import (
     model_with_gains,
     worst_margins,
 )
-from handctl.tune.loops.linear import LoopKind, PlantFactors
+from handctl.tune.loops.linear_models import LoopKind, PlantFactors
 from handctl.tune.search.ensemble import MIN_FACTOR_SPREAD, draw_ensemble, ensemble_widths
 from tests.conftest import NIGHTLY
 

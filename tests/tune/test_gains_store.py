@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from handctl.core.gains.gain_bounds import with_values
+from handctl.core.gains.gain_bounds import gains_with_values
 from handctl.core.gains.gains import Gains, GainsProvenance, gains_text, load_gains, load_gains_file
 from handctl.errors import ConfigError
 from handctl.tune.gains_store import EDITED_BY_HAND_NOTE, GainsStore
 
 
 def gains_with_force(force_N: float) -> Gains:
-    return with_values(Gains(), {"motion.force_N": force_N}, "test")
+    return gains_with_values(Gains(), {"motion.force_N": force_N}, "test")
 
 
 @pytest.fixture

@@ -22,8 +22,6 @@ from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.log.read.reader import RunLog
 from handctl.session.calibration import load_calibration, write_calibration
 from handctl.tune.identify.excitation import excitation_steps, lift_off_tension
-from handctl.tune.identify.figure import _draw_parameters
-from handctl.tune.identify.fit import PARAMETER_NAMES
 from handctl.tune.identify.fit_load import DigitLoad, LoadParameters, SignalBins
 from handctl.tune.identify.fit_motor import (
     HALF_WINDOW_S,
@@ -32,7 +30,9 @@ from handctl.tune.identify.fit_motor import (
     _window_slope,
     _window_value,
 )
+from handctl.tune.identify.fit_tendon import PARAMETER_NAMES
 from handctl.tune.identify.identifiability import _lacks_encoders, _reason_not_identified
+from handctl.tune.identify.identification_figure import _draw_parameters
 from handctl.tune.identify.identify import identify_tendons, result_table
 
 SPRUNG_PARAMETERS = PARAMETER_TOLERANCES.keys() - {"moment_arm", "pretension"}
@@ -279,7 +279,7 @@ def test_each_parameter_has_one_row_with_its_value_or_the_reason(parameter_name:
             assert (row.split()[1] == "-") == bool(row[reason:].strip()), row
             assert row[unit:].split()[0] != "1" or row.split()[1] == "-", row
     assert not any("combinations" in line or "stop_softness" in line for line in lines)
-    assert any("combinations" in line for line in result_table(results, verbose=True))
+    assert any("combinations" in line for line in result_table(results, is_verbose=True))
 
 
 @pytest.mark.parametrize("with_joint_encoders", [False, True])

@@ -17,7 +17,7 @@ from handctl.errors import DriveError
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import load_hand
 from handctl.runtime.hold_limit import HoldLimit
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.excitation_antagonists import (
     PAIR_HIGH_FRACTION,

@@ -10,8 +10,8 @@ import pytest
 from control import frd, stability_margins
 
 from handctl.core.hand_model import HandModel
-from handctl.tune.loops import linear
-from handctl.tune.loops.linear import (
+from handctl.tune.loops import linear_models
+from handctl.tune.loops.linear_models import (
     LoopKind,
     PlantFactors,
     controller_system,
@@ -31,7 +31,7 @@ def test_the_linear_controller_predicts_the_running_one(
     """Compare one tick of the controller, near the operating point, with the prediction of the linear model."""
     model: HandModel = request.getfixturevalue(hand_name)
     K = controller_system(model, 0, loop_kind)
-    tick, state, reading, steps = linear._operating_point(model, 0, loop_kind)
+    tick, state, reading, steps = linear_models._operating_point(model, 0, loop_kind)
     centre, random = tick(state, reading), np.random.default_rng(0)
     for _ in range(10):
         moved = steps * random.normal(size=len(state))

@@ -12,7 +12,7 @@ import pytest
 from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
-from handctl.tune.loops.design import (
+from handctl.tune.loops.gain_design import (
     GainDesign,
     design_gains,
     distinct_tendons,
@@ -20,7 +20,7 @@ from handctl.tune.loops.design import (
     linear_factors,
     with_largest_authority,
 )
-from handctl.tune.loops.linear import (
+from handctl.tune.loops.linear_models import (
     LinearSystem,
     LoopKind,
     _half_closed,
@@ -197,7 +197,7 @@ def test_margins_are_those_of_brute_force(hand_name: str, seed: int) -> None:
         assert 0.85 * gain - 0.2 <= found.gain_db <= 1.01 * gain + 0.02
         assert 0.85 * phase - 1.0 <= found.phase_deg <= 1.01 * phase + 0.1
         ticks = int(found.delay_s / system.period)
-        assert all(is_stable(system, delay=k) for k in range(ticks))
+        assert all(is_stable(system, delay_ticks=k) for k in range(ticks))
 
 
 def check_design_is_stable(model: HandModel, gain_design: GainDesign, seed: int) -> HandModel:

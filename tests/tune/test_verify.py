@@ -18,11 +18,11 @@ from handctl.core.tick_types import HandMode, PackedTelemetry, TelemetryPlaces, 
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.programs.exercise import ExerciseProgram
+from handctl.programs.gains_exercise import ExerciseProgram
 from handctl.replay.execute import execute_log
-from handctl.safety.action import SafetyAction
-from handctl.session.plan import RunPlan, default_rate
+from handctl.safety.safety_action import SafetyAction
 from handctl.session.run import make_controller, run_lockstep
+from handctl.session.run_plan import RunPlan, default_rate
 from handctl.session.simulate import SimulatorSettings
 from handctl.tune.gains_verification import (
     VerifyLimits,

@@ -19,7 +19,7 @@ from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.view import rerun_conversion
 from handctl.view.scene import palette
-from handctl.view.scene.frame_load import LOAD_WINDOW_NS
+from handctl.view.scene.bus_load_calculator import LOAD_WINDOW_NS
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.scene.topic_converters import ARROW_LENGTH_M_PER_N, near_limits
 

@@ -4,7 +4,7 @@ import re
 
 from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS, Telemetry
 from handctl.hand.hand_loading import load_hand
-from handctl.log.export.tables import column_unit
+from handctl.log.export.csv_and_candump import column_unit
 from handctl.log.header import RunHeader
 from handctl.log.message_types import MESSAGE_DEFINITIONS
 from handctl.log.topics.state_topics import ESTIMATE_TOPICS, JOINT_STATE_TOPICS

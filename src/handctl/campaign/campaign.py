@@ -10,7 +10,7 @@ from handctl.campaign.run_stages import hand_with_protocol, homed_run, run_exper
 from handctl.campaign.scenario_run import ScenarioResult, run_scenario
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.description import Hand
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from handctl.session.simulate import SimulatedRun
 
 QUICK_SCENARIO_STEP = 7
@@ -84,7 +84,7 @@ def campaign_scenarios(
     hand: Hand,
     protocol: str,
     rate_hz: float,
-    quick: bool,
+    is_quick: bool,
     row_ids: Sequence[str] = (),
     seed: int = 0,
 ) -> list[FaultScenario]:
@@ -98,7 +98,7 @@ def campaign_scenarios(
     if row_ids:
         return [scenario for scenario in selected if scenario.row.id in row_ids]
     selected += fault_pairs(hand, protocol, period_ms)
-    return selected[seed % QUICK_SCENARIO_STEP :: QUICK_SCENARIO_STEP] if quick else selected
+    return selected[seed % QUICK_SCENARIO_STEP :: QUICK_SCENARIO_STEP] if is_quick else selected
 
 
 def run_campaign(
@@ -107,7 +107,7 @@ def run_campaign(
     rate_of: Callable[[Hand], float],
     *,
     jobs: int,
-    quick: bool,
+    is_quick: bool,
     fault_free_s: float,
     on_progress: ProgressCallback,
     on_failure: Callable[[SimulatedRun, ScenarioResult], None],
@@ -122,7 +122,7 @@ def run_campaign(
         protocols: drive protocols to test, one after the other.
         rate_of: function that returns the control rate of a hand [Hz].
         jobs: number of processes that run at the same time.
-        quick: True to run only a sample of the scenarios.
+        is_quick: True to run only a sample of the scenarios.
         fault_free_s: simulated time of the runs without faults, for each protocol [s].
         on_progress: function called after each scenario.
         on_failure: function called with the simulation of a failed scenario, and with the result.
@@ -138,7 +138,7 @@ def run_campaign(
         scenarios_to_run = (
             []
             if fault_free_only
-            else campaign_scenarios(hand, protocol, rate, quick, row_ids, seed)
+            else campaign_scenarios(hand, protocol, rate, is_quick, row_ids, seed)
         )
         results = report.results[protocol] = []
 
@@ -165,14 +165,14 @@ def run_campaign(
     return report
 
 
-def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) -> list[str]:
+def run_fault_free(hand: Hand, rate_hz: float, duration_s: float, seed: int = 1) -> list[str]:
     """Run a hand without faults, but with more noise and with lost frames, and return the false alarms.
 
     During the run, the hand moves and grasps repeatedly. A run that does not reach a grasp counts
     as a false alarm, because such a run tests too little.
     """
     alarms: list[str] = []
-    remaining_s = seconds
+    remaining_s = duration_s
     while remaining_s > 0.0:
         with homed_run(hand, rate_hz, seed, {"noise": NOISE_FACTOR}) as simulation:
             for bus in hand.bus_names:

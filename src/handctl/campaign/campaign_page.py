@@ -8,7 +8,7 @@ from pathlib import Path
 from handctl.campaign.campaign import CampaignReport
 from handctl.campaign.fault_matrix import UNTESTED_ROWS
 from handctl.campaign.scenario_run import ScenarioResult
-from handctl.output import write_text_atomically
+from handctl.output_files import write_text_atomically
 from handctl.safety.faults.table import FAULT_CATALOGUE
 
 PAGE_STYLE = """
@@ -93,17 +93,17 @@ def bound_fraction(result: ScenarioResult) -> float:
     return result.ticks / max(result.bound, 1) if result.ticks >= 0 else 9.9
 
 
-def _html_table(results: Iterable[ScenarioResult], rate: float, number: Counter[str]) -> str:
+def _html_table(results: Iterable[ScenarioResult], rate_hz: float, number: Counter[str]) -> str:
     head = "".join(f"<th>{name}" for name in TABLE_TITLES)
-    rows = "".join(_html_row(result, rate, number[result.id]) for result in results)
+    rows = "".join(_html_row(result, rate_hz, number[result.id]) for result in results)
     return f"<table><tr>{head}</tr>{rows}</table>"
 
 
-def _html_row(result: ScenarioResult, rate: float, number: int) -> str:
+def _html_row(result: ScenarioResult, rate_hz: float, number: int) -> str:
     bad = "" if result.ok else " bad"
     width = BAR_WIDTH_EM * min(bound_fraction(result), 1.0)
     scenario = result.scenario.removeprefix(result.id).strip()
-    took = f"{result.ticks * 1e3 / rate:g} ms" if result.ticks >= 0 else "never"
+    took = f"{result.ticks * 1e3 / rate_hz:g} ms" if result.ticks >= 0 else "never"
     cells = [
         f"<td>{result.id}</td><td>{html.escape(FAULT_TITLES[result.id])}</td><td class=n>{number}</td>",
         f"<td>{html.escape(scenario)}</td><td>{html.escape(result.detected_by or 'requested')}</td>",

@@ -12,8 +12,8 @@ from typing import NamedTuple
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.drives.sensors.sensor_node import TENSION_RAIL_N
 from handctl.hand.description import Hand
-from handctl.safety.action import SafetyAction
 from handctl.safety.faults.tendon import CELL_FORCE_ERROR_N, CELL_FORCE_N
+from handctl.safety.safety_action import SafetyAction
 from handctl.safety.safety_limits import MIN_STALLED_TICKS, STALLED_S, ticks_for
 
 ARMING_STAGE = "arming"

@@ -25,7 +25,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.processes import run_in_forked_copy
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.plan import default_rate
+from handctl.session.run_plan import default_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
 
 FIRST_NODE_NUMBER = 0x10
@@ -69,10 +69,12 @@ def hand_with_protocol(name: str, protocol: str, motor_type: str | None = None) 
     options = options_with_motor_type(protocol, motor_type)
     if protocol == MIT and all(motor.protocol == MIT for motor in hand.motor):
         return hand
-    return with_drives(hand, protocol, options)
+    return hand_with_drives(hand, protocol, options)
 
 
-def with_drives(hand: Hand, protocol: str, options: Mapping[str, Any] | None = None) -> Hand:
+def hand_with_drives(
+    hand: Hand, protocol: str, motor_options: Mapping[str, Any] | None = None
+) -> Hand:
     """Return a hand whose drives are replaced by those of a protocol.
 
     The buses use CAN FD if the protocol needs CAN FD.
@@ -83,7 +85,7 @@ def with_drives(hand: Hand, protocol: str, options: Mapping[str, Any] | None = N
     Args:
         hand: description of the hand.
         protocol: name of the protocol.
-        options: options of every drive, or None for the default options of the protocol.
+        motor_options: options of every drive, or None for the default options of the protocol.
     """
     traits = PROTOCOL_TRAITS[protocol]
     motors = tuple(
@@ -91,7 +93,7 @@ def with_drives(hand: Hand, protocol: str, options: Mapping[str, Any] | None = N
             update={
                 "protocol": protocol,
                 "node_id": FIRST_NODE_NUMBER + i,
-                "options": dict(traits.options if options is None else options),
+                "options": dict(traits.options if motor_options is None else motor_options),
             }
         )
         for i, motor in enumerate(hand.motor)

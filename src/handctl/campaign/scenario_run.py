@@ -22,7 +22,7 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, IoEvent, TickOut
 from handctl.errors import REMOVE_POWER
 from handctl.runtime.mailbox import CUT_REQUEST
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from handctl.session.simulate import SimulatedRun
 
 OBSERVATION_TIME_S = 1.3
@@ -177,8 +177,8 @@ def tension_bound(
     simulation: SimulatedRun,
     scenario: FaultScenario,
     start_tension: list[float],
-    speed: list[float],
-    seconds: float,
+    spool_speeds: list[float],
+    duration_s: float,
 ) -> float:
     """Return the largest tension that the drives and the momentum of the rotors can cause in a scenario [N].
 
@@ -190,21 +190,24 @@ def tension_bound(
         simulation: simulation of the run.
         scenario: scenario that the simulation has run.
         start_tension: tension of each tendon when the fault was injected [N].
-        speed: speed of each tendon when the fault was injected [m/s].
-        seconds: time from the start of the fault until all torques are zero [s].
+        spool_speeds: speed of each tendon when the fault was injected [m/s].
+        duration_s: time from the start of the fault until all torques are zero [s].
     """
     if RUNAWAY_FAULT not in (scenario.fault.split()[0], *scenario.second_fault.split()[:1]):
         return max(*simulation.controller.derived.limits.tension_trip, *start_tension)
     return runaway_tension(
         simulation.controller.model,
         start_tension,
-        speed,
-        0.0 if scenario.stage == GRASP_STAGE else seconds,
+        spool_speeds,
+        0.0 if scenario.stage == GRASP_STAGE else duration_s,
     )
 
 
 def runaway_tension(
-    model: HandModel, start_tension: Sequence[float], speed: Sequence[float], seconds: float
+    model: HandModel,
+    start_tension: Sequence[float],
+    spool_speeds: Sequence[float],
+    duration_s: float,
 ) -> float:
     """Return the largest tension that a runaway drive can cause [N].
 
@@ -216,17 +219,22 @@ def runaway_tension(
     Args:
         model: model of the hand.
         start_tension: tension of each tendon when the fault begins [N].
-        speed: speed of each tendon when the fault begins [m/s].
-        seconds: time for which the finger moves freely [s].
+        spool_speeds: speed of each tendon when the fault begins [m/s].
+        duration_s: time for which the finger moves freely [s].
     """
     space = model.space
     bounds = []
     for tendon, k, m, tension, v in zip(
-        model.hand.tendon, space.stiffness, space.motor_mass, start_tension, speed, strict=True
+        model.hand.tendon,
+        space.stiffness,
+        space.motor_mass,
+        start_tension,
+        spool_speeds,
+        strict=True,
     ):
         limit = tendon.drive_limit_N
         bounds.append(
-            limit + math.sqrt((limit - tension) ** 2 + k * m * (v + limit / m * seconds) ** 2)
+            limit + math.sqrt((limit - tension) ** 2 + k * m * (v + limit / m * duration_s) ** 2)
         )
     return float(max(bounds))
 
@@ -375,9 +383,9 @@ class HostFault:
     and `ask REQUEST [TIMES]`.
     """
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, fault_text: str) -> None:
         """Parse the text of a host fault."""
-        self.kind, *self.words = text.split()
+        self.kind, *self.words = fault_text.split()
 
     def tick_arguments(self, i: int, simulation: SimulatedRun) -> dict[str, Any]:
         """Return the arguments with which the simulation executes the i-th tick after the start of the fault."""

@@ -15,7 +15,7 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.inverse_kinematics import closest_tip
 from handctl.hand.kinematics import joint_points
-from handctl.runtime.targets import TargetSender
+from handctl.runtime.target_socket import TargetSender
 
 TipPositions = Mapping[str, Sequence[float] | NDArray[np.floating[Any]]] | NDArray[np.floating[Any]]
 """Positions of fingertips in the palm frame [m]: (D, 3) in the order of the digits, or (3,) for each digit by name."""

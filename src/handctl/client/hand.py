@@ -48,7 +48,7 @@ from handctl.runtime.confirmed_requests import (
 )
 from handctl.runtime.mailbox import MAX_REQUEST_BYTES, StatusWatcher, is_running
 from handctl.runtime.observations import ObservationReader
-from handctl.runtime.targets import TargetSender, stream_name
+from handctl.runtime.target_socket import TargetSender, stream_name
 from handctl.session.buses import named_buses, refuse_default_hand
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
@@ -684,7 +684,7 @@ class HandClient:
                 power of the drive.
         """
         with self._lock:
-            line, _ = send_with_confirmation(self._watcher, {"do": "stop"}, repeat=True)
+            line, _ = send_with_confirmation(self._watcher, {"do": "stop"}, is_repeated=True)
             follow_until_off(self._watcher, "stop", line)
             self._is_hand_off = True
 
@@ -802,7 +802,7 @@ class HandClient:
             if self.child is None and self._has_commanded and is_running(self.bus):
                 with self._lock:
                     send_with_confirmation(
-                        self._watcher, {"do": "leave", "client": self.name}, repeat=True
+                        self._watcher, {"do": "leave", "client": self.name}, is_repeated=True
                     )
         finally:
             # Another thread may still read the shared memory or wait for a status line. The memory

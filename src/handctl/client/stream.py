@@ -13,7 +13,7 @@ from handctl.client.observation import Observation
 from handctl.errors import ConfigError, DriveError
 from handctl.hand.description import Hand
 from handctl.programs.stream_plans import TARGET_UNIT_BY_SPACE, StreamStatus
-from handctl.runtime.targets import TargetSender
+from handctl.runtime.target_socket import TargetSender
 
 TargetValues = (
     Mapping[str, float | Sequence[float] | NDArray[np.floating[Any]]]

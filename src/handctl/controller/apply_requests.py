@@ -60,7 +60,7 @@ BEFORE_READY = (HandMode.SILENT, HandMode.INVENTORY)
 
 
 def apply_requests(
-    model: HandModel, program: Program, state: ControllerState, requests: tuple[str, ...]
+    model: HandModel, program: Program, state: ControllerState, request_texts: tuple[str, ...]
 ) -> tuple[OperatorRequests, tuple[TickEvent, ...]]:
     """Apply the requests of one tick except targets, in the order of their arrival.
 
@@ -70,14 +70,14 @@ def apply_requests(
         model: model of the hand.
         program: program that determines the goals of the digits.
         state: state of the tick, modified in place.
-        requests: requests as JSON texts.
+        request_texts: requests as JSON texts.
 
     Returns:
         The stop and cut requests among the given requests, and the events that the requests cause.
     """
     operator = OperatorRequests()
     events = list[TickEvent]()
-    for text in requests:
+    for text in request_texts:
         request = parse_request(text)
         if isinstance(request, str):
             events.append(TickEvent("warn", "request", "", request))
@@ -94,11 +94,11 @@ def apply_requests(
             clear_latched_faults(state)
             state.clearing = state.mode in BEFORE_READY
         else:
-            events += _apply_other(model, program, state, request)
+            events += _apply_other_request(model, program, state, request)
     return operator, tuple(events)
 
 
-def _apply_other(
+def _apply_other_request(
     model: HandModel, program: Program, state: ControllerState, request: Request
 ) -> tuple[TickEvent, ...]:
     """Apply one request: a change of gains, a sign of life from a client, or a motion command."""

@@ -30,17 +30,19 @@ def begin_lease(state: ControllerState, request: CommandBase) -> None:
     state.decide(lease=lease)
 
 
-def renew_lease(state: ControllerState, client: str) -> tuple[TickEvent, ...]:
+def renew_lease(state: ControllerState, client_name: str) -> tuple[TickEvent, ...]:
     """Renew the lease of a client that has sent a sign of life.
 
     Returns:
         An event if the client had been silent for longer than its lease allows.
     """
     lease = state.decisions.lease
-    if lease is None or lease.client != client:
+    if lease is None or lease.client != client_name:
         return ()
     state.decide(lease=lease._replace(renewed_ns=state.run_integer(s.T_NS), resting=False))
-    return (TickEvent("info", "lease", "", f"{client} answers again"),) if lease.resting else ()
+    return (
+        (TickEvent("info", "lease", "", f"{client_name} answers again"),) if lease.resting else ()
+    )
 
 
 def expire_lease(model: HandModel, state: ControllerState) -> tuple[TickEvent, ...]:

@@ -82,14 +82,14 @@ class ControllerDecisions(NamedTuple):
     amplifiers: tuple[AmplifierState, ...] = ()
 
 
-def _part_bytes(part: object) -> bytes:
+def _part_bytes(state_part: object) -> bytes:
     """Return the serialized form of a part of the decisions.
 
     While a digit closes, the progress changes in every tick, but its goals stay the same objects.
     """
-    if isinstance(part, ProgramProgress):
-        return join_field_bytes(part, _field_bytes_cache)
-    return plain_bytes(part)
+    if isinstance(state_part, ProgramProgress):
+        return join_field_bytes(state_part, _field_bytes_cache)
+    return plain_bytes(state_part)
 
 
 # Most decisions are the same objects in many ticks. So the serialized form of each part is cached
@@ -117,12 +117,12 @@ def _hash_decisions(decisions: ControllerDecisions) -> bytes:
 _decision_hash_cache = IdentityCache[ControllerDecisions](_hash_decisions)
 
 
-def layout_of_state(model: HandModel, groups: int) -> BlockLayout:
+def layout_of_state(model: HandModel, group_count: int) -> BlockLayout:
     """Return the layout of the state block for a hand.
 
     Args:
         model: model of the hand.
-        groups: number of groups of frames of the sensor node.
+        group_count: number of groups of frames of the sensor node.
     """
     n = model.tendon_count
     joints = len(model.hand.joints)
@@ -132,7 +132,7 @@ def layout_of_state(model: HandModel, groups: int) -> BlockLayout:
         "digit": len(model.digits),
         "coordinate": model.coordinate_count,
         "node": n + 1,
-        "group": groups,
+        "group": group_count,
         "instance": max(n + 1, joints),
         "run": 1,
         "servo": n if any(motor.holds_position for motor in model.hand.motor) else 0,
@@ -268,8 +268,8 @@ class ControllerState:
         return bool(self.run_integer(s.ARMING_REQUESTED))
 
     @armed.setter
-    def armed(self, armed: bool) -> None:
-        self.set_run_integer(s.ARMING_REQUESTED, armed)
+    def armed(self, is_armed: bool) -> None:
+        self.set_run_integer(s.ARMING_REQUESTED, is_armed)
 
     @property
     def clearing(self) -> bool:
@@ -277,8 +277,8 @@ class ControllerState:
         return bool(self.run_integer(s.CLEARING))
 
     @clearing.setter
-    def clearing(self, clearing: bool) -> None:
-        self.set_run_integer(s.CLEARING, clearing)
+    def clearing(self, is_clearing: bool) -> None:
+        self.set_run_integer(s.CLEARING, is_clearing)
 
     @property
     def started(self) -> bool:

@@ -11,9 +11,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
 from handctl.controller.pending_gains import PendingGains
-from handctl.core.gains.gain_bounds import check_tendon_names, different_values, with_values
+from handctl.core.gains.gain_bounds import check_tendon_names, different_values, gains_with_values
 from handctl.core.gains.gains import Gains
-from handctl.core.gains.motion_design import design_from_pieces, design_piece, design_piece_count
+from handctl.core.gains.motion_design import (
+    design_from_pieces,
+    design_loop_piece,
+    design_piece_count,
+)
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import GAIN_EVENT, TickEvent, Vector
 from handctl.errors import ConfigError
@@ -97,26 +101,26 @@ class DesignCache:
             del self.designed_pieces[oldest]
         while len(designed_pieces) < piece_count:
             designed_pieces.append(
-                design_piece(model.space, gains, model.period, len(designed_pieces))
+                design_loop_piece(model.space, gains, model.period, len(designed_pieces))
             )
         return designed_pieces
 
 
 def begin_design(
-    present: Gains, values: dict[str, float]
+    present_gains: Gains, new_values: dict[str, float]
 ) -> tuple[PendingGains | None, tuple[TickEvent, ...]]:
     """Begin the controller design for requested gains.
 
     Args:
-        present: present gains.
-        values: requested values, by the key of the gain.
+        present_gains: present gains.
+        new_values: requested values, by the key of the gain.
 
     Returns:
         The requested gains with the state of their design. If no design can begin, None and an
         event with the reason.
     """
     try:
-        return PendingGains(with_values(present, values, "gains", live=True)), ()
+        return PendingGains(gains_with_values(present_gains, new_values, "gains", is_live=True)), ()
     except ConfigError as error:
         return None, (TickEvent("warn", "request", "", f"{REFUSED_PREFIX}{error}"),)
 

@@ -29,9 +29,9 @@ from handctl.drives.contract import (
 )
 from handctl.drives.frame import Frame
 from handctl.errors import REMOVE_POWER
-from handctl.safety.action import SafetyAction
 from handctl.safety.faults.node import STILL_PULLING_S
 from handctl.safety.faults.table import FAULT_BY_ID
+from handctl.safety.safety_action import SafetyAction
 
 LISTENING_DURATION_S = 0.5
 """Time before this host sends its first frame, in which it detects a second controller [s]."""
@@ -137,7 +137,7 @@ def next_mode(
     operator: OperatorRequests,
     other_host_frames: tuple[str, ...],
     time_s: float,
-    identities: tuple[str, ...] = (),
+    fault_identities: tuple[str, ...] = (),
 ) -> tuple[TickEvent, ...]:
     """Determine the next mode of the hand, and write it into the state.
 
@@ -149,13 +149,19 @@ def next_mode(
         operator: stop and cut requests from the operator.
         other_host_frames: texts that describe signs of a second controller on the bus.
         time_s: time of the tick [s].
-        identities: identities of the drives in the calibration. May be empty.
+        fault_identities: identities of the drives in the calibration. May be empty.
 
     Returns:
         The event of a mode change. There is no event if the mode does not change.
     """
     inputs = ModeInputs(
-        model, drives, time_s - state.mode_since, action, operator, other_host_frames, identities
+        model,
+        drives,
+        time_s - state.mode_since,
+        action,
+        operator,
+        other_host_frames,
+        fault_identities,
     )
     before = state.mode
     demanded = None if inputs.no_override else _overriding_mode(state, inputs)
@@ -399,27 +405,29 @@ def _named_drives(state: ControllerState, inputs: ModeInputs) -> Iterator[tuple[
     return zip(inputs.names, state.drives, strict=True)
 
 
-def motors_not_confirmed_off(state: ControllerState, names: tuple[str, ...]) -> tuple[str, ...]:
+def motors_not_confirmed_off(
+    state: ControllerState, motor_names: tuple[str, ...]
+) -> tuple[str, ...]:
     """Return the names of motors that may still be enabled, because their drives have not confirmed otherwise.
 
     Before arming, handctl has not enabled any motor. So a drive without a confirmation is not
     listed. After the end of a run, a drive is listed only if it had not confirmed at the end of the
     run. A drive which reports that it is enabled is always listed.
     """
-    in_doubt = names
+    in_doubt = motor_names
     if state.mode in BEFORE_ARMING:
         in_doubt = ()
     elif state.mode == HandMode.DONE:
         in_doubt = state.unconfirmed
     return tuple(
         name
-        for name, drive in zip(names, state.drives, strict=True)
+        for name, drive in zip(motor_names, state.drives, strict=True)
         if drive.phase == DrivePhase.ENABLED or (name in in_doubt and not is_confirmed_off(drive))
     )
 
 
 def _pulling_motors(
-    model: HandModel, state: ControllerState, names: tuple[str, ...]
+    model: HandModel, state: ControllerState, motor_names: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Return the names of motors whose tendons still have tension after the torque was cut (N16)."""
     tendons = {
@@ -427,17 +435,17 @@ def _pulling_motors(
     }
     return tuple(
         name
-        for name, tendon in zip(names, model.hand.tendon_names, strict=True)
+        for name, tendon in zip(motor_names, model.hand.tendon_names, strict=True)
         if tendon in tendons
     )
 
 
 def _motors_possibly_on(
-    model: HandModel, state: ControllerState, names: tuple[str, ...]
+    model: HandModel, state: ControllerState, motor_names: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Return the names of motors that may still make torque at the end of a run.
 
     If the run ends before arming, a tendon may have tension although the motor makes no torque.
     """
-    pulling = () if state.mode in BEFORE_ARMING else _pulling_motors(model, state, names)
-    return tuple(dict.fromkeys((*motors_not_confirmed_off(state, names), *pulling)))
+    pulling = () if state.mode in BEFORE_ARMING else _pulling_motors(model, state, motor_names)
+    return tuple(dict.fromkeys((*motors_not_confirmed_off(state, motor_names), *pulling)))

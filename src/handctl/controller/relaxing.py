@@ -24,8 +24,8 @@ from handctl.core import state_block as s
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import Vector
-from handctl.safety.action import RelaxMethod
 from handctl.safety.faults.table import FAULT_BY_ID
+from handctl.safety.safety_action import RelaxMethod
 
 RELAX_RATE_N_PER_S = 500.0
 OVER_TENSION_RATE_N_PER_S = 2000.0
@@ -82,9 +82,9 @@ def begin_relaxing(model: HandModel, state: ControllerState) -> None:
     whole[s.GOAL_KIND] = int(GoalKind.TENSION)
 
 
-def _relaxed_goal(model: HandModel, start: Vector) -> Vector:
+def _relaxed_goal(model: HandModel, start_tensions: Vector) -> Vector:
     """Return the tensions (N,) of a relaxed hand [N], limited to the setpoints (N,) at the start of relaxing."""
-    return np.where(model.is_pair, 0.0, np.minimum(start, model.relaxed))
+    return np.where(model.is_pair, 0.0, np.minimum(start_tensions, model.relaxed))
 
 
 def _envelope_start(
@@ -120,12 +120,12 @@ def are_tensions_relaxed(model: HandModel, state: ControllerState) -> bool:
     )
 
 
-def _force_sizes(model: HandModel, values: Vector) -> Vector:
+def _force_sizes(model: HandModel, forces: Vector) -> Vector:
     """Return the absolute values (N,) of forces or tensions [N].
 
     A force can be negative only at a spool pair.
     """
-    return np.where(model.is_pair, np.abs(values), values)
+    return np.where(model.is_pair, np.abs(forces), forces)
 
 
 def update_relax_rate(state: ControllerState) -> None:

@@ -34,7 +34,7 @@ from handctl.hand.file.sections import Motor
 from handctl.hand.hand_loading import hand_from_content, parse_toml
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.excitation import ExciteProgram, ExciteStep
-from handctl.programs.exercise import ExerciseProgram
+from handctl.programs.gains_exercise import ExerciseProgram
 from handctl.programs.live_session import JogProgram, LiveProgram
 from handctl.programs.playback import PlaybackProgram, RecordedGoals
 from handctl.programs.program import Program

@@ -159,7 +159,7 @@ def apply_target(
         return _count_target(
             state, s.STREAM_LATE, "ignored: a target that is repeated, overtaken or too old"
         )
-    begin = _begin_segment if stream.moves else _begin_ramp
+    begin = _begin_segment if stream.moves else _begin_tension_ramp
     clipped = begin(model, state, stream, np.array(target.values), sent_ns, t_ns)
     state.set_run_integer(s.STREAM_SENT_NS, sent_ns)
     state.set_run_integer(s.STREAM_SEQUENCE, target.number)
@@ -177,11 +177,11 @@ def apply_target(
     )
 
 
-def _begin_ramp(
+def _begin_tension_ramp(
     model: HandModel,
     state: ControllerState,
     stream: StreamPlan,
-    values: Vector,
+    target_values: Vector,
     sent_ns: int,
     t_ns: int,
 ) -> bool:
@@ -192,7 +192,7 @@ def _begin_ramp(
     Arguments: see ``_begin_segment``.
     """
     setpoint = state.tendon[s.SETPOINT]
-    aim = target_tensions(model, stream, values, setpoint, state.estimate.q)
+    aim = target_tensions(model, stream, target_values, setpoint, state.estimate.q)
     inside = np.clip(aim, model.floor, model.ceiling)
     reached = np.minimum(
         inside, np.maximum(state.tendon[s.TENSION], model.floor) + MAX_SETPOINT_LEAD_N
@@ -214,7 +214,7 @@ def _begin_segment(
     model: HandModel,
     state: ControllerState,
     stream: StreamPlan,
-    values: Vector,
+    target_values: Vector,
     sent_ns: int,
     t_ns: int,
 ) -> bool:
@@ -226,13 +226,13 @@ def _begin_segment(
         model: model of the hand.
         state: state of the tick, modified in place.
         stream: stream of the target.
-        values: (V,) values of the target.
+        target_values: (V,) values of the target.
         sent_ns: time at which the client sent the target [ns].
         t_ns: time of the tick [ns].
     """
     rows = state.layout.table(state.block, "coordinate")
     where = mapping_of_stream(model, stream.space, stream.names)
-    aim = np.where(where.driven, where.matrix @ values, rows[s.STREAM_TARGET])
+    aim = np.where(where.driven, where.matrix @ target_values, rows[s.STREAM_TARGET])
     held = aim
     if where.held:
         held = np.clip(aim, *model.reach)

@@ -64,7 +64,7 @@ from handctl.drives.frame_records import (
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.programs.program import TARE_PHASE, Program
 from handctl.programs.requests import REFUSED_PREFIX, parse_target, without_targets
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from handctl.safety.safety_limits import SafetyLimits
 from handctl.safety.tick_verdict import (
     FaultFinding,

@@ -78,18 +78,24 @@ class BlockSchema:
         self._rows = dict.fromkeys(tables, 0)
 
     def real_field(
-        self, name: str, axis: str, unit: str, meaning: str, rows: int = 1, initial: float = 0.0
+        self,
+        name: str,
+        axis_name: str,
+        unit: str,
+        meaning: str,
+        rows: int = 1,
+        initial: float = 0.0,
     ) -> int:
         """Declare a field of float64 numbers, and return the index of its first row."""
         return self._declare_field(
-            BlockField(name, axis, self._rows[axis], rows, unit, meaning, initial)
+            BlockField(name, axis_name, self._rows[axis_name], rows, unit, meaning, initial)
         )
 
     def integer_field(
-        self, name: str, axis: str, unit: str, meaning: str, rows: int = 1, initial: int = 0
+        self, name: str, axis_name: str, unit: str, meaning: str, rows: int = 1, initial: int = 0
     ) -> int:
         """Declare a field of int64 numbers, and return the index of its first row."""
-        table = axis + INTEGER_TABLE_SUFFIX
+        table = axis_name + INTEGER_TABLE_SUFFIX
         return self._declare_field(
             BlockField(name, table, self._rows[table], rows, unit, meaning, initial)
         )
@@ -103,9 +109,9 @@ class BlockSchema:
         """Return the layout of the tables of this schema, for given lengths of the axes."""
         return BlockLayout(self, axes)
 
-    def rows(self, table: str) -> int:
+    def rows(self, table_name: str) -> int:
         """Return the number of rows of a table."""
-        return self._rows[table]
+        return self._rows[table_name]
 
 
 class BlockLayout:
@@ -163,8 +169,10 @@ class BlockLayout:
             self.view(self.initial, field.name)[...] = field.initial
         self.initial.flags.writeable = False
 
-    def _table_width(self, table: str) -> int:
-        return int(np.prod([self.axes[axis] for axis in _axes_of_table(table)], dtype=np.int64))
+    def _table_width(self, table_name: str) -> int:
+        return int(
+            np.prod([self.axes[axis] for axis in _axes_of_table(table_name)], dtype=np.int64)
+        )
 
     def _field_span(self, field: BlockField) -> tuple[int, int, tuple[int, ...], bool]:
         """Return the place of a field in a block: first element, end, shape, and True for integers."""
@@ -196,9 +204,9 @@ class BlockLayout:
             INTEGER_TABLE_SUFFIX
         )
 
-    def start(self, table: str) -> int:
+    def start(self, table_name: str) -> int:
         """Return the index in a block of the first element of a table."""
-        return self._tables[table][0]
+        return self._tables[table_name][0]
 
     def table(self, block: BlockArray, name: str) -> NDArray[Any]:
         """Return a view of a table in a block, with the shape (rows, length of the axis)."""
@@ -233,6 +241,6 @@ class BlockLayout:
         raise AssertionError("a difference outside of all fields")
 
 
-def _axes_of_table(table: str) -> list[str]:
+def _axes_of_table(table_name: str) -> list[str]:
     """Return the names of a table's axes."""
-    return table.removesuffix(INTEGER_TABLE_SUFFIX).split("*")
+    return table_name.removesuffix(INTEGER_TABLE_SUFFIX).split("*")

@@ -60,9 +60,9 @@ class Calibration(Document):
 
     @field_validator("made")
     @classmethod
-    def _check_date(cls, made: str) -> str:
-        datetime.datetime.fromisoformat(made)
-        return made
+    def _check_date(cls, made_at: str) -> str:
+        datetime.datetime.fromisoformat(made_at)
+        return made_at
 
     def tare(self, hand: Hand) -> Vector:
         """Return the tares (N,) of all load cells [N]."""
@@ -73,26 +73,26 @@ class Calibration(Document):
         return np.array([self.tendon[name].zero_rad for name in hand.tendon_names])
 
 
-def calibration_from(content: Mapping[str, Any], hand: Hand, source: str) -> Calibration:
+def calibration_from(file_content: Mapping[str, Any], hand: Hand, source_name: str) -> Calibration:
     """Check the content of a calibration file for a hand, and return the calibration.
 
     Args:
-        content: content of the file, as parsed from TOML.
+        file_content: content of the file, as parsed from TOML.
         hand: hand of the calibration.
-        source: name of the file, for error messages.
+        source_name: name of the file, for error messages.
 
     Raises:
         ConfigError: the content is not a calibration, belongs to another hand or another version of
             the hand's description, or lacks a tendon.
     """
-    calibration = validate_content(content, Calibration, source)
+    calibration = validate_content(file_content, Calibration, source_name)
     if calibration.identity != hand.identity:
         raise ConfigError(
             f"is for hand {calibration.hand!r} with description {calibration.identity[:12]}",
-            source,
+            source_name,
             f"one of {hand.name!r} with {hand.identity[:12]}: run handctl commission again",
         )
     for name in set(hand.tendon_names) - calibration.tendon.keys():
-        raise ConfigError("missing", f"{source}: tendon.{name}", "an entry for every tendon")
-    check_identified(hand, calibration.identified, source)
+        raise ConfigError("missing", f"{source_name}: tendon.{name}", "an entry for every tendon")
+    check_identified(hand, calibration.identified, source_name)
     return calibration

@@ -25,8 +25,8 @@ class _DeferredAttribute:
     The first use of the function imports the module.
     """
 
-    def __init__(self, module: str, name: str) -> None:
-        self._module = module
+    def __init__(self, module_name: str, name: str) -> None:
+        self._module = module_name
         self._name = name
 
     def __getattr__(self, method: str) -> Callable[..., Any]:
@@ -38,14 +38,14 @@ class _DeferredAttribute:
         """Import the module, and call the real function."""
         return self._apply_to_real_object(lambda real: real(*given, **named))
 
-    def _apply_to_real_object(self, use: Callable[[Any], Any]) -> Any:
-        """Apply ``use`` to the real function or distribution, after the import of its module.
+    def _apply_to_real_object(self, use_object: Callable[[Any], Any]) -> Any:
+        """Apply ``use_object`` to the real function or distribution, after the import of its module.
 
         During its import, filterpy makes one trial call, for which the method returns None.
         """
         module: Any = importlib.import_module(self._module)
         real = getattr(module, self._name)
-        return None if isinstance(real, _DeferredAttribute) else use(real)
+        return None if isinstance(real, _DeferredAttribute) else use_object(real)
 
 
 class _StandIn(ModuleType):

@@ -18,7 +18,7 @@ from handctl.core.tick_types import Vector
 from handctl.hand.description import Hand
 from handctl.hand.digit import JointValues
 from handctl.hand.dynamics import DigitModel, required_torque
-from handctl.hand.hand_tree import HandTree
+from handctl.hand.link_tree import HandLinkTree
 
 with deferred_imports():
     from scipy.linalg import block_diag
@@ -90,7 +90,7 @@ class HandModel:
     ceiling: Vector
     torque_limit: Vector
     redundancy: TendonRedundancy
-    tree: HandTree
+    tree: HandLinkTree
     blind_margin: Vector
     torque_gain: Vector | None = None
     inverse: InverseDynamics = required_torque
@@ -156,7 +156,7 @@ class HandModel:
             ceiling=ceiling,
             torque_limit=_torque_limit(hand, torque_gain),
             redundancy=redundancy_of_hand(digits, floor, ceiling, hand.is_pair),
-            tree=HandTree.from_hand(hand, digits),
+            tree=HandLinkTree.from_hand(hand, digits),
             blind_margin=margin,
             torque_gain=torque_gain,
         )
@@ -209,9 +209,11 @@ def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
     return largest if gain is None else largest * np.minimum(gain, 1.0)
 
 
-def _joint_period(hand: Hand, period: float) -> Vector:
+def _joint_period(hand: Hand, period_s: float) -> Vector:
     """Return the time (N,) between two readings of all joints of a tendon [s].
 
     The time is inf if a joint has no encoder.
     """
-    return np.where(hand.tendons_with_encoders, hand.sensor_node.joint_decimation * period, np.inf)
+    return np.where(
+        hand.tendons_with_encoders, hand.sensor_node.joint_decimation * period_s, np.inf
+    )

@@ -71,12 +71,12 @@ class IdentifiedParameters(Document):
 
     @field_validator("names", mode="before")
     @classmethod
-    def _replace_former_names(cls, names: object) -> object:
+    def _replace_former_names(cls, parameter_names: object) -> object:
         """Replace the parameter names of earlier versions by the present names."""
         return (
-            tuple(FORMER_NAMES.get(name, name) for name in names)
-            if isinstance(names, list | tuple)
-            else names
+            tuple(FORMER_NAMES.get(name, name) for name in parameter_names)
+            if isinstance(parameter_names, list | tuple)
+            else parameter_names
         )
 
     @model_validator(mode="after")
@@ -124,53 +124,57 @@ class IdentifiedParameters(Document):
         )
 
 
-def identified_hand(hand: Hand, identified: dict[str, IdentifiedParameters]) -> Hand:
+def identified_hand(hand: Hand, parameters_by_tendon: dict[str, IdentifiedParameters]) -> Hand:
     """Return a hand description in which identified parameters replace values of the hand file.
 
     Args:
         hand: description from the hand file.
-        identified: identified parameters of each tendon.
+        parameters_by_tendon: identified parameters of each tendon.
 
     Raises:
         ConfigError: an identified value is not allowed in a hand file.
     """
     content = copy.deepcopy(hand.content)
     for i, tendon in enumerate(hand.tendon):
-        if tendon.name not in identified:
+        if tendon.name not in parameters_by_tendon:
             continue
-        known = identified[tendon.name]
+        known = parameters_by_tendon[tendon.name]
         digit = next(
             d
             for d, name in enumerate(hand.digit_names)
             if _is_in_slice(hand.digit_tendons[name], i)
         )
-        _replace_values(content["tendon"][i], TENDON_KEYS, known)
-        _scale_arms(content["tendon"][i], known.get("moment_arm", 1.0))
-        _replace_values(content["motor"][hand.motor_index[i]], MOTOR_KEYS, known)
-        _scale_values(content["digit"][digit], known)
+        _replace_tendon_values(content["tendon"][i], TENDON_KEYS, known)
+        _scale_moment_arms(content["tendon"][i], known.get("moment_arm", 1.0))
+        _replace_tendon_values(content["motor"][hand.motor_index[i]], MOTOR_KEYS, known)
+        _scale_digit_values(content["digit"][digit], known)
     return hand_from_content(content, f"{hand.name} as identified")
 
 
-def torque_gain(hand: Hand, identified: dict[str, IdentifiedParameters]) -> Vector:
+def torque_gain(hand: Hand, parameters_by_tendon: dict[str, IdentifiedParameters]) -> Vector:
     """Return for each drive the torque at the spool divided by the commanded torque (N,).
 
     The ratio is 1 if no run has identified it.
     """
     return np.array(
         [
-            identified[t.name].get("torque_gain", 1.0) if t.name in identified else 1.0
+            parameters_by_tendon[t.name].get("torque_gain", 1.0)
+            if t.name in parameters_by_tendon
+            else 1.0
             for t in hand.tendon
         ]
     )
 
 
-def check_identified(hand: Hand, identified: dict[str, IdentifiedParameters], source: str) -> None:
+def check_identified(
+    hand: Hand, parameters_by_tendon: dict[str, IdentifiedParameters], source: str
+) -> None:
     """Check that identified parameters belong to tendons of the hand.
 
     Raises:
         ConfigError: a tendon is unknown, or a torque gain is out of bounds.
     """
-    for name, known in identified.items():
+    for name, known in parameters_by_tendon.items():
         if name not in hand.tendon_names:
             raise ConfigError(
                 "no such tendon", f"{source}: identified.{name}", ", ".join(hand.tendon_names)
@@ -188,15 +192,17 @@ def _is_in_slice(indices: slice, i: int) -> bool:
     return bool(indices.start <= i < indices.stop)
 
 
-def _replace_values(
-    table: dict[str, object], keys: dict[str, str], known: IdentifiedParameters
+def _replace_tendon_values(
+    tendon_table: dict[str, object],
+    key_of_parameter: dict[str, str],
+    known_parameters: IdentifiedParameters,
 ) -> None:
-    for name, key in keys.items():
-        if name in known.names:
-            table[key] = known.get(name, 0.0)
+    for name, key in key_of_parameter.items():
+        if name in known_parameters.names:
+            tendon_table[key] = known_parameters.get(name, 0.0)
 
 
-def _scale_arms(tendon: dict[str, Any], factor: float) -> None:
+def _scale_moment_arms(tendon: dict[str, Any], factor: float) -> None:
     """Multiply the moment arms of a tendon by a factor.
 
     The moment arms may be numbers, polynomials, or tables of angles and moment arms.
@@ -217,7 +223,9 @@ def _scale_arms(tendon: dict[str, Any], factor: float) -> None:
             tendon["moment_arm_m"][joint] = factor * arm
 
 
-def _scale_values(table: dict[str, tuple[float, ...]], known: IdentifiedParameters) -> None:
+def _scale_digit_values(
+    digit_table: dict[str, tuple[float, ...]], known_parameters: IdentifiedParameters
+) -> None:
     for name, key in DIGIT_KEYS.items():
-        factor = known.get(name, 1.0)
-        table[key] = tuple(value * factor for value in table[key])
+        factor = known_parameters.get(name, 1.0)
+        digit_table[key] = tuple(value * factor for value in digit_table[key])

@@ -18,13 +18,13 @@ class SequenceCache(Generic[T]):
     last sequence, the cache returns the earlier result.
     """
 
-    def __init__(self, function: Callable[[T], bytes]) -> None:
+    def __init__(self, compute_bytes: Callable[[T], bytes]) -> None:
         """Create an empty cache.
 
         Args:
-            function: function that computes the result for an item.
+            compute_bytes: function that computes the result for an item.
         """
-        self._function = function
+        self._function = compute_bytes
         self._items: Sequence[T] = ()
         self._values: list[bytes] = []
 
@@ -48,13 +48,13 @@ class IdentityCache(Generic[T]):
     The equality of objects would not suffice: 1, 1.0 and True are equal, but have different bytes.
     """
 
-    def __init__(self, function: Callable[[T], bytes]) -> None:
+    def __init__(self, compute_bytes: Callable[[T], bytes]) -> None:
         """Create an empty cache.
 
         Args:
-            function: function whose results are cached.
+            compute_bytes: function whose results are cached.
         """
-        self._function = function
+        self._function = compute_bytes
         self._entries: dict[int, tuple[T, bytes]] = {}
 
     def __call__(self, key: T) -> bytes:

@@ -17,7 +17,7 @@ from handctl.drives.protocol_registry import make_drive
 from handctl.hand.description import Hand
 from handctl.hand.dynamics import DigitModel
 from handctl.hand.file.sections import Motor
-from handctl.hand.hand_tree import HandTree
+from handctl.hand.link_tree import HandLinkTree
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
     inertia = np.array([motors[tendon.motor].inertia_kg_m2 for tendon in tendons])
     # The mass matrix of the whole hand is used here, because it includes the fingers that a wrist
     # moves.
-    mass = HandTree.from_hand(hand, digits).mass_matrix(np.full(len(hand.joints), np.pi / 4))
+    mass = HandLinkTree.from_hand(hand, digits).mass_matrix(np.full(len(hand.joints), np.pi / 4))
     load = np.concatenate(
         [_load_along_tendons(digit, mass[digit.joints, digit.joints]) for digit in digits], axis=1
     )
@@ -111,17 +111,17 @@ def _position_step(motor: Motor) -> float:
     return max(2 * motor.position_range_rad / 0xFFFF, make_drive(motor, 0).position_step)
 
 
-def _load_along_tendons(digit: DigitModel, mass: Vector) -> Vector:
+def _load_along_tendons(digit: DigitModel, mass_matrix: Vector) -> Vector:
     """Return the effective mass, stiffness and damping along each tendon of a digit, (3, n_t).
 
     Args:
         digit: model of the digit.
-        mass: (n, n) mass matrix of the joints, with the digit half closed and with all links that
+        mass_matrix: (n, n) mass matrix of the joints, with the digit half closed and with all links that
             it carries [kg m2].
     """
     coupling = digit.coupling
     joint_space = (
-        mass,
+        mass_matrix,
         np.diag(digit.spring_stiffness),
         np.diag(digit.joint_damping),
     )

@@ -41,10 +41,10 @@ from handctl.core.estimation import (
 )
 from handctl.core.state_block import state_tables
 from handctl.core.tick_types import ACTIVE_MODE, ARMING_MODE, DONE_MODE, RELAX_MODE, SILENT_MODE
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 HOLD_ACTION = int(SafetyAction.HOLD)
-"""Value of ``safety.action.SafetyAction.HOLD``."""
+"""Value of ``safety.safety_action.SafetyAction.HOLD``."""
 
 
 @kernel("block", "layout", "count", "count", "count", "count", "count")

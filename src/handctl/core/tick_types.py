@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.drives.frame import Frame
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 Vector = NDArray[np.float64]
 
@@ -229,15 +229,15 @@ class PackedTelemetry:
 
     __slots__ = ("numbers", "places")
 
-    def __init__(self, numbers: Vector, places: TelemetryPlaces) -> None:
+    def __init__(self, packed_numbers: Vector, field_slices: TelemetryPlaces) -> None:
         """Store the array, without a copy.
 
         Args:
-            numbers: array of all fields in order.
-            places: slice of each field in the array.
+            packed_numbers: array of all fields in order.
+            field_slices: slice of each field in the array.
         """
-        self.numbers = numbers
-        self.places = places
+        self.numbers = packed_numbers
+        self.places = field_slices
 
     def __getattr__(self, name: str) -> Vector:
         """Return a telemetry field by its name."""

@@ -115,18 +115,18 @@ Source: the form in which Vector's tools write this attribute and cantools reads
 """
 
 
-def _signal_line(signal: Signal, receiver: str) -> str:
+def _signal_line(signal: Signal, receiver_name: str) -> str:
     """Return the line of a DBC for a signal."""
     # In a DBC, @0 is big-endian and @1 little-endian. + is unsigned, - is signed or float.
     order = 0 if signal.big_endian else 1
     sign = "+" if signal.coding == SignalCoding.UNSIGNED else "-"
     layout = f"{signal.start}|{signal.length}@{order}{sign}"
-    return f' SG_ {signal.name} : {layout} ({signal.scale!r},{signal.offset!r}) [0|0] "{signal.unit}" {receiver}'
+    return f' SG_ {signal.name} : {layout} ({signal.scale!r},{signal.offset!r}) [0|0] "{signal.unit}" {receiver_name}'
 
 
-def _with_drive_name(message: CyclicMessage, drive: str) -> CyclicMessage:
+def _with_drive_name(message: CyclicMessage, drive_name: str) -> CyclicMessage:
     """Return the message with a new name: the name of the drive, then the name of the message."""
-    return message._replace(name=f"{drive}_{message.name}")
+    return message._replace(name=f"{drive_name}_{message.name}")
 
 
 def _with_channel_names(

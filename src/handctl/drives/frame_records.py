@@ -144,9 +144,9 @@ def frames_as_records(frames: Iterable[Frame]) -> Frames:
     return Frames(records)
 
 
-def join_frames(parts: Sequence[Frames]) -> Frames:
+def join_frames(frame_batches: Sequence[Frames]) -> Frames:
     """Return one sequence with the frames of several sequences."""
-    some = [part for part in parts if len(part)]
+    some = [part for part in frame_batches if len(part)]
     if len(some) < 2:
         return some[0] if some else NO_FRAMES
     # The rows are joined as words, because numpy takes six times as long to join records.

@@ -25,12 +25,16 @@ EXTENDED_BITS = 20
 
 
 def frame_time_s(
-    size: int, fd: bool, bitrate: float, data_bitrate: float | None = None, extended: bool = False
+    payload_size: int,
+    fd: bool,
+    bitrate: float,
+    data_bitrate: float | None = None,
+    extended: bool = False,
 ) -> float:
     """Return the longest time of one frame on the wire [s].
 
     Args:
-        size: length of the payload [bytes]. The length of a CAN FD frame is rounded up to the next
+        payload_size: length of the payload [bytes]. The length of a CAN FD frame is rounded up to the next
             length that the standard allows.
         fd: True for a CAN FD frame with bit rate switch.
         bitrate: nominal bit rate [bit/s].
@@ -39,9 +43,9 @@ def frame_time_s(
     """
     more = EXTENDED_BITS if extended else 0
     if not fd:
-        exposed = 34 + more + 8 * size
+        exposed = 34 + more + 8 * payload_size
         return (exposed + 13 + (exposed - 1) // 4) / bitrate
-    return _fd_frame_time_s(size, bitrate, data_bitrate or bitrate, more)
+    return _fd_frame_time_s(payload_size, bitrate, data_bitrate or bitrate, more)
 
 
 FD_SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
@@ -61,7 +65,7 @@ nominal bit rate.
 
 
 def _fd_frame_time_s(
-    size: int, bitrate: float, data_bitrate: float, extra_identifier_bits: int
+    payload_size: int, bitrate: float, data_bitrate: float, extra_identifier_bits: int
 ) -> float:
     """Return the longest time of a CAN FD frame on the wire [s].
 
@@ -69,14 +73,14 @@ def _fd_frame_time_s(
     fixed stuff bit before every four bits. ``extra_identifier_bits`` is the number of bits that a 29-bit identifier
     adds.
     """
-    size = next(length for length in FD_SIZES if length >= size)
+    payload_size = next(length for length in FD_SIZES if length >= payload_size)
     # The body of the frame has ESI, the four bits of DLC, and the data.
-    body = 5 + 8 * size
+    body = 5 + 8 * payload_size
     header_stuff = FD_HEADER_STUFF_BITS + extra_identifier_bits // 4
     stuff = (FD_HEADER_BITS + extra_identifier_bits + body - 1) // 4 - header_stuff
     # The check field has a stuff count (3 bits and parity) and a CRC: 17 bits up to 16 data bytes,
     # 21 bits above.
-    check = 4 + (17 if size <= 16 else 21)
+    check = 4 + (17 if payload_size <= 16 else 21)
     nominal = FD_HEADER_BITS + extra_identifier_bits + header_stuff + FD_END_BITS
     return nominal / bitrate + (body + stuff + check + math.ceil(check / 4)) / data_bitrate
 

@@ -122,20 +122,20 @@ def pop_motor_model(
 
 
 def refuse_unknown_options(
-    options: Mapping[str, Any], key_path: str, declared: Mapping[str, MotorOption]
+    options: Mapping[str, Any], key_path: str, declared_options: Mapping[str, MotorOption]
 ) -> None:
     """Raise an error if the hand file has options that the protocol does not use.
 
     Args:
         options: options that are left after the protocol has taken its own.
         key_path: key path of the options.
-        declared: options of the protocol, for the error message.
+        declared_options: options of the protocol, for the error message.
 
     Raises:
         ConfigError: the options contain a key that the protocol does not declare.
     """
     if options:
-        *names, last = declared or ("no such key: this protocol has no options",)
+        *names, last = declared_options or ("no such key: this protocol has no options",)
         right = f"{', '.join(names)} or {last}" if names else last
         raise ConfigError("unknown key", f"{key_path}.{next(iter(options))}", right)
 

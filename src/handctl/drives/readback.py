@@ -89,7 +89,7 @@ def cursor_after_request(cursor: ReadbackCursor, t_ns: int) -> ReadbackCursor:
 
 
 def request_setting(
-    cursor: ReadbackCursor, name: str, t_ns: int, tries: int = REQUEST_TRIES
+    cursor: ReadbackCursor, name: str, t_ns: int, max_attempts: int = REQUEST_TRIES
 ) -> tuple[ReadbackCursor, bool, str]:
     """Decide if a read or write request for the present setting is to be sent now.
 
@@ -97,7 +97,7 @@ def request_setting(
         cursor: position in the settings, not beyond the last setting.
         name: name of the setting.
         t_ns: time of the tick [ns].
-        tries: number of requests without an answer after which the drive has a problem.
+        max_attempts: number of requests without an answer after which the drive has a problem.
 
     Returns:
         the new cursor, True if the request is to be sent, and the problem in words, empty without a
@@ -105,27 +105,27 @@ def request_setting(
     """
     if not is_request_due(cursor, t_ns):
         return cursor, False, ""
-    if cursor.tries >= tries:
+    if cursor.tries >= max_attempts:
         return cursor, False, f"{name} is not answered"
     return cursor_after_request(cursor, t_ns), True, ""
 
 
 def on_wrong_value(
-    cursor: ReadbackCursor, name: str, read_text: str, expected_text: str, writes: int
+    cursor: ReadbackCursor, name: str, read_text: str, expected_text: str, write_count: int
 ) -> tuple[ReadbackCursor, str]:
-    """Request that a setting with a wrong value is written, at most ``writes`` times.
+    """Request that a setting with a wrong value is written, at most ``write_count`` times.
 
     Args:
         cursor: position in the settings.
         name: name of the setting.
         read_text: value in the drive, as text.
         expected_text: required value, as text.
-        writes: largest number of times that the setting is written.
+        write_count: largest number of times that the setting is written.
 
     Returns:
         The new position in the read-back, and the problem in words (empty if there is no problem).
     """
-    if cursor.written < writes:
+    if cursor.written < write_count:
         return ReadbackCursor(cursor.step, writing=True, written=cursor.written), ""
     after = " after writing" if cursor.written else ""
     return cursor, f"{name} reads {read_text}{after}, expected {expected_text}"

@@ -270,12 +270,12 @@ def write_window(words: Any, first_word: int, first_byte: int, signal_bits: Any)
 
 
 @kernel_helper
-def bytes_reversed(value: Any) -> Any:
+def bytes_reversed(word: Any) -> Any:
     """Return a word of eight bytes (uint64) with its bytes in reverse order."""
     result = np.uint64(0)
     for _ in range(8):
-        result = result << np.uint64(8) | value & np.uint64(0xFF)
-        value = value >> np.uint64(8)
+        result = result << np.uint64(8) | word & np.uint64(0xFF)
+        word = word >> np.uint64(8)
     return result
 
 

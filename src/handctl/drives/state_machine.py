@@ -50,9 +50,9 @@ class EnablingProgress(Protocol):
     def _replace(self, **changes: Any) -> Self: ...
 
 
-def enter_fault(state: DriveState, error_code: int, text: str) -> DriveState:
+def enter_fault(state: DriveState, error_code: int, fault_text: str) -> DriveState:
     """Return the state in phase FAULT, with the given error code and text."""
-    return state._replace(phase=FAULT, error=error_code, error_text=text)
+    return state._replace(phase=FAULT, error=error_code, error_text=fault_text)
 
 
 class RecheckedDrive(Protocol):
@@ -177,7 +177,7 @@ def start_disabling(state: DriveState, t_ns: int) -> DriveState:
 
 
 def state_when_off(
-    state: DriveState, has_dropped_out: bool, error_code: int, text: str
+    state: DriveState, has_dropped_out: bool, error_code: int, detail_text: str
 ) -> DriveState:
     """Return the state after the drive has reported that it is off, without an error.
 
@@ -189,7 +189,7 @@ def state_when_off(
         has_dropped_out: True if the drive was on, so that without a disable command it has
             disabled itself.
         error_code: error code of a drive that has disabled itself.
-        text: text of this error.
+        detail_text: text of this error.
     """
     progress: EnablingProgress = state.private
     off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
@@ -199,12 +199,12 @@ def state_when_off(
             return state
         return state._replace(phase=FAULT if state.error else READY, private=off)
     if has_dropped_out:
-        return enter_fault(state._replace(private=off), error_code, text)
+        return enter_fault(state._replace(private=off), error_code, detail_text)
     off = off._replace(enable_sent=progress.enable_sent)
     return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
 
 
-def state_when_on(state: DriveState, error_code: int, text: str) -> DriveState:
+def state_when_on(state: DriveState, error_code: int, detail_text: str) -> DriveState:
     """Return the state after the drive has reported that it is on.
 
     The function uses the field ``enable_sent``.
@@ -212,15 +212,15 @@ def state_when_on(state: DriveState, error_code: int, text: str) -> DriveState:
     Args:
         state: state of the drive.
         error_code: error code of a drive that this host has not enabled.
-        text: text of this error.
+        detail_text: text of this error.
     """
     progress: EnablingProgress = state.private
     if progress.enable_sent and state.phase != FAULT:
         return state if state.phase == ENABLED else state._replace(phase=ENABLED)
-    return state_when_on_by_other(state, error_code, text)
+    return state_when_on_by_other(state, error_code, detail_text)
 
 
-def state_when_on_by_other(state: DriveState, error_code: int, text: str) -> DriveState:
+def state_when_on_by_other(state: DriveState, error_code: int, detail_text: str) -> DriveState:
     """Return the state of a drive that may make torque without a command of this host.
 
     The function uses the fields ``enabled_by_other`` and ``disabling``. The arguments have the same
@@ -231,5 +231,5 @@ def state_when_on_by_other(state: DriveState, error_code: int, text: str) -> Dri
     if progress.disabling:
         return on._replace(phase=ENABLED)
     if state.phase in (READY, ENABLED):
-        return enter_fault(on, error_code, text)
+        return enter_fault(on, error_code, detail_text)
     return on._replace(phase=CONFIGURING) if state.phase == SILENT else on

@@ -37,7 +37,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import REFUSED_PREFIX
 from handctl.programs.stream_plans import target_horizon_s
-from handctl.session.plan import check_hand_ready, default_rate
+from handctl.session.run_plan import check_hand_ready, default_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 50.0

@@ -105,11 +105,11 @@ class Hand(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _without_sensors(cls, given: Any) -> Any:
+    def _without_sensors(cls, file_content: Any) -> Any:
         """Add a sensor node without channels to the content of a hand file without a section ``sensor_node``."""
-        if not isinstance(given, dict) or "sensor_node" in given:
-            return given
-        buses = given.get("bus")
+        if not isinstance(file_content, dict) or "sensor_node" in file_content:
+            return file_content
+        buses = file_content.get("bus")
         if (
             not isinstance(buses, list | tuple)
             or not buses
@@ -118,8 +118,8 @@ class Hand(Section):
         ):
             # If the buses are missing, pydantic reports this later. Any bus name is used here, so
             # that the missing buses are not reported twice.
-            return given | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": "main"}}
-        return given | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": buses[0]["name"]}}
+            return file_content | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": "main"}}
+        return file_content | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": buses[0]["name"]}}
 
     @cached_property
     def has_cell(self) -> NDArray[np.bool_]:
@@ -388,20 +388,22 @@ class Hand(Section):
         no calibration and no gains depend on them.
         """
         content = {key: value for key, value in self.content.items() if key != "stream"}
-        content["digit"] = [_without_keys(digit, MESH_KEYS) for digit in content["digit"]]
-        content["motor"] = [_without_keys(motor, CONTROL_KEYS) for motor in content["motor"]]
-        content["mount"] = _without_keys(content["mount"], PALM_MESH_KEYS)
+        content["digit"] = [_table_without_keys(digit, MESH_KEYS) for digit in content["digit"]]
+        content["motor"] = [_table_without_keys(motor, CONTROL_KEYS) for motor in content["motor"]]
+        content["mount"] = _table_without_keys(content["mount"], PALM_MESH_KEYS)
         # Because the keys are sorted and the separators are fixed, equal content becomes equal
         # text.
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 
 
-def _without_keys(table: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
+def _table_without_keys(table_content: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
     """Return a copy of a table without the given keys."""
-    return {key: value for key, value in table.items() if key not in keys}
+    return {key: value for key, value in table_content.items() if key not in keys}
 
 
-def _consecutive_slices(counts: list[int]) -> list[slice]:
+def _consecutive_slices(lengths: list[int]) -> list[slice]:
     """Return consecutive slices of the given lengths."""
-    return [slice(end - count, end) for count, end in zip(counts, accumulate(counts), strict=True)]
+    return [
+        slice(end - count, end) for count, end in zip(lengths, accumulate(lengths), strict=True)
+    ]

@@ -18,7 +18,7 @@ from handctl.hand.link_bodies import (
     link_placement,
     rotation_of_rpy,
 )
-from handctl.hand.moment_arms import arms_at, excursions_at
+from handctl.hand.moment_arms import excursions_at, moment_arms_at
 
 Array = NDArray[np.float64]
 JointValues = Sequence[float] | Array
@@ -244,11 +244,11 @@ class DigitModel:
         """Return the smallest and the largest angle of each joint (2, n) [rad]."""
         return np.stack((self.joint_min, self.joint_max))
 
-    def arms_at(self, q: ArrayLike) -> Array:
+    def moment_arms_at(self, q: ArrayLike) -> Array:
         """Return the moment arms R, (..., n_t, n) [m], at joint angles (..., n) [rad]."""
         if not self.has_varying_arm:
             return self.moment_arms
-        return arms_at(self.arm_polynomials, self.joint_limits, q)
+        return moment_arms_at(self.arm_polynomials, self.joint_limits, q)
 
     def excursion_at(self, q: ArrayLike) -> Array:
         """Return the excursion of each tendon, (n_t,) [m], at joint angles (n,) [rad]."""
@@ -263,7 +263,7 @@ class DigitModel:
         """
         if not self.has_varying_arm:
             return self
-        arms = self.arms_at(q)
+        arms = self.moment_arms_at(q)
         to_coordinates = np.linalg.pinv(arms @ self.coupling)
         return replace(
             self,
@@ -284,7 +284,7 @@ class DigitModel:
         theta = self.joints_to_coordinates @ self.joint_limits.mean(axis=0)
         for _ in range(NEWTON_STEPS):
             q = self.coupling @ theta
-            step = np.linalg.pinv(self.arms_at(q) @ self.coupling) @ (
+            step = np.linalg.pinv(self.moment_arms_at(q) @ self.coupling) @ (
                 excursion - self.excursion_at(q)
             )
             theta = theta + step
@@ -297,7 +297,9 @@ class DigitModel:
         """Return n, the number of joints."""
         return len(self.lengths)
 
-    def with_joint_angles(self, angles: Mapping[int, float], present_angles: JointValues) -> Array:
+    def with_joint_angles(
+        self, angle_of_joint: Mapping[int, float], present_angles: JointValues
+    ) -> Array:
         """Return the coordinates (n_c,) nearest to ``present_angles`` at which some joints have given angles.
 
         The result has the same unit as the arguments.
@@ -306,15 +308,15 @@ class DigitModel:
         solution.
 
         Args:
-            angles: given angles, by the index of the joint.
+            angle_of_joint: given angles, by the index of the joint.
             present_angles: (n_c,) present coordinates. All joints without a given angle move as
                 little as possible from them.
         """
-        rows = self.coupling[list(angles)]
+        rows = self.coupling[list(angle_of_joint)]
         return np.asarray(
             present_angles
             + np.linalg.pinv(rows)
-            @ (np.array(list(angles.values())) - rows @ np.asarray(present_angles))
+            @ (np.array(list(angle_of_joint.values())) - rows @ np.asarray(present_angles))
         )
 
     def with_gravity(self, gravity: JointValues) -> "DigitModel":
@@ -322,7 +324,7 @@ class DigitModel:
         return replace(self, gravity=_read_only_copy(gravity))
 
 
-def coordinate_range(coupling: Array, limits: Array) -> Array:
+def coordinate_range(coupling: Array, joint_limits: Array) -> Array:
     """Return the range of each coordinate (2, n_c) in which all joints stay within their limits.
 
     Each range applies while all other coordinates are zero. If a joint does not depend on a
@@ -330,12 +332,12 @@ def coordinate_range(coupling: Array, limits: Array) -> Array:
 
     Args:
         coupling: matrix B (n, n_c), see ``DigitModel``.
-        limits: (2, n) smallest and largest joint angles, in the unit of the result.
+        joint_limits: (2, n) smallest and largest joint angles, in the unit of the result.
     """
     ranges = []
     for column in coupling.T:
         moved = column != 0.0
-        each = limits[:, moved] / column[moved]
+        each = joint_limits[:, moved] / column[moved]
         # If an entry of B is negative, the lower and the upper limit of its joint change places.
         ranges.append((each.min(axis=0).max(initial=-np.inf), each.max(axis=0).min(initial=np.inf)))
     return np.array(ranges).T

@@ -72,7 +72,7 @@ def hand_path(name_or_path: str | Path) -> Path:
         raise ConfigError(
             "no such hand or file",
             str(path),
-            (f"{near}? or " if near else "") + _valid_names(names),
+            (f"{near}? or " if near else "") + _valid_names_text(names),
         )
     return path
 
@@ -98,12 +98,12 @@ def read_toml(path: Path) -> dict[str, Any]:
     return parse_toml(text, str(path))
 
 
-def parse_toml(text: str, source: str) -> dict[str, Any]:
+def parse_toml(text: str, source_name: str) -> dict[str, Any]:
     """Parse TOML text from a file, a log, or the command line.
 
     Args:
         text: TOML text.
-        source: name of the source of the text, for error messages.
+        source_name: name of the source of the text, for error messages.
 
     Raises:
         ConfigError: the text is not TOML, or contains an integer that does not fit into 64 bits.
@@ -111,12 +111,12 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
     try:
         content = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ConfigError(f"not TOML: {error}", source, "valid TOML") from None
-    _check_whole_numbers(content, source)
+        raise ConfigError(f"not TOML: {error}", source_name, "valid TOML") from None
+    _check_whole_numbers(content, source_name)
     return content
 
 
-def _check_whole_numbers(content: dict[str, Any], source: str) -> None:
+def _check_whole_numbers(content: dict[str, Any], source_name: str) -> None:
     """Refuse integers of more than 64 bits.
 
     Error messages could not contain very long integers, because Python refuses to print them.
@@ -132,22 +132,22 @@ def _check_whole_numbers(content: dict[str, Any], source: str) -> None:
             nodes += [(key, one) for one in node]
         elif isinstance(node, int) and node.bit_length() > 63:
             what = f"a whole number of {node.bit_length()} bits"
-            raise ConfigError(what, f"{source}: {key}", f"at most {2**63 - 1} in magnitude")
+            raise ConfigError(what, f"{source_name}: {key}", f"at most {2**63 - 1} in magnitude")
 
 
-def hand_from_content(content: Mapping[str, Any], source: str) -> Hand:
+def hand_from_content(content: Mapping[str, Any], source_name: str) -> Hand:
     """Validate the parsed content of a hand file, and return the hand.
 
     Args:
         content: content as parsed from TOML, possibly merged from several sources.
-        source: name of the source of the content, for error messages.
+        source_name: name of the source of the content, for error messages.
 
     Raises:
         ConfigError: for the same reasons as in ``load_hand``.
     """
     hand, mistakes = validate_content(content)
     if hand is None:
-        raise mistakes[0].error(source)
+        raise mistakes[0].error(source_name)
     return hand
 
 
@@ -231,15 +231,15 @@ def inspect_content(content: Mapping[str, Any]) -> InspectedHand:
 
 
 def _valid_sections(
-    content: Mapping[str, Any], kind: str, model: type[ValidatedSection]
+    content: Mapping[str, Any], section_kind: str, model: type[ValidatedSection]
 ) -> Iterator[ValidatedSection]:
     """Yield the sections of a kind that are valid without regard to other sections."""
-    sections = content.get(kind)
+    sections = content.get(section_kind)
     for section in sections if isinstance(sections, list | tuple) else ():
         with suppress(ValidationError):
             yield model.model_validate(section)
 
 
-def _valid_names(names: tuple[str, ...]) -> str:
+def _valid_names_text(hand_names: tuple[str, ...]) -> str:
     """Return a text about valid names of hands, for messages."""
-    return "one of " + ", ".join(names) + ", or the path of a hand file"
+    return "one of " + ", ".join(hand_names) + ", or the path of a hand file"

@@ -102,12 +102,12 @@ def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tupl
     ratio = digit.coupling[:, 0]
     target = np.asarray(position, dtype=np.float64)
 
-    def distance(theta: float) -> float:
-        return float(np.linalg.norm(joint_points(digit, ratio * theta)[-1] - target))
+    def distance(coordinate: float) -> float:
+        return float(np.linalg.norm(joint_points(digit, ratio * coordinate)[-1] - target))
 
-    def slope(theta: float) -> float:
-        gap = joint_points(digit, ratio * theta)[-1] - target
-        return float(gap @ tip_jacobian(digit, ratio * theta) @ ratio)
+    def slope(coordinate: float) -> float:
+        gap = joint_points(digit, ratio * coordinate)[-1] - target
+        return float(gap @ tip_jacobian(digit, ratio * coordinate) @ ratio)
 
     grid = np.linspace(*coordinate_limits(digit), SCAN_POINTS + 1).tolist()
     slopes = [slope(theta) for theta in grid]
@@ -176,7 +176,7 @@ def _wrapped_angle(angle: float) -> float:
 
 
 def closest_tip(
-    digit: DigitModel, position: JointValues, start: JointValues | None = None
+    digit: DigitModel, position: JointValues, start_angles: JointValues | None = None
 ) -> ClosestTip:
     """Return the coordinates within the joint limits at which the tip of a digit is closest to a point.
 
@@ -188,31 +188,36 @@ def closest_tip(
     Args:
         digit: model of a digit that is mounted on the palm.
         position: (3,) point in the palm frame [m].
-        start: (n_c,) coordinates at which the search starts [rad]. If it is None, searches start at
+        start_angles: (n_c,) coordinates at which the search starts [rad]. If it is None, searches start at
             several postures, and the best of their results is returned.
 
     Source: Nocedal & Wright (2006), Numerical Optimization, 10.3 and 16.7.
     """
     target = np.asarray(position, dtype=np.float64)
     low, high = digit.reach
-    if start is None:
+    if start_angles is None:
         found = [
-            _local_minimum(digit, target, low + part * (high - low)) for part in START_FRACTIONS
+            _locally_closest_tip(digit, target, low + part * (high - low))
+            for part in START_FRACTIONS
         ]
         return min(found, key=lambda one: one.distance)
-    return _local_minimum(digit, target, np.clip(np.asarray(start, dtype=np.float64), low, high))
+    return _locally_closest_tip(
+        digit, target, np.clip(np.asarray(start_angles, dtype=np.float64), low, high)
+    )
 
 
-def _local_minimum(digit: DigitModel, target: Array, start: Array) -> ClosestTip:
+def _locally_closest_tip(
+    digit: DigitModel, target_point: Array, start_coordinates: Array
+) -> ClosestTip:
     """Return the local minimum of the distance that a search from the start coordinates finds."""
     low, high = digit.reach
-    theta = start.copy()
-    gap = joint_points(digit, digit.coupling @ theta)[-1] - target
+    theta = start_coordinates.copy()
+    gap = joint_points(digit, digit.coupling @ theta)[-1] - target_point
     cost = float(gap @ gap)
     damping = 1e-3
     for _ in range(MAX_STEPS):
         jacobian = tip_jacobian(digit, digit.coupling @ theta) @ digit.coupling
-        slope = jacobian.T @ gap + START_WEIGHT_M_PER_RAD**2 * (theta - start)
+        slope = jacobian.T @ gap + START_WEIGHT_M_PER_RAD**2 * (theta - start_coordinates)
         free = ~(((theta <= low) & (slope > 0.0)) | ((theta >= high) & (slope < 0.0)))
         if not free.any():
             break
@@ -227,9 +232,9 @@ def _local_minimum(digit: DigitModel, target: Array, start: Array) -> ClosestTip
                 curvature + damping * scale * np.eye(len(curvature)), slope[free]
             )
             trial = np.clip(trial, low, high)
-            ahead = joint_points(digit, digit.coupling @ trial)[-1] - target
-            steady = (START_WEIGHT_M_PER_RAD * (trial - start)) @ (
-                START_WEIGHT_M_PER_RAD * (trial - start)
+            ahead = joint_points(digit, digit.coupling @ trial)[-1] - target_point
+            steady = (START_WEIGHT_M_PER_RAD * (trial - start_coordinates)) @ (
+                START_WEIGHT_M_PER_RAD * (trial - start_coordinates)
             )
             if (now := float(ahead @ ahead + steady)) < cost:
                 moved = trial

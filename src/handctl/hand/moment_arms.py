@@ -70,57 +70,59 @@ def is_arm_varying(arm: MomentArm) -> bool:
     return isinstance(arm, Mapping)
 
 
-def arms_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
+def moment_arms_at(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) -> Array:
     """Return the moment arms R (..., n_t, n) at given joint angles [m].
 
     Args:
-        polynomials: (n_t, n, POLYNOMIAL_COEFFICIENTS) moment arms as polynomials.
-        limits: (2, n) smallest and largest joint angles [rad].
+        arm_polynomials: (n_t, n, POLYNOMIAL_COEFFICIENTS) moment arms as polynomials.
+        joint_limits: (2, n) smallest and largest joint angles [rad].
         q: (..., n) joint angles [rad].
     """
-    held = np.clip(np.asarray(q, dtype=np.float64), limits[0], limits[1])[..., None, :]
-    return _evaluate_polynomials(polynomials, held)
+    held = np.clip(np.asarray(q, dtype=np.float64), joint_limits[0], joint_limits[1])[..., None, :]
+    return _evaluate_polynomials(arm_polynomials, held)
 
 
-def excursions_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
+def excursions_at(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) -> Array:
     """Return the excursion (..., n_t, n) of each tendon at each joint [m].
 
     The excursion is the integral of the moment arm over the joint angle.
 
     Args:
-        polynomials: (n_t, n, POLYNOMIAL_COEFFICIENTS) moment arms as polynomials.
-        limits: (2, n) smallest and largest joint angles [rad].
+        arm_polynomials: (n_t, n, POLYNOMIAL_COEFFICIENTS) moment arms as polynomials.
+        joint_limits: (2, n) smallest and largest joint angles [rad].
         q: (..., n) joint angles [rad].
     """
     angles = np.asarray(q, dtype=np.float64)[..., None, :]
-    held = np.clip(angles, limits[0], limits[1])
+    held = np.clip(angles, joint_limits[0], joint_limits[1])
     integral = held * _evaluate_polynomials(
-        polynomials / np.arange(1.0, POLYNOMIAL_COEFFICIENTS + 1.0), held
+        arm_polynomials / np.arange(1.0, POLYNOMIAL_COEFFICIENTS + 1.0), held
     )
-    return integral + (angles - held) * _evaluate_polynomials(polynomials, held)
+    return integral + (angles - held) * _evaluate_polynomials(arm_polynomials, held)
 
 
-def mean_arm(arm: MomentArm, low: float, high: float) -> float:
+def mean_arm(arm: MomentArm, min_angle: float, max_angle: float) -> float:
     """Return the mean of a moment arm over the range of the joint [m].
 
     For a constant moment arm, the mean is the moment arm itself.
 
     Args:
         arm: valid moment arm from a hand file.
-        low: smallest joint angle [rad].
-        high: largest joint angle [rad].
+        min_angle: smallest joint angle [rad].
+        max_angle: largest joint angle [rad].
     """
     if not isinstance(arm, Mapping):
         return arm
     ends = excursions_at(
-        polynomial_of_arm(arm)[None, None], np.array([[low], [high]]), [[low], [high]]
+        polynomial_of_arm(arm)[None, None],
+        np.array([[min_angle], [max_angle]]),
+        [[min_angle], [max_angle]],
     )
-    return float(ends[1, 0, 0] - ends[0, 0, 0]) / (high - low)
+    return float(ends[1, 0, 0] - ends[0, 0, 0]) / (max_angle - min_angle)
 
 
-def _evaluate_polynomials(polynomials: Array, q: Array) -> Array:
+def _evaluate_polynomials(arm_polynomials: Array, q: Array) -> Array:
     """Evaluate polynomials (n_t, n, POLYNOMIAL_COEFFICIENTS) at angles (..., 1, n) by Horner's method."""
-    value = np.zeros(np.broadcast_shapes(polynomials.shape[:2], q.shape))
+    value = np.zeros(np.broadcast_shapes(arm_polynomials.shape[:2], q.shape))
     for order in range(POLYNOMIAL_COEFFICIENTS - 1, -1, -1):
-        value = value * q + polynomials[..., order]
+        value = value * q + arm_polynomials[..., order]
     return value

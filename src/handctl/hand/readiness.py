@@ -13,7 +13,7 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import coordinate_range
 from handctl.hand.file.error_text import FileMistake
 from handctl.hand.file.sections import PRISMATIC_KEYS, REVOLUTE_KEYS, Bus, Digit
-from handctl.hand.moment_arms import arm_table_residual, arms_at, table_of_arm
+from handctl.hand.moment_arms import arm_table_residual, moment_arms_at, table_of_arm
 
 Vector = NDArray[np.float64]
 MAX_ARBITRATION_BITRATE = 1_000_000
@@ -97,7 +97,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
         limits = hand.joint_limits[:, hand.digit_joints[digit.name]]
         polynomials = hand.arm_polynomials[tendons, hand.digit_joints[digit.name]]
         postures = list(
-            arms_at(polynomials, limits, np.linspace(limits[0], limits[1], CHECKED_POSTURES))
+            moment_arms_at(polynomials, limits, np.linspace(limits[0], limits[1], CHECKED_POSTURES))
             @ coupling
         )
     arms = postures[0]  # moment arms of the digit when it is open
@@ -151,14 +151,16 @@ def arm_table_fit_lines(hand: Hand) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def can_hold_each_other(arms: Vector) -> bool:
+def can_hold_each_other(moment_arms: Vector) -> bool:
     """Return True if positive tensions exist that together make no torque.
 
     Args:
-        arms: matrix R B (n_t, n_c) of moment arms in the coordinates of a digit [m].
+        moment_arms: matrix R B (n_t, n_c) of moment arms in the coordinates of a digit [m].
     """
-    largest = np.abs(arms).max()
-    if ((arms.min(axis=0) >= 0.0) & (arms.max(axis=0) > MAX_TORQUE_RESIDUAL * largest)).any():
+    largest = np.abs(moment_arms).max()
+    if (
+        (moment_arms.min(axis=0) >= 0.0) & (moment_arms.max(axis=0) > MAX_TORQUE_RESIDUAL * largest)
+    ).any():
         return (
             # If all moment arms at a coordinate are positive, tensions always make a torque
             # together.
@@ -168,5 +170,5 @@ def can_hold_each_other(arms: Vector) -> bool:
 
     # If this non-negative least-squares problem has no residual, the tensions 1 + w with w >= 0
     # make no torque together.
-    _, residual = nnls(arms.T, -arms.sum(axis=0))
+    _, residual = nnls(moment_arms.T, -moment_arms.sum(axis=0))
     return bool(residual <= MAX_TORQUE_RESIDUAL * largest)

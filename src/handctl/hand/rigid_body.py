@@ -82,12 +82,14 @@ _WORK_COLUMN_COUNT = 27
 
 
 @kernel_helper
-def write_link_poses(table: Array, row: int, parent: IndexArray, q: Array, pose: Array) -> None:
+def write_link_poses(
+    link_table: Array, first_row: int, parent: IndexArray, q: Array, pose: Array
+) -> None:
     """Write the poses of all links, but not the carried masses and their moments.
 
     Args:
-        table: array that contains the table of links, see the docstring of the module.
-        row: first row of the table in the array.
+        link_table: array that contains the table of links, see the docstring of the module.
+        first_row: first row of the table in the array.
         parent: (n,) column of the parent of each link, or -1 if the parent is the palm.
         q: (n,) joint angles [rad].
         pose: (n, POSE_COLUMN_COUNT) result.
@@ -98,14 +100,14 @@ def write_link_poses(table: Array, row: int, parent: IndexArray, q: Array, pose:
         sine = math.sin(q[j])
         for i in range(9):
             turn[i] = (
-                table[row + FIXED_ROTATION_ROW + i, j]
-                + cosine * table[row + COSINE_ROTATION_ROW + i, j]
-                + sine * table[row + SINE_ROTATION_ROW + i, j]
+                link_table[first_row + FIXED_ROTATION_ROW + i, j]
+                + cosine * link_table[first_row + COSINE_ROTATION_ROW + i, j]
+                + sine * link_table[first_row + SINE_ROTATION_ROW + i, j]
             )
         before = parent[j]
         for a in range(3):
             if before < 0:
-                pose[j, POSITION_COLUMN + a] = table[row + ORIGIN_ROW + a, j]
+                pose[j, POSITION_COLUMN + a] = link_table[first_row + ORIGIN_ROW + a, j]
                 for b in range(3):
                     pose[j, ROTATION_COLUMN + 3 * a + b] = turn[3 * a + b]
             else:
@@ -118,34 +120,40 @@ def write_link_poses(table: Array, row: int, parent: IndexArray, q: Array, pose:
                     )
                 pose[j, POSITION_COLUMN + a] = (
                     pose[before, POSITION_COLUMN + a]
-                    + first * table[row + ORIGIN_ROW, j]
-                    + second * table[row + ORIGIN_ROW + 1, j]
-                    + third * table[row + ORIGIN_ROW + 2, j]
+                    + first * link_table[first_row + ORIGIN_ROW, j]
+                    + second * link_table[first_row + ORIGIN_ROW + 1, j]
+                    + third * link_table[first_row + ORIGIN_ROW + 2, j]
                 )
-            pose[j, DIRECTION_COLUMN + a] = _component_along(table, row + AXIS_ROW, pose, j, a)
-            if table[row + PRISMATIC_ROW, j] != 0.0:
+            pose[j, DIRECTION_COLUMN + a] = _component_along(
+                link_table, first_row + AXIS_ROW, pose, j, a
+            )
+            if link_table[first_row + PRISMATIC_ROW, j] != 0.0:
                 pose[j, POSITION_COLUMN + a] += q[j] * pose[j, DIRECTION_COLUMN + a]
-        pose[j, PRISMATIC_COLUMN] = table[row + PRISMATIC_ROW, j]
+        pose[j, PRISMATIC_COLUMN] = link_table[first_row + PRISMATIC_ROW, j]
 
 
 @kernel_helper
-def _component_along(table: Array, row: int, pose: Array, j: int, a: int) -> float:
+def _component_along(
+    link_table: Array, first_row: int, pose: Array, j: int, axis_index: int
+) -> float:
     """Return a component in the palm frame of a vector that the table has in the frame of link j."""
-    first = pose[j, ROTATION_COLUMN + 3 * a] * table[row, j]
-    second = pose[j, ROTATION_COLUMN + 3 * a + 1] * table[row + 1, j]
-    third = pose[j, ROTATION_COLUMN + 3 * a + 2] * table[row + 2, j]
+    first = pose[j, ROTATION_COLUMN + 3 * axis_index] * link_table[first_row, j]
+    second = pose[j, ROTATION_COLUMN + 3 * axis_index + 1] * link_table[first_row + 1, j]
+    third = pose[j, ROTATION_COLUMN + 3 * axis_index + 2] * link_table[first_row + 2, j]
     return first + second + third
 
 
 @kernel_helper
-def write_carried_masses(table: Array, row: int, parent: IndexArray, pose: Array) -> None:
+def write_carried_masses(
+    link_table: Array, first_row: int, parent: IndexArray, pose: Array
+) -> None:
     """Write the carried masses of all links, and their first moments, for given poses."""
     for j in range(len(pose)):
-        pose[j, CARRIED_MASS_COLUMN] = table[row + MASS_ROW, j]
+        pose[j, CARRIED_MASS_COLUMN] = link_table[first_row + MASS_ROW, j]
         for a in range(3):
-            moment = _component_along(table, row + MOMENT_ROW, pose, j, a)
+            moment = _component_along(link_table, first_row + MOMENT_ROW, pose, j, a)
             pose[j, CARRIED_MOMENT_COLUMN + a] = (
-                table[row + MASS_ROW, j] * pose[j, POSITION_COLUMN + a] + moment
+                link_table[first_row + MASS_ROW, j] * pose[j, POSITION_COLUMN + a] + moment
             )
     # The loop goes through the links from the tips to the palm.
     for j in range(len(pose) - 1, -1, -1):
@@ -157,19 +165,24 @@ def write_carried_masses(table: Array, row: int, parent: IndexArray, pose: Array
 
 @kernel_helper
 def write_weight_torques(
-    table: Array, row: int, parent: IndexArray, gravity: Array, pose: Array, torque: Array
+    link_table: Array,
+    first_row: int,
+    parent: IndexArray,
+    gravity: Array,
+    pose: Array,
+    torque: Array,
 ) -> None:
     """Write the joint torques (n,) that balance the weight of the links [N m], for given poses.
 
     Args:
-        table: array with the table of links, see ``write_link_poses``.
-        row: see ``write_link_poses``.
+        link_table: array with the table of links, see ``write_link_poses``.
+        first_row: see ``write_link_poses``.
         parent: see ``write_link_poses``.
         gravity: (3,) gravity in the palm frame [m/s2].
         pose: (n, POSE_COLUMN_COUNT) poses. The carried masses in the poses are overwritten.
         torque: (n,) result.
     """
-    write_carried_masses(table, row, parent, pose)
+    write_carried_masses(link_table, first_row, parent, pose)
     for j in range(len(pose)):
         mass = pose[j, CARRIED_MASS_COLUMN]
         x = pose[j, CARRIED_MOMENT_COLUMN] - mass * pose[j, POSITION_COLUMN]
@@ -192,29 +205,37 @@ def write_weight_torques(
 
 
 @kernel_helper
-def write_levers(pose: Array, first: int, touched: int, along: float, lever: Array) -> None:
-    """Write the levers of a force on a link about the joints from ``first`` to the joint of the link [m].
+def write_levers(
+    pose: Array, first_joint: int, touched_link: int, distance_along: float, levers_m: Array
+) -> None:
+    """Write the levers of a force on a link about the joints from ``first_joint`` to the joint of the link [m].
 
     The force acts at a point on the x axis of the link. Its direction is the link's y axis, which
     points to the side of flexion.
 
     Args:
         pose: (n, POSE_COLUMN_COUNT) poses.
-        first: first joint of the chain.
-        touched: index of the link on which the force acts.
-        along: distance between the joint of the link and the point [m].
-        lever: (n,) result, from ``first`` to ``touched``.
+        first_joint: first joint of the chain.
+        touched_link: index of the link on which the force acts.
+        distance_along: distance between the joint of the link and the point [m].
+        levers_m: (n,) result, from ``first_joint`` to ``touched_link``.
     """
-    px = pose[touched, POSITION_COLUMN] + along * pose[touched, ROTATION_COLUMN]
-    py = pose[touched, POSITION_COLUMN + 1] + along * pose[touched, ROTATION_COLUMN + 3]
-    pz = pose[touched, POSITION_COLUMN + 2] + along * pose[touched, ROTATION_COLUMN + 6]
-    nx, ny, nz = (
-        pose[touched, ROTATION_COLUMN + 1],
-        pose[touched, ROTATION_COLUMN + 4],
-        pose[touched, ROTATION_COLUMN + 7],
+    px = pose[touched_link, POSITION_COLUMN] + distance_along * pose[touched_link, ROTATION_COLUMN]
+    py = (
+        pose[touched_link, POSITION_COLUMN + 1]
+        + distance_along * pose[touched_link, ROTATION_COLUMN + 3]
     )
-    for j in range(first, touched + 1):
-        lever[j] = _lever(pose, j, px, py, pz, nx, ny, nz)
+    pz = (
+        pose[touched_link, POSITION_COLUMN + 2]
+        + distance_along * pose[touched_link, ROTATION_COLUMN + 6]
+    )
+    nx, ny, nz = (
+        pose[touched_link, ROTATION_COLUMN + 1],
+        pose[touched_link, ROTATION_COLUMN + 4],
+        pose[touched_link, ROTATION_COLUMN + 7],
+    )
+    for j in range(first_joint, touched_link + 1):
+        levers_m[j] = _lever(pose, j, px, py, pz, nx, ny, nz)
 
 
 @kernel_helper
@@ -245,7 +266,13 @@ def _lever(
 
 @kernel_helper
 def write_turned_levers(
-    pose: Array, first: int, last: int, along: float, turned: int, angle: float, lever: Array
+    pose: Array,
+    first_joint: int,
+    last_joint: int,
+    distance_along: float,
+    turned_joint: int,
+    angle: float,
+    levers_m: Array,
 ) -> None:
     """Write the levers of a force on the last link of a chain after one joint has turned, see ``write_levers``.
 
@@ -254,50 +281,50 @@ def write_turned_levers(
 
     Args:
         pose: (n, POSE_COLUMN_COUNT) poses.
-        first: first joint of the chain.
-        last: index of the last link of the chain, on which the force acts.
-        along: distance between the joint of the last link and the point [m].
-        turned: joint that turns.
+        first_joint: first joint of the chain.
+        last_joint: index of the last link of the chain, on which the force acts.
+        distance_along: distance between the joint of the last link and the point [m].
+        turned_joint: joint that turns.
         angle: angle of the turn [rad]. A prismatic joint slides by this distance [m].
-        lever: (n,) levers before the turn, modified in place up to the turned joint.
+        levers_m: (n,) levers before the turn, modified in place up to the turned joint.
     """
     ax, ay, az = (
-        pose[turned, DIRECTION_COLUMN],
-        pose[turned, DIRECTION_COLUMN + 1],
-        pose[turned, DIRECTION_COLUMN + 2],
+        pose[turned_joint, DIRECTION_COLUMN],
+        pose[turned_joint, DIRECTION_COLUMN + 1],
+        pose[turned_joint, DIRECTION_COLUMN + 2],
     )
     nx, ny, nz = (
-        pose[last, ROTATION_COLUMN + 1],
-        pose[last, ROTATION_COLUMN + 4],
-        pose[last, ROTATION_COLUMN + 7],
+        pose[last_joint, ROTATION_COLUMN + 1],
+        pose[last_joint, ROTATION_COLUMN + 4],
+        pose[last_joint, ROTATION_COLUMN + 7],
     )
     x = (
-        pose[last, POSITION_COLUMN]
-        + along * pose[last, ROTATION_COLUMN]
-        - pose[turned, POSITION_COLUMN]
+        pose[last_joint, POSITION_COLUMN]
+        + distance_along * pose[last_joint, ROTATION_COLUMN]
+        - pose[turned_joint, POSITION_COLUMN]
     )
     y = (
-        pose[last, POSITION_COLUMN + 1]
-        + along * pose[last, ROTATION_COLUMN + 3]
-        - pose[turned, POSITION_COLUMN + 1]
+        pose[last_joint, POSITION_COLUMN + 1]
+        + distance_along * pose[last_joint, ROTATION_COLUMN + 3]
+        - pose[turned_joint, POSITION_COLUMN + 1]
     )
     z = (
-        pose[last, POSITION_COLUMN + 2]
-        + along * pose[last, ROTATION_COLUMN + 6]
-        - pose[turned, POSITION_COLUMN + 2]
+        pose[last_joint, POSITION_COLUMN + 2]
+        + distance_along * pose[last_joint, ROTATION_COLUMN + 6]
+        - pose[turned_joint, POSITION_COLUMN + 2]
     )
-    if pose[turned, PRISMATIC_COLUMN] != 0.0:
+    if pose[turned_joint, PRISMATIC_COLUMN] != 0.0:
         x, y, z = x + angle * ax, y + angle * ay, z + angle * az
     else:
         nx, ny, nz = _rotated(ax, ay, az, angle, nx, ny, nz)
         x, y, z = _rotated(ax, ay, az, angle, x, y, z)
     px, py, pz = (
-        pose[turned, POSITION_COLUMN] + x,
-        pose[turned, POSITION_COLUMN + 1] + y,
-        pose[turned, POSITION_COLUMN + 2] + z,
+        pose[turned_joint, POSITION_COLUMN] + x,
+        pose[turned_joint, POSITION_COLUMN + 1] + y,
+        pose[turned_joint, POSITION_COLUMN + 2] + z,
     )
-    for j in range(first, turned + 1):
-        lever[j] = _lever(pose, j, px, py, pz, nx, ny, nz)
+    for j in range(first_joint, turned_joint + 1):
+        levers_m[j] = _lever(pose, j, px, py, pz, nx, ny, nz)
 
 
 @kernel_helper
@@ -320,8 +347,8 @@ def _rotated(
 
 @kernel_helper
 def write_newton_euler(
-    table: Array,
-    row: int,
+    link_table: Array,
+    first_row: int,
     parent: IndexArray,
     gravity: Array,
     q: Array,
@@ -332,8 +359,8 @@ def write_newton_euler(
     """Write the joint torques (n,) that a motion requires because of inertia and weight, M q'' + C q' + g [N m].
 
     Args:
-        table: array with the table of links, see ``write_link_poses``.
-        row: see ``write_link_poses``.
+        link_table: array with the table of links, see ``write_link_poses``.
+        first_row: see ``write_link_poses``.
         parent: see ``write_link_poses``.
         gravity: (3,) gravity in the palm frame [m/s2].
         q: (n,) joint angles [rad].
@@ -343,17 +370,17 @@ def write_newton_euler(
     """
     work = np.empty((len(q), _WORK_COLUMN_COUNT))
     for j in range(len(q)):
-        _move_link(table, row, parent[j], gravity, q[j], dq[j], ddq[j], work, j)
-        _load_link(table, row, work, j)
+        _move_link(link_table, first_row, parent[j], gravity, q[j], dq[j], ddq[j], work, j)
+        _load_link(link_table, first_row, work, j)
     # The loop goes through the links from the tips to the palm, because each joint carries the
     # forces of its link and of all links beyond it.
     for j in range(len(q) - 1, -1, -1):
-        load = _FORCE if table[row + PRISMATIC_ROW, j] != 0.0 else _TORQUE
+        load = _FORCE if link_table[first_row + PRISMATIC_ROW, j] != 0.0 else _TORQUE
         torque[j] = (
-            table[row + AXIS_ROW, j] * work[j, load]
-            + table[row + AXIS_ROW + 1, j] * work[j, load + 1]
-            + table[row + AXIS_ROW + 2, j] * work[j, load + 2]
-            + table[row + ARMATURE_ROW, j] * ddq[j]
+            link_table[first_row + AXIS_ROW, j] * work[j, load]
+            + link_table[first_row + AXIS_ROW + 1, j] * work[j, load + 1]
+            + link_table[first_row + AXIS_ROW + 2, j] * work[j, load + 2]
+            + link_table[first_row + ARMATURE_ROW, j] * ddq[j]
         )
         before = parent[j]
         if before >= 0:
@@ -362,8 +389,8 @@ def write_newton_euler(
 
 @kernel_helper
 def _move_link(
-    table: Array,
-    row: int,
+    link_table: Array,
+    first_row: int,
     parent_link: int,
     gravity: Array,
     q: float,
@@ -381,18 +408,18 @@ def _move_link(
     sine = math.sin(q)
     for i in range(9):
         work[j, i] = (
-            table[row + FIXED_ROTATION_ROW + i, j]
-            + cosine * table[row + COSINE_ROTATION_ROW + i, j]
-            + sine * table[row + SINE_ROTATION_ROW + i, j]
+            link_table[first_row + FIXED_ROTATION_ROW + i, j]
+            + cosine * link_table[first_row + COSINE_ROTATION_ROW + i, j]
+            + sine * link_table[first_row + SINE_ROTATION_ROW + i, j]
         )
     ax, ay, az = (
-        table[row + AXIS_ROW, j],
-        table[row + AXIS_ROW + 1, j],
-        table[row + AXIS_ROW + 2, j],
+        link_table[first_row + AXIS_ROW, j],
+        link_table[first_row + AXIS_ROW + 1, j],
+        link_table[first_row + AXIS_ROW + 2, j],
     )
-    prismatic = table[row + PRISMATIC_ROW, j] != 0.0
+    prismatic = link_table[first_row + PRISMATIC_ROW, j] != 0.0
     for a in range(3):
-        work[j, _ORIGIN + a] = table[row + ORIGIN_ROW + a, j]
+        work[j, _ORIGIN + a] = link_table[first_row + ORIGIN_ROW + a, j]
         if prismatic:
             work[j, _ORIGIN + a] += q * (
                 work[j, 3 * a] * ax + work[j, 3 * a + 1] * ay + work[j, 3 * a + 2] * az
@@ -441,13 +468,13 @@ def _move_link(
 
 
 @kernel_helper
-def _load_link(table: Array, row: int, work: Array, j: int) -> None:
+def _load_link(link_table: Array, first_row: int, work: Array, j: int) -> None:
     """Write the force and the torque at the joint of link j that the motion of this link requires."""
-    mass = table[row + MASS_ROW, j]
+    mass = link_table[first_row + MASS_ROW, j]
     hx, hy, hz = (
-        table[row + MOMENT_ROW, j],
-        table[row + MOMENT_ROW + 1, j],
-        table[row + MOMENT_ROW + 2, j],
+        link_table[first_row + MOMENT_ROW, j],
+        link_table[first_row + MOMENT_ROW + 1, j],
+        link_table[first_row + MOMENT_ROW + 2, j],
     )
     wx, wy, wz = work[j, _RATE], work[j, _RATE + 1], work[j, _RATE + 2]
     tx, ty, tz = work[j, _TURN], work[j, _TURN + 1], work[j, _TURN + 2]
@@ -458,14 +485,14 @@ def _load_link(table: Array, row: int, work: Array, j: int) -> None:
     work[j, _FORCE + 1] = mass * my + (tz * hx - tx * hz) + (wz * ux - wx * uz)
     work[j, _FORCE + 2] = mass * mz + (tx * hy - ty * hx) + (wx * uy - wy * ux)
     xx, yy, zz = (
-        table[row + INERTIA_ROW, j],
-        table[row + INERTIA_ROW + 1, j],
-        table[row + INERTIA_ROW + 2, j],
+        link_table[first_row + INERTIA_ROW, j],
+        link_table[first_row + INERTIA_ROW + 1, j],
+        link_table[first_row + INERTIA_ROW + 2, j],
     )
     xy, xz, yz = (
-        table[row + INERTIA_ROW + 3, j],
-        table[row + INERTIA_ROW + 4, j],
-        table[row + INERTIA_ROW + 5, j],
+        link_table[first_row + INERTIA_ROW + 3, j],
+        link_table[first_row + INERTIA_ROW + 4, j],
+        link_table[first_row + INERTIA_ROW + 5, j],
     )
     # The required torque is I t + w x (I w) + h x a.
     lx, ly, lz = (
@@ -504,36 +531,36 @@ def _add_load_to_parent(work: Array, j: int, parent_link: int) -> None:
 
 
 @kernel("matrix", "counts", "vector")
-def link_poses(table: Array, parent: IndexArray, q: Array) -> Array:
+def link_poses(link_table: Array, parent: IndexArray, q: Array) -> Array:
     """Return the poses (n, POSE_COLUMN_COUNT) of all links with carried masses, at joint angles q (n,) [rad]."""
     pose = np.empty((len(q), POSE_COLUMN_COUNT))
-    write_link_poses(table, 0, parent, q, pose)
-    write_carried_masses(table, 0, parent, pose)
+    write_link_poses(link_table, 0, parent, q, pose)
+    write_carried_masses(link_table, 0, parent, pose)
     return pose
 
 
 @kernel("matrix", "counts", "vector", "vector")
-def weight_torques(table: Array, parent: IndexArray, gravity: Array, q: Array) -> Array:
+def weight_torques(link_table: Array, parent: IndexArray, gravity: Array, q: Array) -> Array:
     """Return the joint torques (n,) that balance the weight of the links [N m], see ``write_weight_torques``."""
     pose = np.empty((len(q), POSE_COLUMN_COUNT))
     torque = np.empty(len(q))
-    write_link_poses(table, 0, parent, q, pose)
-    write_weight_torques(table, 0, parent, gravity, pose, torque)
+    write_link_poses(link_table, 0, parent, q, pose)
+    write_weight_torques(link_table, 0, parent, gravity, pose, torque)
     return torque
 
 
 @kernel("matrix", "counts", "vector", "vector", "vector", "vector")
 def rigid_body_torques(
-    table: Array, parent: IndexArray, gravity: Array, q: Array, dq: Array, ddq: Array
+    link_table: Array, parent: IndexArray, gravity: Array, q: Array, dq: Array, ddq: Array
 ) -> Array:
     """Return the joint torques (n,) of inertia and weight [N m], see ``write_newton_euler``."""
     torque = np.empty(len(q))
-    write_newton_euler(table, 0, parent, gravity, q, dq, ddq, torque)
+    write_newton_euler(link_table, 0, parent, gravity, q, dq, ddq, torque)
     return torque
 
 
 @kernel("matrix", "counts", "vector")
-def inertia_matrix(table: Array, parent: IndexArray, q: Array) -> Array:
+def inertia_matrix(link_table: Array, parent: IndexArray, q: Array) -> Array:
     """Return the mass matrix (n, n) at joint angles q (n,) [rad], including the armature [kg m2].
 
     Column k contains the torques that are necessary for a unit acceleration of joint k, at rest and
@@ -546,7 +573,7 @@ def inertia_matrix(table: Array, parent: IndexArray, q: Array) -> Array:
     matrix = np.empty((n, n))
     for k in range(n):
         unit[k] = 1.0
-        write_newton_euler(table, 0, parent, rest, q, rest, unit, matrix[k])
+        write_newton_euler(link_table, 0, parent, rest, q, rest, unit, matrix[k])
         unit[k] = 0.0
     for k in range(n):
         for i in range(k):
@@ -555,13 +582,15 @@ def inertia_matrix(table: Array, parent: IndexArray, q: Array) -> Array:
 
 
 @kernel("matrix", "counts", "vector", "count", "real")
-def tip_levers(table: Array, parent: IndexArray, q: Array, touched: int, along: float) -> Array:
+def tip_levers(
+    link_table: Array, parent: IndexArray, q: Array, touched_link: int, distance_along: float
+) -> Array:
     """Return the levers (n,) [m] of a force on a link about the joints of its chain, see ``write_levers``.
 
     For joints beyond the link, the levers are 0.
     """
     pose = np.empty((len(q), POSE_COLUMN_COUNT))
     lever = np.zeros(len(q))
-    write_link_poses(table, 0, parent, q, pose)
-    write_levers(pose, 0, touched, along, lever)
+    write_link_poses(link_table, 0, parent, q, pose)
+    write_levers(pose, 0, touched_link, distance_along, lever)
     return lever

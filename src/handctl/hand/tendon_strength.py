@@ -12,7 +12,7 @@ import numpy as np
 
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import lines_by_text
-from handctl.hand.moment_arms import arms_at
+from handctl.hand.moment_arms import moment_arms_at
 
 STRENGTH_MARGIN = 1.5
 """Required ratio of a tendon's ``rated_breaking_force_N`` to the peak tension when the drive runs away."""
@@ -30,9 +30,9 @@ def runaway_tension(force: float) -> float:
     return RUNAWAY_OVERSHOOT * force
 
 
-def largest_safe_force(strength: float) -> float:
+def largest_safe_force(breaking_force: float) -> float:
     """Return the largest force of a drive [N] at which a tendon of this strength [N] has ``STRENGTH_MARGIN``."""
-    return strength / (RUNAWAY_OVERSHOOT * STRENGTH_MARGIN)
+    return breaking_force / (RUNAWAY_OVERSHOOT * STRENGTH_MARGIN)
 
 
 def strength_warnings(hand: Hand) -> tuple[str, ...]:
@@ -66,15 +66,15 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
     return lines_by_text(named)
 
 
-def _runaway_text(key: str, force: float, strength: float, spool: float) -> str:
+def _runaway_text(key: str, force: float, breaking_force: float, spool_radius: float) -> str:
     """Describe a runaway with a given force, and name the torque limit that the drive should have."""
     peak = runaway_tension(force)
-    right = largest_safe_force(strength)
-    factor = strength / peak
+    right = largest_safe_force(breaking_force)
+    factor = breaking_force / peak
     return (
-        f"{key} ({force:g} N at the tendon) makes {peak:g} N in a runaway. The strength of {strength:g} N is "
+        f"{key} ({force:g} N at the tendon) makes {peak:g} N in a runaway. The strength of {breaking_force:g} N is "
         f"{factor:.2f} times this tension; expected a factor of {STRENGTH_MARGIN:g}: "
-        f"limit the drive to {right:.0f} N = {right * spool:.3g} N m"
+        f"limit the drive to {right:.0f} N = {right * spool_radius:.3g} N m"
     )
 
 
@@ -97,6 +97,8 @@ def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
     arms = hand.moment_arms[tendons, joints]
     if hand.has_varying_arm[tendons].any():
         postures = np.linspace(limits[0], limits[1], CHECKED_POSTURES)
-        arms = np.abs(arms_at(hand.arm_polynomials[tendons, joints], limits, postures)).max(axis=0)
+        arms = np.abs(moment_arms_at(hand.arm_polynomials[tendons, joints], limits, postures)).max(
+            axis=0
+        )
     torques = np.abs(arms).T @ peaks
     yield from zip(described.joints, torques.tolist(), rated, strict=True)

@@ -153,7 +153,7 @@ def effective_moment_arms(digit: DigitModel, q: JointValues, speed: JointValues)
 
     The transpose of the result times the tensions at the load cells gives the joint torques.
     """
-    return digit.arms_at(q) * pulley_factors(digit, q, speed)
+    return digit.moment_arms_at(q) * pulley_factors(digit, q, speed)
 
 
 def excursions(digit: DigitModel, q: JointValues) -> Array:

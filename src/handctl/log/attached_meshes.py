@@ -40,9 +40,9 @@ class AttachedMesh:
     triangles: Array
 
 
-def attachment_name(file: str) -> str:
+def attachment_name(mesh_file: str) -> str:
     """Return the name of the attachment that contains a mesh file."""
-    return f"mesh/{file}"
+    return f"mesh/{mesh_file}"
 
 
 def mesh_attachments(hand: Hand, folder: Path) -> tuple[dict[str, bytes], list[str]]:

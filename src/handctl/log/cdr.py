@@ -25,34 +25,34 @@ class CdrWriter:
     The writer aligns each value, and appends the value to `data`.
     """
 
-    def __init__(self, start: int = 0) -> None:
+    def __init__(self, start_offset: int = 0) -> None:
         """Start an empty message, or an empty part of a message.
 
         Args:
-            start: offset in the message body at which the part starts [bytes]. If a part follows
+            start_offset: offset in the message body at which the part starts [bytes]. If a part follows
                 other parts of a message, its offset is above 0.
         """
         self.data = bytearray()
-        self._start = start
+        self._start = start_offset
 
     def align(self, size: int) -> None:
         """Append zeros until the length of the message is a multiple of `size` bytes."""
         # In Python, -n % size is the distance from n to the next multiple of size.
         self.data += bytes(-(self._start + len(self.data)) % size)
 
-    def put_number(self, code: str, value: float) -> None:
+    def put_number(self, format_code: str, value: float) -> None:
         """Append one number.
 
         Args:
-            code: format character of the module `struct`.
+            format_code: format character of the module `struct`.
             value: number to append.
         """
-        self.align(struct.calcsize("<" + code))
-        self.data += struct.pack("<" + code, value)
+        self.align(struct.calcsize("<" + format_code))
+        self.data += struct.pack("<" + format_code, value)
 
-    def put_length(self, number: int) -> None:
+    def put_length(self, element_count: int) -> None:
         """Append the length of a sequence."""
-        self.put_number("I", number)
+        self.put_number("I", element_count)
 
     def put_string(self, value: str) -> None:
         """Append a string.
@@ -165,18 +165,18 @@ class TemplateWriter(CdrWriter):
         self.put_stamp()
         self.put_string(frame_id)
 
-    def put_field(self, name: str, code: str, number: int = 1) -> None:
+    def put_field(self, name: str, format_code: str, number: int = 1) -> None:
         """Append a variable field of one or more numbers.
 
         Args:
             name: name of the field.
-            code: numpy format, for example "<f8".
+            format_code: numpy format, for example "<f8".
             number: number of values.
         """
-        size = int(code[-1])
+        size = int(format_code[-1])
         if number:
             self.align(size)
-        self._fields[name] = (len(self.data) + 4, code, number)
+        self._fields[name] = (len(self.data) + 4, format_code, number)
         self.data += bytes(size * number)
 
     def put_float_sequence(self, name: str, number: int) -> None:

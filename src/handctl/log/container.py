@@ -231,11 +231,11 @@ class McapContainer:
             schema_count=len(summary.schemas),
         )
 
-    def _summary_section(self, start: int) -> tuple[bytes, int]:
+    def _summary_section(self, start_offset: int) -> tuple[bytes, int]:
         """Return the summary section, and the offset of the SummaryOffset records in the file.
 
         Args:
-            start: offset of the summary section in the file [bytes].
+            start_offset: offset of the summary section in the file [bytes].
         """
         summary = self._summary
         body = b""
@@ -253,27 +253,31 @@ class McapContainer:
             if raw:
                 offsets.append(
                     SummaryOffset(
-                        group_length=len(raw), group_opcode=code, group_start=start + len(body)
+                        group_length=len(raw),
+                        group_opcode=code,
+                        group_start=start_offset + len(body),
                     )
                 )
             body += raw
-        return body + records_as_bytes(offsets), start + len(body)
+        return body + records_as_bytes(offsets), start_offset + len(body)
 
 
-def _message_indexes(blocks: Sequence[MessageBlock], base: int) -> tuple[bytes, dict[int, int]]:
+def _message_indexes(
+    blocks: Sequence[MessageBlock], first_message_offset: int
+) -> tuple[bytes, dict[int, int]]:
     """Return the message indexes that follow a chunk, and the offset of each channel's index, by channel id.
 
     Args:
         blocks: messages of the chunk.
-        base: start of the first message in the uncompressed chunk [bytes].
+        first_message_offset: start of the first message in the uncompressed chunk [bytes].
     """
     entries: dict[int, list[NDArray[np.void]]] = {}
     for block in blocks:
         part = np.empty(len(block.offsets), _INDEX_ENTRY_DTYPE)
         part["log_time"] = block.log_times
-        part["offset"] = block.offsets + np.uint64(base)
+        part["offset"] = block.offsets + np.uint64(first_message_offset)
         entries.setdefault(block.channel, []).append(part)
-        base += len(block.data)
+        first_message_offset += len(block.data)
     out = []
     offsets = {}
     at = 0

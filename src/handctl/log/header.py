@@ -181,15 +181,17 @@ class RunHeader:
         return cls(**(fields | names | {"attachments": attachments}))
 
 
-def _checked_integer(key: str, value: Any, low: int, high: int) -> int:
+def _checked_integer(key: str, value: Any, minimum: int, maximum: int) -> int:
     """Check the type and the range of an integer from the header of a log, and return it.
 
     Raises:
-        ValueError: the value is not a whole number from `low` to `high`.
+        ValueError: the value is not a whole number from `minimum` to `maximum`.
     """
     # `isinstance(value, int)` would also accept True. But JSON distinguishes true from 1.
-    if type(value) is not int or not low <= value <= high:
-        raise ValueError(f"{key} is {_brief_text(value)}, not a whole number from {low} to {high}")
+    if type(value) is not int or not minimum <= value <= maximum:
+        raise ValueError(
+            f"{key} is {_brief_text(value)}, not a whole number from {minimum} to {maximum}"
+        )
     return value
 
 

@@ -8,7 +8,7 @@ by this project.
 """
 
 from handctl.core.tick_types import HandMode
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 PHASE_NUMBERS = {
     name: number
@@ -109,22 +109,22 @@ MESSAGE_DEFINITIONS = {
 _DEFINITION_SEPARATOR = "=" * 80 + "\n"
 
 
-def _collect_dependencies(name: str, types: dict[str, None]) -> None:
+def _collect_dependencies(name: str, collected_types: dict[str, None]) -> None:
     """Collect the message types that the definition of a message type uses.
 
     The search is depth-first, and each type is listed only once.
 
     Args:
         name: name of the message type.
-        types: the types collected so far, in order. This function adds further types to this list.
+        collected_types: the types collected so far, in order. This function adds further types to this list.
     """
     for line in MESSAGE_DEFINITIONS[name].splitlines():
         # In a line such as "uint8[<=64] data", the type stands before the bracket, and the name of
         # the field after it.
         field_type = line.split(" ")[0].split("[")[0]
-        if field_type in MESSAGE_DEFINITIONS and field_type not in types:
-            types[field_type] = None
-            _collect_dependencies(field_type, types)
+        if field_type in MESSAGE_DEFINITIONS and field_type not in collected_types:
+            collected_types[field_type] = None
+            _collect_dependencies(field_type, collected_types)
 
 
 def schema_text(name: str) -> str:

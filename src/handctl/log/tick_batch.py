@@ -228,19 +228,19 @@ class TickBatcher:
         self._received.long_parts.append(data[:split])
         self._sent.long_parts.append(data[split:])
 
-    def _add_tail(self, message: bytes, at: int) -> None:
+    def _add_tail(self, message: bytes, offset: int) -> None:
         """Add the grasp phase that a Tick message contains.
 
         If the tick has events, requests or io events, also store its decoded record.
 
         Args:
             message: the Tick message.
-            at: offset of the phase in the message [bytes].
+            offset: offset of the phase in the message [bytes].
         """
         # Nearly all ticks have no events. The Tick message of such a tick ends with the phase and
         # empty lists. These last bytes are the same in all ticks of one phase. Because of the
         # cache, equal bytes are decoded only once.
-        tail = message[at:]
+        tail = message[offset:]
         phase = self._phase_of_tail.get(tail)
         if phase is None:
             tick = unpack_tick(message)

@@ -52,7 +52,7 @@ from handctl.drives.frame_records import (
 )
 from handctl.log.cdr import ENCAPSULATION_HEADER, CdrReader, CdrWriter
 from handctl.programs.requests import request_text
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 RECORD_FRAMING_STRUCT = struct.Struct("<II")
 HEADER_RECORD_KIND = 1
@@ -173,17 +173,19 @@ def _tail_without_events(phase: str) -> bytes:
     return bytes(out.data)
 
 
-def _message_end(start: int, phase: str, tick_in: TickIn, events: tuple[TickEvent, ...]) -> bytes:
+def _message_end(
+    start_offset: int, phase: str, tick_in: TickIn, events: tuple[TickEvent, ...]
+) -> bytes:
     """Return the end of a Tick message, which contains phase, io events, requests and events.
 
     Args:
-        start: offset at which this end begins in the body of the message [bytes]. The alignment of
+        start_offset: offset at which this end begins in the body of the message [bytes]. The alignment of
             the fields depends on this offset.
         phase: grasp phase in the tick.
         tick_in: inputs of the tick.
         events: events of the tick.
     """
-    out = CdrWriter(start)
+    out = CdrWriter(start_offset)
     out.put_string(phase)
     out.put_length(len(tick_in.io_events))
     for kind, where, number in tick_in.io_events:
@@ -360,13 +362,13 @@ def _zero_unused_bytes(records: RecordArray) -> None:
 
 
 @functools.lru_cache(maxsize=256)
-def _phase_without_events(tail: bytes) -> str | None:
+def _phase_without_events(message_tail: bytes) -> str | None:
     """Return the phase at the end of a Tick message, if the message has no events.
 
     If the message has events, return None.
     """
-    phase = CdrReader(ENCAPSULATION_HEADER + tail).read_string()
-    return phase if _tail_without_events(phase) == tail else None
+    phase = CdrReader(ENCAPSULATION_HEADER + message_tail).read_string()
+    return phase if _tail_without_events(phase) == message_tail else None
 
 
 def unpack_tick(message: bytes) -> TickRecord:
@@ -395,7 +397,7 @@ def unpack_tick(message: bytes) -> TickRecord:
 
 
 def _build_tick(
-    fixed: _TickHead, received: Frames, sent: Frames, message: bytes, tail: int
+    fixed: _TickHead, received: Frames, sent: Frames, message: bytes, tail_offset: int
 ) -> TickRecord:
     """Build a tick from the parts of a Tick message.
 
@@ -404,14 +406,14 @@ def _build_tick(
         received: frames received in the tick.
         sent: frames sent in the tick.
         message: the whole Tick message.
-        tail: offset of the phase in the message [bytes].
+        tail_offset: offset of the phase in the message [bytes].
     """
-    phase = _phase_without_events(message[tail:])
+    phase = _phase_without_events(message[tail_offset:])
     if phase is not None:
         return _tick_without_events(fixed, received, sent, phase)
     k, t_ns, late_ns, state_hash, mode, action, _ = fixed
     reader = CdrReader(message)
-    reader.read_bytes(tail - 4)
+    reader.read_bytes(tail_offset - 4)
     phase = reader.read_string()
     io_events = tuple(
         IoEvent(reader.read_string(), reader.read_string(), reader.read_int64())
@@ -447,11 +449,11 @@ def unpack_ticks(messages: list[bytes]) -> list[TickRecord]:
     Raises:
         ValueError: an element is not a Tick message.
     """
-    quick = _unpack_short(messages)
+    quick = _unpack_short_ticks(messages)
     return quick if quick is not None else [unpack_tick(message) for message in messages]
 
 
-def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
+def _unpack_short_ticks(messages: list[bytes]) -> list[TickRecord] | None:
     """Decode Tick messages in which no payload is longer than eight bytes.
 
     Returns:

@@ -61,9 +61,9 @@ def value_text(item: ErrataItem) -> str:
     return f"{text} {item.unit}".rstrip()
 
 
-def page_as_markdown(parts: Sequence[PageSection]) -> str:
+def page_as_markdown(page_sections: Sequence[PageSection]) -> str:
     """Return the page as Markdown. The page refers to figures in the folder `FIGURES_FOLDER`."""
-    rows = [item for part in parts for item in part.items]
+    rows = [item for part in page_sections for item in part.items]
     lines = [
         f"# {PAGE_TITLE}",
         "",
@@ -74,7 +74,7 @@ def page_as_markdown(parts: Sequence[PageSection]) -> str:
         _wrap_paragraph(_summary_text(rows)),
         "",
     ]
-    for part in parts:
+    for part in page_sections:
         lines += [MEASURED_MARK] if part.measured else []
         lines += [f"## {part.title}", ""]
         for paragraph in part.text:
@@ -95,23 +95,25 @@ def page_as_markdown(parts: Sequence[PageSection]) -> str:
     return "\n".join(lines)
 
 
-def _markdown_table(table: Sequence[Sequence[str]]) -> list[str]:
+def _markdown_table(number_table: Sequence[Sequence[str]]) -> list[str]:
     """Return the lines of a table of numbers as Markdown.
 
     The first line has the titles. An empty table has no lines.
     """
-    if not table:
+    if not number_table:
         return []
-    titles, *rows = ("| " + " | ".join(row) + " |" for row in table)
-    return [titles, "|" + "---|" * len(table[0]), *rows, ""]
+    titles, *rows = ("| " + " | ".join(row) + " |" for row in number_table)
+    return [titles, "|" + "---|" * len(number_table[0]), *rows, ""]
 
 
-def _summary_text(rows: list[ErrataItem]) -> str:
+def _summary_text(errata_items: list[ErrataItem]) -> str:
     """Return a text with the number of errata items for each verdict, and the command that generates the page."""
-    counts = ", ".join(f"{count} {verdict}" for verdict, count in count_by_verdict(rows).items())
+    counts = ", ".join(
+        f"{count} {verdict}" for verdict, count in count_by_verdict(errata_items).items()
+    )
     return (
-        f"Of {len(rows)} items: {counts}. The verdict `bound` means that the paper states a lower bound and a larger "
-        f"value was reached. Regenerate this page with `{REGENERATE_COMMAND}`. "
+        f"Of {len(errata_items)} items: {counts}. The verdict `bound` means that the paper states a lower bound and a "
+        f"larger value was reached. Regenerate this page with `{REGENERATE_COMMAND}`. "
         "Without the file of results the experiments run again."
     )
 
@@ -161,21 +163,21 @@ figcaption { font-size: .88rem; opacity: .75 }
 """
 
 
-def page_as_html(parts: Sequence[PageSection], figures: Mapping[str, Path]) -> str:
+def page_as_html(page_sections: Sequence[PageSection], figures: Mapping[str, Path]) -> str:
     """Return the page as one HTML file that also contains the figures.
 
     Args:
-        parts: sections of the page.
+        page_sections: sections of the page.
         figures: path of the SVG file of each figure.
     """
-    rows = [item for part in parts for item in part.items]
+    rows = [item for part in page_sections for item in part.items]
     counts = " ".join(
         f"{_html_badge(verdict)} {count}" for verdict, count in count_by_verdict(rows).items()
     )
     body = [
         f"<h1>{PAGE_TITLE}</h1><p>{html.escape(PAPER_CITATION)}</p><p>{html.escape(INTRODUCTION_TEXT)}</p><p>{counts}</p>"
     ]
-    for part in parts:
+    for part in page_sections:
         body.append(f"<h2>{html.escape(part.title)}</h2>")
         body += [f"<p>{_html_paragraph(paragraph)}</p>" for paragraph in part.text]
         body += [_html_figure(name, figures[name]) for name in part.figures]
@@ -206,14 +208,16 @@ def _html_figure(name: str, path: Path) -> str:
     return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
 
 
-def _html_numbers(table: Sequence[Sequence[str]]) -> str:
+def _html_numbers(number_table: Sequence[Sequence[str]]) -> str:
     """Return a table of numbers as HTML.
 
     The first row of the table contains the titles of the columns.
     """
     # The first row of the table contains the titles of the columns. The code below makes them
     # header cells.
-    titles, *rows = ("".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in table)
+    titles, *rows = (
+        "".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in number_table
+    )
     head = titles.replace("td>", "th>")
     body = "".join(f"<tr>{row}</tr>" for row in rows)
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'

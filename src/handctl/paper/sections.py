@@ -47,13 +47,13 @@ class PageSection:
     table: tuple[tuple[str, ...], ...] = ()
 
 
-def page_sections(measured: Mapping[str, Any] | None) -> tuple[PageSection, ...]:
+def page_sections(experiment_results: Mapping[str, Any] | None) -> tuple[PageSection, ...]:
     """Return all sections of the page.
 
     Without results of experiments, the sections about measurements are left out.
 
     Args:
-        measured: results of `experiments.run_experiments`, or None.
+        experiment_results: results of `experiments.run_experiments`, or None.
     """
     fixed = (
         _hand_section(),
@@ -64,20 +64,21 @@ def page_sections(measured: Mapping[str, Any] | None) -> tuple[PageSection, ...]
     )
     return (
         fixed
-        if measured is None
-        else (*fixed, _bench_section(measured), _payload_section(measured))
+        if experiment_results is None
+        else (*fixed, _bench_section(experiment_results), _payload_section(experiment_results))
     )
 
 
-def page_items(measured: Mapping[str, Any] | None) -> list[ErrataItem]:
+def page_items(experiment_results: Mapping[str, Any] | None) -> list[ErrataItem]:
     """Return all errata items of the page."""
-    return [item for section in page_sections(measured) for item in section.items]
+    return [item for section in page_sections(experiment_results) for item in section.items]
 
 
-def count_by_verdict(rows: list[ErrataItem]) -> dict[str, int]:
+def count_by_verdict(errata_items: list[ErrataItem]) -> dict[str, int]:
     """Return the number of errata items for each verdict."""
     return {
-        verdict.value: sum(item.verdict == verdict for item in rows) for verdict in ErrataVerdict
+        verdict.value: sum(item.verdict == verdict for item in errata_items)
+        for verdict in ErrataVerdict
     }
 
 
@@ -152,7 +153,7 @@ def _assumptions_section() -> PageSection:
     )
 
 
-def _bench_section(measured: Mapping[str, Any]) -> PageSection:
+def _bench_section(experiment_results: Mapping[str, Any]) -> PageSection:
     return PageSection(
         "Force and displacement, measured (section 5, Fig. 5)",
         (
@@ -163,12 +164,12 @@ def _bench_section(measured: Mapping[str, Any]) -> PageSection:
             "softening beyond the knee is a parameter of the simulator, because the paper prints no data.",
         ),
         ("fig5-force-displacement",),
-        tuple(force_displacement.knee_items(measured["force_displacement"])),
+        tuple(force_displacement.knee_items(experiment_results["force_displacement"])),
         measured=True,
     )
 
 
-def _payload_section(measured: Mapping[str, Any]) -> PageSection:
+def _payload_section(experiment_results: Mapping[str, Any]) -> PageSection:
     return PageSection(
         "Payload, measured (section 5)",
         (
@@ -181,7 +182,7 @@ def _payload_section(measured: Mapping[str, Any]) -> PageSection:
             "Coulomb bound with the normal forces at the beginning of the load. The load changes the normal forces.",
         ),
         ("fig8-payload",),
-        tuple(payload.payload_items(measured["payload"])),
+        tuple(payload.payload_items(experiment_results["payload"])),
         measured=True,
-        table=payload.payload_table(measured["payload"]),
+        table=payload.payload_table(experiment_results["payload"]),
     )

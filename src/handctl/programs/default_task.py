@@ -13,8 +13,8 @@ from handctl.hand.file.error_text import shortened_list
 from handctl.hand.file.new_file import CLEARANCE_MM, OBJECT_DIAMETER_RATIO, SMALLEST_OBJECT_MM
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import parse_toml
-from handctl.hand.hand_tree import HandTree
 from handctl.hand.kinematics import link_rotations
+from handctl.hand.link_tree import HandLinkTree
 from handctl.hand.readiness import displayed_range
 from handctl.programs.task import Task
 
@@ -170,7 +170,7 @@ def _flexion_directions(hand: Hand) -> dict[str, Array]:
 
     It is the direction of the y axis of the last link when all joint angles are 0.
     """
-    tree = HandTree.from_hand(hand)
+    tree = HandLinkTree.from_hand(hand)
     turned = link_rotations(tree.poses(np.zeros(len(hand.joints))))
     return {
         digit.name: turned[digit.joints][-1, :, 1]
@@ -186,7 +186,7 @@ def _are_digits_opposed(hand: Hand) -> dict[str, bool]:
     return {name: bool(direction @ first < 0.0) for name, direction in directions.items()}
 
 
-def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
+def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | list[float]:
     """Return the tension of each tendon of a digit during a hold [N].
 
     Tendons that extend the digit are only kept taut.
@@ -196,14 +196,14 @@ def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
     """
     if hand.is_pair[hand.digit_tendons[name]].any():
         largest = min(tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[name]])
-        return round(min(HOLD_FRACTION * share, MAX_HOLD_FRACTION) * largest, 1)
+        return round(min(HOLD_FRACTION * tension_fraction, MAX_HOLD_FRACTION) * largest, 1)
     pressing = _pressing_tension(hand, name)
     arms = DigitModel.from_hand(hand, name).reduced_moment_arms
     rows = zip(hand.tendon[hand.digit_tendons[name]], arms.sum(axis=1), strict=True)
     return [
         round(
             min(
-                share * max(HOLD_FRACTION * tendon.tension_max_N, pressing),
+                tension_fraction * max(HOLD_FRACTION * tendon.tension_max_N, pressing),
                 MAX_HOLD_FRACTION * tendon.tension_max_N,
             )
             if arm > 0.0
@@ -266,7 +266,7 @@ def default_scene(hand: Hand) -> str:
         return CYLINDER_SCENE
     shape = CYLINDER_SCENE if parallel else SPHERE_SCENE
     longest = 1e3 * max(sum(hand.digit_named(name).link_length_m) for name in directions)
-    free = 1e3 * _largest_object(hand, ball=shape == SPHERE_SCENE)
+    free = 1e3 * _largest_object(hand, is_ball=shape == SPHERE_SCENE)
     diameter = max(SMALLEST_OBJECT_MM, min(OBJECT_DIAMETER_RATIO * longest, free - CLEARANCE_MM))
     if diameter > free:
         diameter = free - CLEARANCE_MM
@@ -277,9 +277,9 @@ def default_scene(hand: Hand) -> str:
     )
 
 
-def _largest_object(hand: Hand, ball: bool) -> float:
+def _largest_object(hand: Hand, is_ball: bool) -> float:
     """Return the diameter of the largest cylinder or ball between the open digits [m]."""
-    tree = HandTree.from_hand(hand)
+    tree = HandLinkTree.from_hand(hand)
     q = np.concatenate([np.maximum(digit.joint_min, 0.0) for digit in tree.digits])
     largest = 1.0
     along = np.linspace(0.0, 1.0, LINK_SAMPLES)[:, None]
@@ -290,7 +290,7 @@ def _largest_object(hand: Hand, ball: bool) -> float:
             # D/2. A point at the distance D/2 + r from this centre satisfies (x - gap)^2 + y^2 -
             # r^2 = D (x - gap + r). For a ball, y^2 + z^2 takes the place of y^2.
             reach = x - PALM_GAP_M + digit.radius
-            beside = (reach > 0.0) & (ball | (np.abs(z) < OBJECT_HALF_LENGTH_M))
-            room = (x - PALM_GAP_M) ** 2 + y**2 + ball * z**2 - digit.radius**2
+            beside = (reach > 0.0) & (is_ball | (np.abs(z) < OBJECT_HALF_LENGTH_M))
+            room = (x - PALM_GAP_M) ** 2 + y**2 + is_ball * z**2 - digit.radius**2
             largest = min(largest, float((room[beside] / reach[beside]).min(initial=largest)))
     return max(largest, 0.0)

@@ -134,17 +134,17 @@ def advance_grip(
 
 
 def _raise_after_slip(
-    model: HandModel, grip: GripState, plan: GripPlan, opening: Vector, t: float
+    model: HandModel, grip: GripState, plan: GripPlan, opening_distances: Vector, t: float
 ) -> tuple[GripState, tuple[TickEvent, ...]]:
     """Raise the tensions of a grip after slip, as far as the task allows."""
-    worst = int(np.argmax(opening))
+    worst = int(np.argmax(opening_distances))
     digit = next(
         name
         for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True)
         if tendons.start <= worst < tendons.stop
     )
     grip = grip._replace(ready=t + RAISE_PAUSE_S)
-    moved = f"{digit} is pushed open, {1e6 * opening[worst]:.0f} um of tendon"
+    moved = f"{digit} is pushed open, {1e6 * opening_distances[worst]:.0f} um of tendon"
     # The tendon that is farthest below its limit determines the largest possible factor. All
     # tensions are multiplied by the same factor.
     closing = model.redundancy.side > 0.0

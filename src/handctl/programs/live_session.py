@@ -274,14 +274,14 @@ def apply_goal(
 
 
 def _end_of_move(
-    model: HandModel, d: int, angles: Mapping[str, float], start: HandEstimate | Vector
+    model: HandModel, d: int, angle_of_digit: Mapping[str, float], start: HandEstimate | Vector
 ) -> Vector | str | None:
     """Return the coordinates at the end of a digit's move [deg].
 
     Args:
         model: model of the hand.
         d: index of the digit.
-        angles: target angles [deg], by the name of the digit or joint.
+        angle_of_digit: target angles [deg], by the name of the digit or joint.
         start: present coordinates [rad], or the estimate. Joints without an angle keep their
             present angles.
 
@@ -292,10 +292,10 @@ def _end_of_move(
     digit, name = model.digits[d], model.hand.digit_names[d]
     count = digit.coupling.shape[1]
     joints = model.hand.joints[digit.joints]
-    given = joint_values(angles, digit)
+    given = joint_values(angle_of_digit, digit)
     if not given:
-        return np.full(count, angles[name]) if name in angles else None
-    if name in angles:
+        return np.full(count, angle_of_digit[name]) if name in angle_of_digit else None
+    if name in angle_of_digit:
         return f"{name} and {joints[next(iter(given))]}, expected either the digit or its joints"
     now = digit.coordinate_units.displayed(
         np.clip(
@@ -316,30 +316,32 @@ def _move_goal(
     model: HandModel,
     d: int,
     estimate: HandEstimate,
-    start: Vector | None,
-    end: Vector,
+    start_angles: Vector | None,
+    end_angles: Vector,
     duration: float,
     t: float,
 ) -> DigitGoal:
     """Return a move of a digit from its present reference (3, n), or from the estimate if there is no reference."""
-    if start is None:
-        return motion_to(model.digits[d], estimate, end, duration, t)
+    if start_angles is None:
+        return motion_to(model.digits[d], estimate, end_angles, duration, t)
     return DigitGoal(
-        GoalKind.MOTION, continued_move(start, end, duration, model.digits[d].reach), since=t
+        GoalKind.MOTION,
+        continued_move(start_angles, end_angles, duration, model.digits[d].reach),
+        since=t,
     )
 
 
 def _reach_problem(
-    model: HandModel, d: int, estimate: HandEstimate, end: Vector, duration: float
+    model: HandModel, d: int, estimate: HandEstimate, end_angles: Vector, duration: float
 ) -> str:
     """Return the reason why a digit cannot move to given coordinates [deg] in a given time [s], or an empty text."""
     digit = model.digits[d]
     units = digit.coordinate_units
     joint_min, joint_max = (units.displayed(bound) for bound in digit.reach)
-    for angle, low, high, unit in zip(end, joint_min, joint_max, units.names, strict=True):
+    for angle, low, high, unit in zip(end_angles, joint_min, joint_max, units.names, strict=True):
         if not low - ROUNDING_DEG <= angle <= high + ROUNDING_DEG:
             return f"{angle:g} {unit}, expected from {low:g} to {high:g} {unit}"
-    travel = np.abs(end - units.displayed(coordinates_by_excursion(digit, estimate)))
+    travel = np.abs(end_angles - units.displayed(coordinates_by_excursion(digit, estimate)))
     worst = int(np.argmax(travel / units.per_degree))
     peak = PEAK_SPEED_RATIO * float(travel[worst]) / duration
     unit, limit = units.names[worst], FOLLOW_SPEED_DEG_S * units.per_degree[worst]

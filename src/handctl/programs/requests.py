@@ -194,21 +194,23 @@ def describe_request(request: Request) -> str:
     return f"{_ACCEPTED_PREFIX}{request.do}" + (f" by {request.by}" if request.by else "")
 
 
-def events_for_request(by: str, events: Iterable[Mapping[str, Any]]) -> list[str] | None:
+def events_for_request(
+    sender_name: str, event_lines: Iterable[Mapping[str, Any]]
+) -> list[str] | None:
     """Return the event texts of a sender's request.
 
     If this tick has no request of the sender, return None.
 
     Args:
-        by: sender of the request.
-        events: events of the tick, as in a status line.
+        sender_name: sender of the request.
+        event_lines: events of the tick, as in a status line.
     """
     texts: list[str] | None = None
-    for text in [event["text"] for event in events if event["name"] == "request"]:
+    for text in [event["text"] for event in event_lines if event["name"] == "request"]:
         if text.startswith(_ACCEPTED_PREFIX):
             if texts is not None:
                 break
-            texts = [] if text.endswith(f" by {by}") else None
+            texts = [] if text.endswith(f" by {sender_name}") else None
         elif texts is not None:
             texts.append(text)
     return texts

@@ -129,25 +129,27 @@ class TargetMapping(NamedTuple):
 
 
 @functools.lru_cache(maxsize=16)
-def mapping_of_stream(model: HandModel, space: str, names: tuple[str, ...]) -> TargetMapping:
+def mapping_of_stream(
+    model: HandModel, space: str, element_names: tuple[str, ...]
+) -> TargetMapping:
     """Return the map from the values of a streamed target to the coordinates of the digits."""
     hand = model.hand
-    values = np.zeros((model.coordinate_count, len(names)))
+    values = np.zeros((model.coordinate_count, len(element_names)))
     digits = list[int]()
     rows = zip(hand.digit_names, model.digits, model.digit_coordinates, strict=True)
     for d, (name, digit, places) in enumerate(rows):
-        if space == "digit" and name in names:
-            values[places, names.index(name)] = 1.0
+        if space == "digit" and name in element_names:
+            values[places, element_names.index(name)] = 1.0
             digits.append(d)
         given = (
-            [j for j, joint in enumerate(hand.joints[digit.joints]) if joint in names]
+            [j for j, joint in enumerate(hand.joints[digit.joints]) if joint in element_names]
             if space == "joint"
             else []
         )
         if given:
             # Joints that springs couple turn together. So the result is the coordinates that are
             # nearest to the given angles.
-            columns = [names.index(hand.joints[digit.joints][j]) for j in given]
+            columns = [element_names.index(hand.joints[digit.joints][j]) for j in given]
             values[places, columns] = np.linalg.pinv(digit.coupling[given])
             digits.append(d)
     driven = np.abs(values).max(axis=1) > 1e-12
@@ -274,7 +276,7 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
 
 
 def target_tensions(
-    model: HandModel, stream: StreamPlan, values: Vector, present: Vector, q: Vector
+    model: HandModel, stream: StreamPlan, values: Vector, present_tensions: Vector, q: Vector
 ) -> Vector:
     """Return the tensions (N,) for a target [N], before they are limited.
 
@@ -282,11 +284,11 @@ def target_tensions(
         model: model of the hand.
         stream: stream whose targets are tensions or forces.
         values: (V,) values of the target [N].
-        present: (N,) present tension setpoints [N]. Tendons without a value keep their present
+        present_tensions: (N,) present tension setpoints [N]. Tendons without a value keep their present
             setpoints.
         q: (J,) joint angles [rad], for the levers of tip forces.
     """
-    hand, tension = model.hand, present.copy()
+    hand, tension = model.hand, present_tensions.copy()
     if stream.space == "tension":
         tension[[hand.tendon_names.index(name) for name in stream.names]] = values
         return tension

@@ -223,20 +223,20 @@ def load_trajectory(path: Path) -> Task:
     return trajectory_from(read_toml(path), str(path))
 
 
-def trajectory_from(content: Mapping[str, Any], source: str) -> Task:
+def trajectory_from(file_content: Mapping[str, Any], source_name: str) -> Task:
     """Make a task from the content of a trajectory file.
 
     Raises:
         ConfigError: The same errors as from `load_trajectory`. The message names the source.
     """
-    file = validate_content(content, TrajectoryFile, source)
+    file = validate_content(file_content, TrajectoryFile, source_name)
     first = {digit: angles[0] for digit, angles in file.angle_deg.items() if angles}
     follow = {"kind": "follow", "time_s": file.time_s, "angle_deg": file.angle_deg}
     phases = [
         {"kind": "move", "name": "to the start", "angle_deg": first, "duration_s": 1.5},
         follow,
     ]
-    return validate_content({"schema": 1, "name": file.name, "phase": phases}, Task, source)
+    return validate_content({"schema": 1, "name": file.name, "phase": phases}, Task, source_name)
 
 
 def load_task(path: Path) -> Task:
@@ -279,8 +279,8 @@ def shapes_of_digits(hand: Hand) -> dict[str, DigitShape]:
 def check_task(
     task: Task,
     digits: tuple[str, ...],
-    ceiling: float,
-    where: str,
+    tension_limit: float,
+    task_name: str,
     digit_shapes: Mapping[str, DigitShape] | None = None,
 ) -> None:
     """Check that the names and numbers in a task suit a hand.
@@ -288,8 +288,8 @@ def check_task(
     Args:
         task: task to check.
         digits: names of the hand's digits.
-        ceiling: smallest of the tension limits in the hand [N].
-        where: name of the file, for messages.
+        tension_limit: smallest of the tension limits in the hand [N].
+        task_name: name of the file, for messages.
         digit_shapes: numbers of values for each digit, or None to skip this check.
 
     Raises:
@@ -299,7 +299,7 @@ def check_task(
     for i, phase in enumerate(task.phase):
         for key in ("angle_deg", "tension_N", "tip_force_N", "contact_tension_N", "slip_limit_N"):
             value = getattr(phase, key, None)
-            key_path = f"{where}: phase[{i}].{key}"
+            key_path = f"{task_name}: phase[{i}].{key}"
             per_digit = value if isinstance(value, dict) else {}
             joints = _digit_of_joint(digit_shapes) if key == "angle_deg" else {}
             for name in sorted(per_digit.keys() - {*digits, *joints}):
@@ -319,9 +319,12 @@ def check_task(
             values = per_digit.values() if isinstance(value, dict) else [value]
             numbers = [n for v in values for n in (v if isinstance(v, tuple) else (v,))]
             largest = max((n for n in numbers if n is not None), default=0.0)
-            if key in ("tension_N", "contact_tension_N", "slip_limit_N") and largest > ceiling:
+            if (
+                key in ("tension_N", "contact_tension_N", "slip_limit_N")
+                and largest > tension_limit
+            ):
                 raise ConfigError(
-                    f"{largest:g} N", key_path, f"at most tension_max_N = {ceiling:g} N"
+                    f"{largest:g} N", key_path, f"at most tension_max_N = {tension_limit:g} N"
                 )
 
 

@@ -33,14 +33,14 @@ CoordinateRange = tuple[Vector, Vector]
 
 
 def check_task_for_hand(
-    task: Task, hand: Hand, where: str, digits: Sequence[DigitModel] = ()
+    task: Task, hand: Hand, task_name: str, digits: Sequence[DigitModel] = ()
 ) -> None:
     """Check that a hand can execute a task, before the task begins.
 
     Args:
         task: task to check.
         hand: hand that shall execute the task.
-        where: name of the task file, for error messages.
+        task_name: name of the task file, for error messages.
         digits: models of the hand's digits. If they are not given, they are built, which takes
             milliseconds.
 
@@ -53,23 +53,23 @@ def check_task_for_hand(
         task,
         hand.digit_names,
         min(tendon.tension_max_N for tendon in hand.tendon),
-        where,
+        task_name,
         shapes_of_digits(hand),
     )
-    check_tip_force(task, hand, where)
-    check_slip_limit(task, hand, where)
+    check_tip_force(task, hand, task_name)
+    check_slip_limit(task, hand, task_name)
     digits = digits or DigitModel.all_from_hand(hand)
-    check_joint_range(task, hand, where, digits)
-    check_speed(task, digits, where)
+    check_joint_range(task, hand, task_name, digits)
+    check_speed(task, digits, task_name)
 
 
-def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
+def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> None:
     """Check that no move of a task exceeds the largest joint speed, wherever the earlier phases may end.
 
     Args:
         task: task whose numbers of values fit the digits.
         models: models of the hand's digits.
-        where: name of the task file, for error messages.
+        task_name: name of the task file, for error messages.
 
     Raises:
         ConfigError: the duration of a move is too short.
@@ -81,7 +81,7 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
     }  # when the hand is armed, its digits are open
     for i, phase in enumerate(task.phase):
         if isinstance(phase, FollowPhase):
-            _check_curves(phase, models, f"{where}: phase[{i}].angle_deg")
+            _check_curves(phase, models, f"{task_name}: phase[{i}].angle_deg")
         for digit, span in spans.items():
             low, high = span
             from_low = _coordinates_after(phase, digits[digit], low)
@@ -106,7 +106,7 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
                     )
                     expected = f"at least {min_duration:g} s: {distance}"
                     raise ConfigError(
-                        f"{phase.duration_s:g}", f"{where}: phase[{i}].duration_s", expected
+                        f"{phase.duration_s:g}", f"{task_name}: phase[{i}].duration_s", expected
                     )
             touches = isinstance(phase, ClosePhase)  # a close phase may end at any angle
             ends = (
@@ -117,7 +117,7 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
             spans[digit] = ends
 
 
-def _check_curves(phase: FollowPhase, models: Sequence[DigitModel], place: str) -> None:
+def _check_curves(phase: FollowPhase, models: Sequence[DigitModel], task_name: str) -> None:
     """Check that no prismatic joint is too fast on the curve of a phase.
 
     The file itself is checked for hinges only, because it does not say which joints slide.
@@ -133,7 +133,7 @@ def _check_curves(phase: FollowPhase, models: Sequence[DigitModel], place: str) 
             peak = curve_through(phase.time_s, angles).peak_speed()
             if peak > limit:
                 right = f"at most {limit:.4g} mm/s on the way"
-                raise ConfigError(f"{name} reaches {peak:.0f} mm/s", place, right)
+                raise ConfigError(f"{name} reaches {peak:.0f} mm/s", task_name, right)
 
 
 def _coordinates_after(
@@ -167,7 +167,7 @@ ROUNDING_DEG = 1e-6
 """Largest rounding error that a sum of angles may have [deg]."""
 
 
-def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[DigitModel]) -> None:
+def check_joint_range(task: Task, hand: Hand, task_name: str, digits: Sequence[DigitModel]) -> None:
     """Check that the angles of a task are within the range of each digit.
 
     A joint beyond its range would press against its stop.
@@ -175,7 +175,7 @@ def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[Digit
     Args:
         task: task that suits the hand in all other respects.
         hand: hand with the joints.
-        where: name of the task file, for error messages.
+        task_name: name of the task file, for error messages.
         digits: models of the hand's digits.
 
     Raises:
@@ -190,7 +190,7 @@ def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[Digit
             continue
         for digit in digits:
             _check_joints(
-                phase, digit, hand.digit_named(digit.name), f"{where}: phase[{i}].angle_deg"
+                phase, digit, hand.digit_named(digit.name), f"{task_name}: phase[{i}].angle_deg"
             )
         for name, ((low, high), names) in reaches.items():
             for row in _reached_angles(phase, name):
@@ -198,7 +198,7 @@ def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[Digit
                     *np.broadcast_arrays(row, low, high), names, strict=True
                 ):
                     if not lower - ROUNDING_DEG <= angle <= upper + ROUNDING_DEG:
-                        place = f"{where}: phase[{i}].angle_deg"
+                        place = f"{task_name}: phase[{i}].angle_deg"
                         raise ConfigError(
                             f"{angle:g} {unit} for {name}", place, f"{lower:g} to {upper:g} {unit}"
                         )
@@ -207,7 +207,7 @@ def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[Digit
 def _check_joints(
     phase: MovePhase | ClosePhase | FollowPhase,
     digit: DigitModel,
-    described: Digit,
+    digit_description: Digit,
     phase_path: str,
 ) -> None:
     """Check that joint angles are within their limits, and that coupled joints can have these angles together."""
@@ -218,7 +218,7 @@ def _check_joints(
     if digit.coupling.shape[1] == 1:
         # All joints of a digit with one tendon turn together, until one of the joints reaches its
         # limit.
-        ends = np.sort(digit.coupling @ np.array(displayed_range(described)).T, axis=1)
+        ends = np.sort(digit.coupling @ np.array(displayed_range(digit_description)).T, axis=1)
         low, high = np.maximum(low, ends[:, 0]), np.minimum(high, ends[:, 1])
     # A curve has one row of angles for each of its times.
     for row in np.atleast_2d(np.array(list(given.values()), dtype=float).T):
@@ -240,7 +240,7 @@ def _check_joints(
             )
 
 
-def check_tip_force(task: Task, hand: Hand, where: str) -> None:
+def check_tip_force(task: Task, hand: Hand, task_name: str) -> None:
     """Check that a task requires no tip force of a digit with fewer tendons than joints.
 
     The tensions of a digit with fewer tendons than joints do not determine the force at the tip.
@@ -250,7 +250,7 @@ def check_tip_force(task: Task, hand: Hand, where: str) -> None:
     Args:
         task: task that suits the hand in all other respects.
         hand: hand with the digits.
-        where: name of the task file, for error messages.
+        task_name: name of the task file, for error messages.
 
     Raises:
         ConfigError: a hold phase gives `tip_force_N` to a digit with fewer tendons than joints.
@@ -267,17 +267,17 @@ def check_tip_force(task: Task, hand: Hand, where: str) -> None:
                 tendons_text = f"{tendon_count} tendon{'s' * (tendon_count > 1)}"
                 problem = f"{name} has {tendons_text} for {joint_count} joints: no force at its tip can be made"
                 raise ConfigError(
-                    problem, f"{where}: phase[{i}].tip_force_N", f"tension_N for {name}"
+                    problem, f"{task_name}: phase[{i}].tip_force_N", f"tension_N for {name}"
                 )
 
 
-def check_slip_limit(task: Task, hand: Hand, where: str) -> None:
+def check_slip_limit(task: Task, hand: Hand, task_name: str) -> None:
     """Check that no slip limit is below the tension of the hold phase, because slip could then not raise the tension.
 
     Args:
         task: task that suits the hand in all other respects.
         hand: hand with the digits.
-        where: name of the task file, for error messages.
+        task_name: name of the task file, for error messages.
 
     Raises:
         ConfigError: a hold phase has a `slip_limit_N` below its `tension_N`.
@@ -295,7 +295,7 @@ def check_slip_limit(task: Task, hand: Hand, where: str) -> None:
             if limit is not None and tension is not None and np.max(limit) < np.max(tension):
                 expected = f"at least tension_N of {name}, {np.max(tension):g}"
                 raise ConfigError(
-                    f"{np.max(limit):g}", f"{where}: phase[{i}].slip_limit_N", expected
+                    f"{np.max(limit):g}", f"{task_name}: phase[{i}].slip_limit_N", expected
                 )
 
 

@@ -471,18 +471,18 @@ def blind_tip_force(model: HandModel, d: int) -> float:
     return margin / float(np.linalg.norm(response))
 
 
-def contact_threshold(goal: DigitGoal, joints: int, threshold: float, t: float) -> float:
+def contact_threshold(goal: DigitGoal, joints: int, stated_threshold: float, t: float) -> float:
     """Return the smallest tip force that counts as contact [N].
 
     Args:
         goal: goal of the digit.
         joints: number of joints of the digit.
-        threshold: threshold of a moving digit with two joints [N].
+        stated_threshold: threshold of a moving digit with two joints [N].
         t: time [s].
     """
-    threshold *= joints / REFERENCE_JOINTS
+    stated_threshold *= joints / REFERENCE_JOINTS
     is_moving = (
         goal.trajectory is not None
         and t - goal.since < goal.trajectory.duration + ARRIVAL_DURATION_S
     )
-    return threshold if is_moving else ARRIVED_THRESHOLD_FACTOR * threshold
+    return stated_threshold if is_moving else ARRIVED_THRESHOLD_FACTOR * stated_threshold

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from handctl.core.tick_types import TickEvent, TickIn, TickOut
 from handctl.log.read.reader import RunLog
-from handctl.output import save_figure
+from handctl.output_files import save_figure
 from handctl.replay.run_comparison import rms_and_peak
 
 Array = NDArray[np.float64]

@@ -20,8 +20,8 @@ from handctl.log.read.reader import RunLog
 from handctl.replay.controller_rebuild import rebuild_controller
 from handctl.replay.execute import gc_disabled
 from handctl.replay.log_runner import TICKS_PER_PROGRESS_REPORT, refusal_error
-from handctl.safety.action import SafetyAction
 from handctl.safety.faults.table import FAULT_BY_ID
+from handctl.safety.safety_action import SafetyAction
 from handctl.safety.safety_limits import (
     MIN_SILENT_TICKS,
     MIN_STALLED_TICKS,

@@ -84,7 +84,7 @@ def _intact_content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
     except LogError as error:
         defect = str(error)
     try:
-        return file.chunk_content(chunk, checked=False), defect
+        return file.chunk_content(chunk, is_checked=False), defect
     except LogError:
         return b"", defect
 

@@ -11,8 +11,8 @@ from typing import Any
 
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit, Tendon
-from handctl.hand.moment_arms import arms_at, polynomial_of_arm
-from handctl.output import save_figure
+from handctl.hand.moment_arms import moment_arms_at, polynomial_of_arm
+from handctl.output_files import save_figure
 from handctl.printing import printable_text
 
 BUS_COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
@@ -130,7 +130,7 @@ def _moment_arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> 
     if not isinstance(arm, dict):
         return f"{1e3 * arm:{sign}g} mm"
     limits = hand.joint_limits[:, [hand.joints.index(joint)]]
-    ends = arms_at(polynomial_of_arm(arm)[None, None], limits, limits).ravel()
+    ends = moment_arms_at(polynomial_of_arm(arm)[None, None], limits, limits).ravel()
     return f"{1e3 * ends[0]:{sign}.3g}..{1e3 * ends[1]:.3g} mm"
 
 
@@ -178,7 +178,7 @@ def _sensor_node(axes: Any, hand: Hand) -> float:
 
 
 def _draw_digit(
-    axes: Any, hand: Hand, digit: Digit, y: float, ends: dict[str, list[float]]
+    axes: Any, hand: Hand, digit: Digit, y: float, line_ends: dict[str, list[float]]
 ) -> float:
     """Draw a digit at row ``y`` with all tendons of the digit below, and return the next free row."""
     columns = dict(_joint_xs(digit))
@@ -229,21 +229,21 @@ def _draw_digit(
         y -= 1.0
         _draw_tendon(axes, hand, tendon, columns, y)
         motor = hand.motor_of(tendon.name)
-        ends[motor.bus][0] = ends[motor.bus][0] or y
-        ends[motor.bus][1] = y
+        line_ends[motor.bus][0] = line_ends[motor.bus][0] or y
+        line_ends[motor.bus][1] = y
     return y - 1.0
 
 
 def _draw_tendon(
-    axes: Any, hand: Hand, tendon: Tendon, columns: dict[str, float], y: float
+    axes: Any, hand: Hand, tendon: Tendon, column_x: dict[str, float], y: float
 ) -> None:
     """Draw the row of a tendon, from the bus of the motor to the last joint that the tendon crosses."""
     motor = hand.motor_of(tendon.name)
     bus = hand.bus_names.index(motor.bus)
     colour = BUS_COLOURS[bus % len(BUS_COLOURS)]
     means = hand.moment_arms[hand.tendon.index(tendon)]
-    crossed = {joint: means[hand.joints.index(joint)] for joint in tendon.arms if joint in columns}
-    last = max(columns[joint] for joint in crossed)
+    crossed = {joint: means[hand.joints.index(joint)] for joint in tendon.arms if joint in column_x}
+    last = max(column_x[joint] for joint in crossed)
     axes.plot([_bus_x(bus), MOTOR_COLUMN_X], [y, y], color=colour, linewidth=1.2, zorder=1)
     axes.plot([MOTOR_COLUMN_X, last + 0.45], [y, y], color=FLEXOR_COLOUR, linewidth=1.0, zorder=1)
     axes.plot(last + 0.45, y, "|", color=FLEXOR_COLOUR, markersize=8)
@@ -275,10 +275,10 @@ def _draw_tendon(
         # above it.
         side = -1.0 if arm > 0.0 else 1.0
         shade = FLEXOR_COLOUR if arm > 0.0 else EXTENSOR_COLOUR
-        axes.plot(columns[joint], y, "o", color=shade, markersize=4.5, zorder=2)
+        axes.plot(column_x[joint], y, "o", color=shade, markersize=4.5, zorder=2)
         axes.text(
-            columns[joint], y + 0.3 * side, _moment_arm_text(hand, tendon, joint), ha="center", va="center", fontsize=7,
-            color=shade,
+            column_x[joint], y + 0.3 * side, _moment_arm_text(hand, tendon, joint), ha="center", va="center",
+            fontsize=7, color=shade,
         )  # fmt: skip
 
 
@@ -287,11 +287,11 @@ def _bus_x(bus: int) -> float:
     return MOTOR_COLUMN_X - 0.9 - BUS_STEP * bus
 
 
-def _draw_buses(axes: Any, hand: Hand, ends: dict[str, list[float]]) -> None:
+def _draw_buses(axes: Any, hand: Hand, line_ends: dict[str, list[float]]) -> None:
     """Draw each bus as a vertical line between the motors on the bus, with its name and its bit rates."""
     for i, bus in enumerate(hand.bus):
         x = _bus_x(i)
-        top, bottom = ends[bus.name]
+        top, bottom = line_ends[bus.name]
         colour = BUS_COLOURS[i % len(BUS_COLOURS)]
         axes.plot(
             [x, x], [top + 0.4, bottom - 0.4], color=colour, linewidth=3, solid_capstyle="round"

@@ -70,16 +70,16 @@ def _hold_times(log: RunLog, hold_phases: Collection[str]) -> Any:
     return log.t_ns[(log.k >= spans[0][0]) & (log.k < spans[-1][1])]
 
 
-def lift_failure(lift: dict[str, Any]) -> str:
+def lift_failure(lift_result: dict[str, Any]) -> str:
     """Return the reason why a grasp failed. The text is empty if it did not fail.
 
     The text is also empty if there was no object.
 
     Args:
-        lift: result of `judge_lift`.
+        lift_result: result of `judge_lift`.
     """
-    sunk = lift["table_sunk_mm"]
-    slid = lift["object_slid_mm"]
+    sunk = lift_result["table_sunk_mm"]
+    slid = lift_result["object_slid_mm"]
     if sunk == 0.0:
         return "the object was never lifted: too few digits pressed on it for the table to sink"
     if slid > MAX_SLIP_MM:

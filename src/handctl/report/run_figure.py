@@ -11,9 +11,9 @@ from handctl.core.tick_types import HandMode
 from handctl.digit_colours import colour_numbers
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
-from handctl.output import save_figure
+from handctl.output_files import save_figure
 from handctl.printing import printable_text
-from handctl.report.summary import mean_angles
+from handctl.report.run_summary import mean_angles
 from handctl.report.truth_record import TruthRecord
 
 DIGIT_COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a", "#3a8f9c")
@@ -103,22 +103,24 @@ def draw_run(
     save_figure(figure, path)
 
 
-def _add_titles_and_phases(grid: Any, late: list[Any], log: RunLog, hand: Hand) -> None:
+def _add_titles_and_phases(
+    axes_grid: NDArray[Any], lateness_axes: list[Any], log: RunLog, hand: Hand
+) -> None:
     """Add titles, grid lines and phase marks.
 
     The time axis shows only the interval in which the hand is active.
     """
-    for column, name in zip(grid.T, hand.digit_names, strict=True):
+    for column, name in zip(axes_grid.T, hand.digit_names, strict=True):
         column[0].set_title(name, fontsize=11, fontweight="bold")
         column[-1].set_xlabel("time [s]", fontsize=8)
-    for row, label in zip(grid, ROW_LABELS, strict=True):
+    for row, label in zip(axes_grid, ROW_LABELS, strict=True):
         row[0].set_ylabel(label)
     slides = [bool(hand.displayed_mean(name).is_prismatic[0]) for name in hand.digit_names]
-    for d, axes in enumerate(grid[0]):
+    for d, axes in enumerate(axes_grid[0]):
         # Otherwise, the label of the first digit is the label of all digits.
         if d == 0 or len(set(slides)) > 1:
             axes.set_ylabel("mean joint position [mm]" if slides[d] else ROW_LABELS[0])
-    for axes in (*grid.flat, *late):
+    for axes in (*axes_grid.flat, *lateness_axes):
         axes.grid(alpha=0.3)
         axes.margins(x=0)
         axes.tick_params(labelsize=8)
@@ -126,24 +128,24 @@ def _add_titles_and_phases(grid: Any, late: list[Any], log: RunLog, hand: Hand) 
     if len(acting):
         start = max(0.0, log.times[acting[0]] - 0.2)
         end = log.times[acting[-1]] + 0.1
-        for axes in (grid[0, 0], *late):
+        for axes in (axes_grid[0, 0], *lateness_axes):
             axes.set_xlim(start, end)
-        for row in (grid[0], grid[2]):
-            _fit_height(row, start, end)
-    _mark_phases(grid, log)
+        for row in (axes_grid[0], axes_grid[2]):
+            _fit_value_axis(row, start, end)
+    _mark_phases(axes_grid, log)
 
 
-def _fit_height(row: Sequence[Any], start: float, end: float) -> None:
+def _fit_value_axis(axes_row: Sequence[Any], start_s: float, end_s: float) -> None:
     """Limit the height of a row of plots to the values that occur while the hand is active.
 
     Later, the tendons have no tension and the joints may move far.
     """
-    lines = [line.get_data() for axes in row for line in axes.lines]
-    visible = np.concatenate([y[(x >= start) & (x <= end)] for x, y in lines])
+    lines = [line.get_data() for axes in axes_row for line in axes.lines]
+    visible = np.concatenate([y[(x >= start_s) & (x <= end_s)] for x, y in lines])
     low = np.fmin.reduce(visible, initial=np.inf)
     high = np.fmax.reduce(visible, initial=-np.inf)
     if low < high:
-        row[0].set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+        axes_row[0].set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
 
 
 def _legend_entries(truth: bool) -> tuple[list[Any], list[str]]:
@@ -168,7 +170,7 @@ def _legend_entries(truth: bool) -> tuple[list[Any], list[str]]:
 
 
 def _draw_angles(
-    row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
+    axes_row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
 ) -> None:
     """Draw the mean joint angle of each digit: estimate, command and true value."""
     factors = np.array([hand.displayed_mean(name).factor[0] for name in hand.digit_names])
@@ -177,30 +179,30 @@ def _draw_angles(
     if truth is not None:
         table = truth.columns_at([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns)
         real = factors * mean_angles(hand, table)
-    for d, (axes, colour) in enumerate(zip(row, digit_colours(hand), strict=True)):
+    for d, (axes, colour) in enumerate(zip(axes_row, digit_colours(hand), strict=True)):
         axes.plot(log.times, estimate[:, d], color=colour, linewidth=1.8)
         _draw_command_and_truth(axes, log, goal[:, d], None if real is None else real[:, d])
 
 
 def _draw_command_and_truth(
-    axes: Any, log: RunLog, goal: Array | None, true_values: Array | None
+    axes: Any, log: RunLog, goal_values: Array | None, true_values: Array | None
 ) -> None:
     """Draw the command and the true value of the simulated plant beside the estimate."""
     if true_values is not None:
         axes.plot(log.times, true_values, color=PLANT_COLOUR, linewidth=0.7)
-    if goal is not None:
-        axes.plot(log.times, goal, color=COMMAND_COLOUR, linewidth=1.0, linestyle="--")
+    if goal_values is not None:
+        axes.plot(log.times, goal_values, color=COMMAND_COLOUR, linewidth=1.0, linestyle="--")
 
 
 def _draw_tensions(
-    row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
+    axes_row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
 ) -> None:
     """Draw the tendon tensions of each digit: estimates, commands and true values."""
     estimate = log.field("tension")
     sigma = log.field("tension_sigma")
     goal = log.field("tension_goal")
     for axes, tendons, colour in zip(
-        row, hand.digit_tendons.values(), digit_colours(hand), strict=True
+        axes_row, hand.digit_tendons.values(), digit_colours(hand), strict=True
     ):
         names = hand.tendon_names[tendons]
         # TENDON_OPACITIES is repeated so that every tendon has an opacity, even if a digit has more
@@ -222,18 +224,18 @@ def _draw_tensions(
             axes.legend(loc="upper left", fontsize=6, frameon=False)
     # If a load cell is wrong, the command and the true tension may be far above the estimated
     # tension.
-    drawn = np.concatenate([line.get_ydata() for axes in row for line in axes.lines])
-    row[0].set_ylim(-2, float(np.fmax.reduce(drawn, initial=9.0)) * 1.15)
+    drawn = np.concatenate([line.get_ydata() for axes in axes_row for line in axes.lines])
+    axes_row[0].set_ylim(-2, float(np.fmax.reduce(drawn, initial=9.0)) * 1.15)
 
 
 def _draw_forces(
-    row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
+    axes_row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
 ) -> None:
     """Draw the contact force on each digit: estimate and true value."""
     estimate = log.field("tip_force")
     sigma = log.field("tip_force_sigma")
     for d, (axes, name, colour) in enumerate(
-        zip(row, hand.digit_names, digit_colours(hand), strict=True)
+        zip(axes_row, hand.digit_names, digit_colours(hand), strict=True)
     ):
         axes.plot(log.times, estimate[:, d], color=colour, linewidth=1.0)
         low = estimate[:, d] - sigma[:, d]
@@ -251,7 +253,7 @@ def _draw_forces(
             )
 
 
-def _mark_phases(grid: Any, log: RunLog) -> None:
+def _mark_phases(axes_grid: Any, log: RunLog) -> None:
     """Mark the start of each phase and the first fault in all rows.
 
     The names are written in the first row.
@@ -268,16 +270,16 @@ def _mark_phases(grid: Any, log: RunLog) -> None:
         for change in log.phases
         if change.name not in PASSIVE_PHASES
     ]
-    positions = _mark_positions([t_s for t_s, _, _ in marks], grid[0, 0].get_xlim())
+    positions = _mark_positions([t_s for t_s, _, _ in marks], axes_grid[0, 0].get_xlim())
     for (t_s, name, colour), position in zip(marks, positions, strict=True):
-        for axes in grid.flat:
+        for axes in axes_grid.flat:
             axes.axvline(t_s, color=colour, linewidth=0.6)
         if position:
-            _write_mark(grid[0], position, name, colour)
+            _write_mark(axes_grid[0], position, name, colour)
 
 
 def _mark_positions(
-    times_s: Sequence[float], limits: tuple[float, float]
+    times_s: Sequence[float], time_limits_s: tuple[float, float]
 ) -> list[tuple[float, float] | None]:
     """Return, for each mark, the left end [s] and the height of its name.
 
@@ -285,24 +287,26 @@ def _mark_positions(
 
     Args:
         times_s: time of each mark [s], the most important mark first.
-        limits: begin and end of the time axis [s].
+        time_limits_s: begin and end of the time axis [s].
     """
-    width = MARK_WIDTH_FRACTION * (limits[1] - limits[0])
+    width = MARK_WIDTH_FRACTION * (time_limits_s[1] - time_limits_s[0])
     positions: list[tuple[float, float] | None] = []
     for t_s in times_s:
         # If a mark is near the end of the axis, the name is written to the left of the line that
         # marks the time.
-        left = t_s if t_s + width <= limits[1] else t_s - width
+        left = t_s if t_s + width <= time_limits_s[1] else t_s - width
         taken = {place[1] for place in positions if place and abs(place[0] - left) < width}
         free = [height for height in MARK_HEIGHTS if height not in taken]
-        inside = limits[0] <= t_s <= limits[1]
+        inside = time_limits_s[0] <= t_s <= time_limits_s[1]
         positions.append((left, free[0]) if inside and free else None)
     return positions
 
 
-def _write_mark(row: Sequence[Any], position: tuple[float, float], name: str, colour: str) -> None:
+def _write_mark(
+    axes_row: Sequence[Any], position: tuple[float, float], name: str, colour: str
+) -> None:
     """Write the name of a mark at the given time [s] and height into each plot of a row."""
-    for axes in row:
+    for axes in axes_row:
         style = {
             "fontsize": 7,
             "color": FAULT_COLOUR if colour == FAULT_COLOUR else COMMAND_COLOUR,

@@ -16,13 +16,13 @@ import numpy as np
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import LoggedEvent
-from handctl.log.topics.clock_pairs import clock_steps
-from handctl.output import atomic_path
+from handctl.log.topics.clock_pair_topic import clock_steps
+from handctl.output_files import atomic_path
 from handctl.printing import printable_text
 from handctl.report.frame_counts import frame_counts
-from handctl.report.pictures import draw_bus_loads, draw_lateness, draw_poses
 from handctl.report.run_figure import draw_run
-from handctl.report.summary import angle_rows, summarise_run, tracking_text
+from handctl.report.run_summary import angle_rows, summarise_run, tracking_text
+from handctl.report.svg_pictures import draw_bus_loads, draw_lateness, draw_poses
 from handctl.report.truth_record import TruthRecord
 
 MAX_EVENTS = 500
@@ -90,22 +90,22 @@ def _escaped_text(text: object) -> str:
     return html.escape(printable_text(str(text), 2000))
 
 
-def _html_section(title: str, body: str) -> str:
+def _html_section(title: str, body_html: str) -> str:
     """Return a section of the page as HTML."""
-    return f"<section><h2>{title}</h2>{body}</section>"
+    return f"<section><h2>{title}</h2>{body_html}</section>"
 
 
-def _html_table(rows: Iterable[tuple[str, str]]) -> str:
+def _html_table(name_value_rows: Iterable[tuple[str, str]]) -> str:
     """Return an HTML table with two columns."""
-    lines = (f"<tr><th>{title}</th><td>{content}</td></tr>" for title, content in rows)
+    lines = (f"<tr><th>{title}</th><td>{content}</td></tr>" for title, content in name_value_rows)
     return "<table>" + "".join(lines) + "</table>"
 
 
-def _text_table(values: Mapping[str, object]) -> str:
+def _text_table(values_by_name: Mapping[str, object]) -> str:
     """Return an HTML table of texts from a log."""
     return _html_table(
         (_escaped_text(key), f"<code>{_escaped_text(value)}</code>")
-        for key, value in values.items()
+        for key, value in values_by_name.items()
     )
 
 
@@ -114,7 +114,7 @@ def _number_table(
     hand: Hand,
     truth: TruthRecord | None,
     offset_ns: int,
-    load: "np.ndarray[tuple[int], np.dtype[np.float64]]",
+    load_of_ticks: "np.ndarray[tuple[int], np.dtype[np.float64]]",
 ) -> str:
     """Return the HTML table with the numbers of a run."""
     summary = summarise_run(log, hand, truth, offset_ns)
@@ -139,7 +139,9 @@ def _number_table(
         ),
         (
             "largest bus load, by frames",
-            ", ".join(f"{n} {100 * x:.0f} %" for n, x in zip(hand.bus_names, load, strict=True)),
+            ", ".join(
+                f"{n} {100 * x:.0f} %" for n, x in zip(hand.bus_names, load_of_ticks, strict=True)
+            ),
         ),
         (
             "tracking error in free motion, against the plant",

@@ -67,9 +67,9 @@ class TruthRecord:
             right=np.nan,
         )
 
-    def columns_at(self, names: list[str], t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def columns_at(self, column_names: list[str], t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return several columns of the record, interpolated at times on the simulator's clock [ns], (times, names)."""
-        return np.column_stack([self.column_at(name, t_ns) for name in names])
+        return np.column_stack([self.column_at(name, t_ns) for name in column_names])
 
 
 def read_truth(path: Path) -> TruthRecord:
@@ -101,28 +101,28 @@ def read_truth(path: Path) -> TruthRecord:
     return TruthRecord(header, rows["t_ns"].copy(), rows["v"].copy(), columns)
 
 
-def copy_truth(source: Path, target: Path, start_ns: int, end_ns: int) -> int:
+def copy_truth(source_path: Path, target_path: Path, start_ns: int, end_ns: int) -> int:
     """Copy those rows of a truth file that are between two times, and return their number.
 
     A simulator may serve many runs, and it writes 1.6 GB per hour. Only the copied rows are read.
     Without rows, no file is written.
 
     Args:
-        source: truth file of a simulator, which may still write to this file.
-        target: new file.
+        source_path: truth file of a simulator, which may still write to this file.
+        target_path: new file.
         start_ns, end_ns: first and last time to copy, on the simulator's clock [ns].
 
     Raises:
         LogError: the source is not a truth file.
         OSError: a file cannot be read or written.
     """
-    with source.open("rb") as file:
+    with source_path.open("rb") as file:
         head = file.readline()
         try:
             size = 8 * (len(json.loads(head)["columns"]) + 1)
         except (ValueError, KeyError, TypeError) as error:
             right = "a JSON line and float64 rows"
-            raise LogError(f"is not a truth file: {error}", str(source), right) from None
+            raise LogError(f"is not a truth file: {error}", str(source_path), right) from None
         count = (file.seek(0, os.SEEK_END) - len(head)) // size
 
         def time_of_row(row: int) -> int:
@@ -134,7 +134,7 @@ def copy_truth(source: Path, target: Path, start_ns: int, end_ns: int) -> int:
         if first == last:
             return 0
         file.seek(len(head) + size * first)
-        with target.open("wb") as copy:
+        with target_path.open("wb") as copy:
             copy.write(head)
             for row in range(first, last, ROWS_PER_BLOCK):
                 copy.write(file.read(size * min(ROWS_PER_BLOCK, last - row)))
@@ -146,13 +146,13 @@ def truth_path_of(log_path: Path) -> Path:
     return log_path.with_suffix(".truth")
 
 
-def find_truth(named: Path | None, log_path: Path, log: RunLog) -> TruthRecord | None:
+def find_truth(named_file: Path | None, log_path: Path, log: RunLog) -> TruthRecord | None:
     """Return the true values of a run, from the named file or from the file next to the log of a lockstep run.
 
     If no file is named and there is no truth file of this run next to the log, return None.
 
     Args:
-        named: truth file that the user has named, or None if the user has named no file.
+        named_file: truth file that the user has named, or None if the user has named no file.
         log_path: path of the log.
         log: open log of the run.
 
@@ -160,21 +160,21 @@ def find_truth(named: Path | None, log_path: Path, log: RunLog) -> TruthRecord |
         LogError: the named file belongs to another run, or a truth file cannot be read.
     """
     beside = truth_path_of(log_path)
-    if named is None and not (log.header.deterministic and beside.is_file()):
+    if named_file is None and not (log.header.deterministic and beside.is_file()):
         return None
-    truth = read_truth(named or beside)
+    truth = read_truth(named_file or beside)
     if truth.covers_times(log.t_ns + log.header.truth_offset_ns):
         return truth
-    if named is None:
+    if named_file is None:
         return None
     problem = "was recorded at another time than the log"
-    raise LogError(problem, str(named), "the truth of the same run, in lockstep")
+    raise LogError(problem, str(named_file), "the truth of the same run, in lockstep")
 
 
-def _complete_rows(data: bytes, columns: int) -> bytes:
+def _complete_rows(file_content: bytes, column_count: int) -> bytes:
     """Return the part of the data that ends with the last complete row.
 
     If a simulator is killed, the last row in the file may be incomplete.
     """
-    size = 8 * (columns + 1)
-    return data[: len(data) // size * size]
+    size = 8 * (column_count + 1)
+    return file_content[: len(file_content) // size * size]

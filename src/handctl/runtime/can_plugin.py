@@ -16,9 +16,9 @@ import can
 
 from handctl.drives.frame import ERROR_FLAG, FDF, Frame
 from handctl.errors import BusError
-from handctl.runtime.buses.local import LocalBus
+from handctl.runtime.buses.local_bus import LocalBus
 from handctl.runtime.buses.pythoncan import frame_of_message, message_of_frame
-from handctl.runtime.paths import run_dir
+from handctl.runtime.socket_paths import run_dir
 
 SEND_RETRY_PERIOD_S = 1e-3
 """Pause after a full queue has refused a frame, before the frame is sent again [s]."""

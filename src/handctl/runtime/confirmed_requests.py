@@ -16,9 +16,9 @@ from typing import Any
 from handctl.core.tick_types import HandMode
 from handctl.errors import REMOVE_POWER, BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import events_for_request
-from handctl.runtime.buses.open import LOCAL_BUS_PREFIX
+from handctl.runtime.buses.bus_opening import LOCAL_BUS_PREFIX
 from handctl.runtime.mailbox import SEND_RETRY_PERIOD_S, WATCH_REQUEST, StatusWatcher
-from handctl.runtime.paths import mailbox_path
+from handctl.runtime.socket_paths import mailbox_path
 
 CONFIRMATION_TIMEOUT_S = 2.0
 """Longest wait for a confirmation [s].
@@ -40,7 +40,7 @@ _request_numbers = itertools.count(1)
 StatusLine = dict[str, Any]
 
 
-def open_watcher(bus: str, word: str) -> StatusWatcher:
+def open_watcher(bus: str, command_word: str) -> StatusWatcher:
     """Return an open watcher of the controller on a bus, for a single request.
 
     Raises:
@@ -49,7 +49,7 @@ def open_watcher(bus: str, word: str) -> StatusWatcher:
     try:
         return StatusWatcher(bus)
     except BusError as error:
-        raise UnconfirmedError(bus, word, str(error)) from None
+        raise UnconfirmedError(bus, command_word, str(error)) from None
 
 
 @contextmanager
@@ -78,14 +78,14 @@ def absent_controller_reported(bus: str) -> Iterator[None]:
 
 
 def send_with_confirmation(
-    watcher: StatusWatcher, request: Mapping[str, Any], repeat: bool = False
+    watcher: StatusWatcher, request: Mapping[str, Any], is_repeated: bool = False
 ) -> tuple[StatusLine, list[str]]:
     """Send a request, and wait for the controller's confirmation.
 
     Args:
         watcher: watcher of the controller.
         request: content of the request, without the name ``by`` of the sender.
-        repeat: True to send the request repeatedly, even while no controller answers yet. This is
+        is_repeated: True to send the request repeatedly, even while no controller answers yet. This is
             allowed only if a request that arrives twice has no other effect.
 
     Returns:
@@ -102,21 +102,25 @@ def send_with_confirmation(
     reason = CONTROLLER_SILENT_TEXT
     watcher.discard_lines()
     while (left := end - time.monotonic()) > 0.0:
-        if repeat or not sent:
-            sent, reason = _try_send(watcher, data, min(left, REQUEST_REPEAT_S) if repeat else left)
+        if is_repeated or not sent:
+            sent, reason = _try_send_request(
+                watcher, data, min(left, REQUEST_REPEAT_S) if is_repeated else left
+            )
         if not sent:
-            if not (repeat or reason == MAILBOX_FULL_TEXT):
+            if not (is_repeated or reason == MAILBOX_FULL_TEXT):
                 break
             time.sleep(min(left, SEND_RETRY_PERIOD_S))
             continue
         left = max(0.0, end - time.monotonic())
-        for line in watcher.status_lines(min(left, REQUEST_REPEAT_S) if repeat else left):
+        for line in watcher.status_lines(min(left, REQUEST_REPEAT_S) if is_repeated else left):
             if (texts := events_for_request(name, line["events"])) is not None:
                 return line, texts
     raise UnconfirmedError(watcher.name, str(request["do"]), reason)
 
 
-def _try_send(watcher: StatusWatcher, data: bytes, timeout_s: float) -> tuple[bool, str]:
+def _try_send_request(
+    watcher: StatusWatcher, request_bytes: bytes, timeout_s: float
+) -> tuple[bool, str]:
     """Send a request once.
 
     Returns:
@@ -124,7 +128,7 @@ def _try_send(watcher: StatusWatcher, data: bytes, timeout_s: float) -> tuple[bo
         confirmation follows.
     """
     try:
-        watcher.send(data, timeout_s)
+        watcher.send(request_bytes, timeout_s)
     except (TimeoutError, BlockingIOError):
         return False, MAILBOX_FULL_TEXT
     except OSError as error:
@@ -132,14 +136,14 @@ def _try_send(watcher: StatusWatcher, data: bytes, timeout_s: float) -> tuple[bo
     return True, CONTROLLER_SILENT_TEXT
 
 
-def request_action(bus: str, word: str) -> StatusLine:
+def request_action(bus: str, command_word: str) -> StatusLine:
     """Send the request ``clear``, ``stop`` or ``cut`` to a controller.
 
     After ``stop`` and ``cut``, wait until all drives are disabled.
 
     Args:
         bus: bus of the controller.
-        word: request to send.
+        command_word: request to send.
 
     Returns:
         the last status line of the controller.
@@ -150,21 +154,21 @@ def request_action(bus: str, word: str) -> StatusLine:
             every drive is disabled.
         PowerError: a drive did not confirm that it is disabled.
     """
-    watcher = open_watcher(bus, word)
+    watcher = open_watcher(bus, command_word)
     try:
         with absent_controller_reported(bus):
-            line, _ = send_with_confirmation(watcher, {"do": word}, repeat=True)
-        return line if word == "clear" else follow_until_off(watcher, word, line)
+            line, _ = send_with_confirmation(watcher, {"do": command_word}, is_repeated=True)
+        return line if command_word == "clear" else follow_until_off(watcher, command_word, line)
     finally:
         watcher.close()
 
 
-def follow_until_off(watcher: StatusWatcher, word: str, line: StatusLine) -> StatusLine:
+def follow_until_off(watcher: StatusWatcher, command_word: str, line: StatusLine) -> StatusLine:
     """Wait until a controller that stops its hand reports that every drive is disabled.
 
     Args:
         watcher: watcher of the controller.
-        word: the confirmed request.
+        command_word: the confirmed request.
         line: status line that confirmed the request.
 
     Returns:
@@ -182,7 +186,9 @@ def follow_until_off(watcher: StatusWatcher, word: str, line: StatusLine) -> Sta
             raise PowerError("; ".join(_mode_texts(line)), f"bus {watcher.name}")
         if line["t_s"] > start_s + OFF_TIMEOUT_S:
             raise UnconfirmedError(
-                watcher.name, word, f"accepted, but the hand is still in mode {line['mode']}"
+                watcher.name,
+                command_word,
+                f"accepted, but the hand is still in mode {line['mode']}",
             )
         new = None
         last_line = time.monotonic()
@@ -190,7 +196,7 @@ def follow_until_off(watcher: StatusWatcher, word: str, line: StatusLine) -> Sta
             if time.monotonic() > last_line + CONFIRMATION_TIMEOUT_S:
                 raise UnconfirmedError(
                     watcher.name,
-                    word,
+                    command_word,
                     f"accepted, but then {CONTROLLER_SILENT_TEXT} in mode {line['mode']}",
                 )
             new = watcher.next_line(0.0) or _subscribe_again(watcher)
@@ -211,5 +217,5 @@ def _mode_texts(line: StatusLine) -> list[str]:
 
 def _subscribe_again(watcher: StatusWatcher) -> StatusLine | None:
     """Subscribe to the status lines again, and return the next status line."""
-    _try_send(watcher, WATCH_REQUEST, REQUEST_REPEAT_S)
+    _try_send_request(watcher, WATCH_REQUEST, REQUEST_REPEAT_S)
     return watcher.next_line(REQUEST_REPEAT_S)

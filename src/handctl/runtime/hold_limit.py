@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.errors import DriveError
 from handctl.runtime.mailbox import STOP_REQUEST
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 MAX_HOLD_S = 5.0
 """Longest time for which a fault may hold the hand in a run that no operator watches [s]."""

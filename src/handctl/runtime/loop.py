@@ -24,7 +24,7 @@ from handctl.core.tick_types import HandMode, IoEvent, TickIn, TickOut, TickRequ
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import Frames, frames_as_records, join_frames
 from handctl.errors import REMOVE_POWER, PowerError
-from handctl.runtime.clocks.real import TickClock
+from handctl.runtime.clocks.real_clock import TickClock
 from handctl.runtime.mailbox import CUT_REQUEST, STOP_REQUEST
 from handctl.signal_handlers import installed_handler
 
@@ -294,14 +294,14 @@ class ControlLoop(Generic[S]):
                 return
             time.sleep(CUT_RETRY_PAUSE_S)
 
-    def _send_cut_once(self, left: list[tuple[LoopBus, list[Frame]]]) -> None:
-        """Send the frames in ``left`` on their buses, and remove the accepted frames from ``left``.
+    def _send_cut_once(self, unsent_frames: list[tuple[LoopBus, list[Frame]]]) -> None:
+        """Send the frames in ``unsent_frames`` on their buses, and remove the accepted frames from ``unsent_frames``.
 
         If one bus raises an exception, the frames are still sent on the other buses.
         """
-        if not left:
+        if not unsent_frames:
             return
-        (bus, frames), *others = left
+        (bus, frames), *others = unsent_frames
         try:  # the recursion in ``finally`` sends on the other buses before the error is raised
             if frames:
                 del frames[: bus.send(frames)]
@@ -319,10 +319,10 @@ class ControlLoop(Generic[S]):
         tick.command(())
         tick.conclude()
 
-    def _run(self, last: list[S]) -> S:
-        """Run ticks until the end of the run, beginning with the state in ``last``.
+    def _run(self, last_state: list[S]) -> S:
+        """Run ticks until the end of the run, beginning with the state in ``last_state``.
 
-        ``last`` has a single entry: the state after the last commands. After an error, the drives are
+        ``last_state`` has a single entry: the state after the last commands. After an error, the drives are
         disabled from this state.
         """
         k = 0
@@ -335,7 +335,7 @@ class ControlLoop(Generic[S]):
             k += skipped
             self._k = k
             entry = self._collect(k, late - skipped * self.period_ns)
-            tick = self.begin_tick(last[0], entry)
+            tick = self.begin_tick(last_state[0], entry)
             requests = self.take_requests()
             tick.decide(requests)
             targets = self.take_targets()
@@ -345,18 +345,18 @@ class ControlLoop(Generic[S]):
             # After an error, every drive that may have received an enable command must report that
             # it is disabled. Therefore the loop stores the state before it sends the commands that
             # belong to this state.
-            last[0] = tick.state
+            last_state[0] = tick.state
             self._send(frames)
             sent_ns = time.monotonic_ns()
-            last[0], out = tick.conclude()
-            self.publish_tick(entry, out, last[0], sent_ns)
+            last_state[0], out = tick.conclude()
+            self.publish_tick(entry, out, last_state[0], sent_ns)
             self.record_tick(entry, out)
-            self.keep_snapshot(entry, last[0])
+            self.keep_snapshot(entry, last_state[0])
             self._count_tick(entry, skipped, late)
             self.show_tick(entry, out)
             mode = out.mode
             k += 1
-        return last[0]
+        return last_state[0]
 
     def _collect(self, k: int, late_ns: int) -> TickIn:
         """Return the inputs of a tick: the frames and the events since the last tick."""
@@ -380,13 +380,13 @@ class ControlLoop(Generic[S]):
         self.stats.frames_tx += accepted
         self.stats.refused_frames += len(frames) - accepted
 
-    def _count_tick(self, entry: TickIn, skipped: int, late: int) -> None:
+    def _count_tick(self, entry: TickIn, skipped_ticks: int, late_by_ns: int) -> None:
         """Count a tick in the statistics, and store the lateness of the tick."""
         stats = self.stats
         if stats.ticks < LATENESS_RING_TICKS:
-            stats.tick_lateness_ns.append(late)
+            stats.tick_lateness_ns.append(late_by_ns)
         else:
-            stats.tick_lateness_ns[stats.ticks % LATENESS_RING_TICKS] = late
+            stats.tick_lateness_ns[stats.ticks % LATENESS_RING_TICKS] = late_by_ns
         stats.ticks += 1
-        stats.missed_ticks += skipped
+        stats.missed_ticks += skipped_ticks
         stats.frames_rx += len(entry.frames)

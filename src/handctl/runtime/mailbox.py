@@ -19,7 +19,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from handctl.errors import BusError
-from handctl.runtime.paths import is_socket_served, mailbox_path, watcher_path
+from handctl.runtime.socket_paths import is_socket_served, mailbox_path, watcher_path
 from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
 
 MAX_REQUEST_BYTES = 4096
@@ -108,12 +108,12 @@ class Mailbox:
                 self.askers.append(sender)
         return tuple(texts)
 
-    def publish_status(self, status: dict[str, Any]) -> None:
+    def publish_status(self, status_line: dict[str, Any]) -> None:
         """Send a status line to all watchers and askers.
 
         If the socket of a watcher no longer exists, the watcher is removed from ``watchers``.
         """
-        line = json.dumps(status).encode()
+        line = json.dumps(status_line).encode()
         for listener in {*self.watchers, *self.askers}:
             try:
                 self.socket.sendto(line, socket.MSG_DONTWAIT, listener)

@@ -32,7 +32,7 @@ from handctl.core.tick_types import (
 from handctl.errors import BusError
 from handctl.programs.stream_plans import StreamStatus
 from handctl.runtime.mailbox import SHORT_RUN_FOLDER_TEXT
-from handctl.runtime.paths import observations_path
+from handctl.runtime.socket_paths import observations_path
 
 OBSERVATION_FILE_MAGIC = b"HCOBS001"
 HEADER_STRUCT = struct.Struct("<8sQQQQQ")
@@ -85,7 +85,7 @@ def observation_dtype(axes: Mapping[str, int]) -> np.dtype[np.void]:
     return np.dtype([*LEADING_FIELDS, *numbers])
 
 
-def _create_map(path: Path, size: int) -> mmap.mmap:
+def _create_map(path: Path, byte_count: int) -> mmap.mmap:
     """Create a file of a given size [bytes], and return the mapping of the file into memory.
 
     After an error, the file does not exist.
@@ -98,7 +98,7 @@ def _create_map(path: Path, size: int) -> mmap.mmap:
         path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600
     )
     try:
-        os.posix_fallocate(descriptor, 0, size)
+        os.posix_fallocate(descriptor, 0, byte_count)
         return mmap.mmap(descriptor, 0)
     except OSError:
         path.unlink(missing_ok=True)
@@ -259,12 +259,12 @@ class ObservationReader:
                 return record
         return None
 
-    def read_record(self, index: int) -> NDArray[np.void] | None:
-        """Return the record with the number ``index``, or None if the ring buffer does not contain it."""
-        start = self._ring_at + self._size * (index % self._records)
+    def read_record(self, record_index: int) -> NDArray[np.void] | None:
+        """Return the record with the number ``record_index``, or None if the ring buffer does not contain it."""
+        start = self._ring_at + self._size * (record_index % self._records)
         data = self._map[start : start + self._size]
         after = self._map[start : start + 8]
-        complete = (2 * index + 2).to_bytes(8, "little")
+        complete = (2 * record_index + 2).to_bytes(8, "little")
         if data[:8] != complete or after != complete:
             return None
         return np.frombuffer(data, self.kind, 1, 8).reshape(())

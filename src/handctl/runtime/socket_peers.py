@@ -64,6 +64,6 @@ def is_served_by_us(link: socket.socket) -> bool:
     return is_trusted_user(CREDENTIALS_STRUCT.unpack(raw)[1])
 
 
-def is_trusted_user(user: int) -> bool:
+def is_trusted_user(user_id: int) -> bool:
     """Return True if a user may send commands to the hand of this user."""
-    return user in (0, os.geteuid())
+    return user_id in (0, os.geteuid())

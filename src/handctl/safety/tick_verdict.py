@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.safety.action import SafetyAction
 from handctl.safety.faults.bus import NO_ACKNOWLEDGE_KINDS
 from handctl.safety.faults.fault import (
     JOINT_INSTANCE,
@@ -27,6 +26,7 @@ from handctl.safety.faults.table import (
     FAULT_BY_ID,
     FAULTS_BY_EVENT_KIND,
 )
+from handctl.safety.safety_action import SafetyAction
 from handctl.safety.safety_limits import SafetyLimits
 
 EventReport = tuple[str, str, float]

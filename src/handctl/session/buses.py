@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from handctl.errors import ConfigError
 from handctl.hand.file.quantities import NAME_PATTERN
-from handctl.runtime.buses.open import check_bus_spec, real_buses
+from handctl.runtime.buses.bus_opening import check_bus_spec, real_buses
 from handctl.session.defaults import DEFAULT_HAND
 
 

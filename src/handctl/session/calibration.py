@@ -14,12 +14,12 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import read_toml
-from handctl.output import write_text_atomically
+from handctl.output_files import write_text_atomically
 from handctl.programs.commission import CommissionProgram, calibration_of_result
-from handctl.runtime.buses.open import real_buses
+from handctl.runtime.buses.bus_opening import real_buses
 from handctl.session.notices import NoticeCallback, ignore_notice
-from handctl.session.plan import RunPlan
 from handctl.session.run import RunFunction, RunOutcome, make_controller
+from handctl.session.run_plan import RunPlan
 from handctl.session.time_scale_advice import pace_advice
 
 MAX_CALIBRATION_AGE_S = 24 * 3600.0

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from handctl.core.gains.gain_bounds import tendon_key, values_by_key, with_values
+from handctl.core.gains.gain_bounds import gains_with_values, tendon_key, values_by_key
 from handctl.core.gains.gains import (
     Gains,
     GainsFile,
@@ -62,7 +62,7 @@ def layered_gains(
     loaded = read_gains_for_hand(hand, file, tell) if file else None
     base = loaded.gains if loaded else packaged_gains(hand.name)
     values = gain_assignments(words, "--gain")
-    gains = with_values(base, values, "--gain") if values else base
+    gains = gains_with_values(base, values, "--gain") if values else base
     origins = {key: _origin_of(base, key, file) for key in values_by_key(base)} | dict.fromkeys(
         values, COMMAND_LINE_ORIGIN
     )

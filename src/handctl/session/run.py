@@ -21,32 +21,32 @@ from handctl.errors import BusError, DriveError, PowerError
 from handctl.hand.description import Hand
 from handctl.log.header import TRUTH_OFFSET_KEY, RunHeader
 from handctl.log.tick_record import pack_snapshot, pack_tick_record
-from handctl.log.topics.snapshots import SNAPSHOT_PERIOD_NS
+from handctl.log.topics.snapshot_topic import SNAPSHOT_PERIOD_NS
 from handctl.log.write.recorder import Recorder
 from handctl.programs.live_session import LiveProgram, preload_spline
 from handctl.programs.program import Program
-from handctl.runtime.buses.open import open_bus
+from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
-from handctl.runtime.clocks.priority import (
+from handctl.runtime.clocks.real_clock import RealClock, TickClock
+from handctl.runtime.clocks.realtime_priority import (
     GrantedPriority,
     prepare_priority,
     realtime_priority,
     restore_priority,
 )
-from handctl.runtime.clocks.real import RealClock, TickClock
-from handctl.runtime.clocks.shared import ClockFile, SharedClock
-from handctl.runtime.clocks.suspend import SuspendWatch
+from handctl.runtime.clocks.shared_clock import ClockFile, SharedClock
+from handctl.runtime.clocks.suspend_watch import SuspendWatch
 from handctl.runtime.hold_limit import HoldLimit
 from handctl.runtime.loop import ControlLoop, LoopBus, LoopStats, StopSignals
 from handctl.runtime.mailbox import CLEAR_REQUEST, Mailbox, bus_lock
 from handctl.runtime.observations import ObservationWriter
-from handctl.runtime.paths import clock_path, faults_path, is_socket_served
-from handctl.runtime.status import status_of_tick
-from handctl.runtime.targets import TargetBox
+from handctl.runtime.socket_paths import clock_path, faults_path, is_socket_served
+from handctl.runtime.status_line import status_of_tick
+from handctl.runtime.target_socket import TargetBox
 from handctl.safety.faults.table import FAULT_BY_ID
 from handctl.session.exit_codes import ExitCode
-from handctl.session.header import run_header
-from handctl.session.plan import OperatorDisplay, RunPlan
+from handctl.session.run_header import run_header
+from handctl.session.run_plan import OperatorDisplay, RunPlan
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from contextlib import suppress
 
 from handctl.errors import HandctlError
 from handctl.processes import usable_cores
-from handctl.runtime.simulator import ask_simulator, find_simulator
-from handctl.session.plan import RunPlan
+from handctl.runtime.simulator_requests import ask_simulator, find_simulator
 from handctl.session.run import RunOutcome
+from handctl.session.run_plan import RunPlan
 
 MAX_CORE_LOAD = 0.7
 """Largest load of a processor core at which the machine counts as fast enough, as a fraction of full load."""

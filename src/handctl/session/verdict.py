@@ -14,11 +14,11 @@ from handctl.programs.task import HoldPhase, Task
 from handctl.report.frame_counts import frame_counts
 from handctl.report.lift_judgement import judge_lift, lift_failure
 from handctl.report.run_figure import draw_run
-from handctl.report.summary import summarise_run
+from handctl.report.run_summary import summarise_run
 from handctl.report.truth_record import TruthRecord, copy_truth, read_truth, truth_path_of
 from handctl.session.notices import NoticeCallback
-from handctl.session.plan import RunPlan
 from handctl.session.run import RunOutcome
+from handctl.session.run_plan import RunPlan
 
 TRUTH_MARGIN_NS = 1_000_000_000
 """Time before and after a run for which the true values are kept [ns]."""

@@ -20,7 +20,7 @@ from handctl.core.gains.gains import (
     packaged_gains,
 )
 from handctl.errors import ConfigError
-from handctl.output import write_text_atomically
+from handctl.output_files import write_text_atomically
 
 EDITED_BY_HAND_NOTE = "edited by hand"
 """Note in the provenance of gains that a user edited."""
@@ -52,16 +52,16 @@ class GainsStore:
         history_folder: folder with the files of the history.
     """
 
-    def __init__(self, hand: str, identity: str = "", folder: Path = Path()) -> None:
+    def __init__(self, hand: str, hand_identity: str = "", folder: Path = Path()) -> None:
         """Set the paths of the files with the gains of a hand.
 
         Args:
             hand: name of the hand.
-            identity: hash of the description of the hand.
+            hand_identity: hash of the description of the hand.
             folder: folder for the files.
         """
         self.hand = hand
-        self.hand_identity = identity
+        self.hand_identity = hand_identity
         self.path = folder / f"{hand}.gains.toml"
         self.history_folder = folder / f"{hand}.gains"
 
@@ -150,7 +150,9 @@ class GainsStore:
         note = f"rollback to {number}" if number else "rollback to the packaged gains"
         old = entries[number].file.gains if number else packaged_gains(self.hand)
         provenance = entries[number].file.provenance if number else GainsProvenance()
-        return self._write_gains(old, provenance.model_copy(update={"note": note}), restores=number)
+        return self._write_gains(
+            old, provenance.model_copy(update={"note": note}), restored_number=number
+        )
 
     def _keep_edited(self) -> None:
         """Add the present gains to the history, unless the history already contains them."""
@@ -164,7 +166,7 @@ class GainsStore:
             )
 
     def _write_gains(
-        self, gains: Gains, provenance: GainsProvenance, restores: int | None = None
+        self, gains: Gains, provenance: GainsProvenance, restored_number: int | None = None
     ) -> GainsFile:
         """Write gains to the history with the next number, and then make them the present gains.
 
@@ -185,7 +187,7 @@ class GainsStore:
                 "identity": provenance.identity or self.hand_identity,
                 "number": entries[-1].number + 1 if entries else 1,
                 "replaces": replaced,
-                "restores": restores,
+                "restores": restored_number,
             }
         )
         text = gains_text(gains, written)
@@ -204,7 +206,7 @@ class GainsStore:
         return load_gains_file(self.path)
 
 
-def _previous_number(entries: dict[int, StoredGains], present: GainsFile) -> int:
+def _previous_number(gains_by_number: dict[int, StoredGains], present: GainsFile) -> int:
     """Return the number of the gains in the history that the present gains have replaced.
 
     After a rollback, the restored gains count as the present gains.
@@ -215,13 +217,13 @@ def _previous_number(entries: dict[int, StoredGains], present: GainsFile) -> int
     """
     provenance = present.provenance
     while provenance.restores:
-        if provenance.restores not in entries:
+        if provenance.restores not in gains_by_number:
             raise ConfigError(
                 f"number {provenance.restores} is not in the history",
                 "rollback",
                 "handctl gains rollback --to N",
             )
-        provenance = entries[provenance.restores].file.provenance
+        provenance = gains_by_number[provenance.restores].file.provenance
     if provenance.restores == 0:
         raise ConfigError(
             "no gains precede the packaged gains", "rollback", "handctl gains rollback --to N"

@@ -23,10 +23,10 @@ from handctl.core.tick_types import HandMode, PackedTelemetry, Telemetry, TickIn
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
-from handctl.programs.exercise import move_amplitude
-from handctl.report.summary import mean_angles
+from handctl.programs.gains_exercise import move_amplitude
+from handctl.report.run_summary import mean_angles
 from handctl.report.truth_record import TruthRecord
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 from handctl.tune.scoring import GainScore, GroundTruth, digit_angles, score_ticks
 
 OLD_GAINS_ROUNDS = 2
@@ -61,9 +61,9 @@ AMPLITUDE_STEP = 0.05
 """Step to which a proposed amplitude is rounded down."""
 
 
-def round_amplitudes(largest: float = 1.0) -> tuple[float, ...]:
+def round_amplitudes(max_amplitude: float = 1.0) -> tuple[float, ...]:
     """Return the amplitudes of the rounds of the exercise, given the largest amplitude."""
-    return tuple(largest * amplitude for amplitude in ROUND_AMPLITUDES)
+    return tuple(max_amplitude * amplitude for amplitude in ROUND_AMPLITUDES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,9 +216,9 @@ class VerifyObserver:
             return ()
         return tuple(sorted(lags, key=lags.__getitem__, reverse=True))
 
-    def _blocked_digit(self, out: TickOut, names: tuple[str, ...]) -> BlockedDigit:
+    def _blocked_digit(self, out: TickOut, digit_names: tuple[str, ...]) -> BlockedDigit:
         """Return the description of a blocked digit. The names come from `_blocked_names`."""
-        digit, *others = names
+        digit, *others = digit_names
         units = self.hand.displayed_mean(digit)
         column = self.hand.digit_names.index(digit)
         mean = float(mean_angles(self.hand, out.telemetry.q[None])[0, column])
@@ -265,11 +265,11 @@ class VerifyObserver:
             self._rates.popleft()
         return float(np.sqrt(sum(self._rates) / len(self._rates)))
 
-    def _tracking_violation(self, numbers: Telemetry | PackedTelemetry) -> str:
+    def _tracking_violation(self, telemetry: Telemetry | PackedTelemetry) -> str:
         """Return a text about the joint farthest from its goal if it violates the limit, or an empty text."""
         units = self.hand.display_units
-        touches = np.repeat(numbers.contact > 0.0, self._joint_counts)
-        lag = np.abs(numbers.q_goal - numbers.q) / units.scale
+        touches = np.repeat(telemetry.contact > 0.0, self._joint_counts)
+        lag = np.abs(telemetry.q_goal - telemetry.q) / units.scale
         error = np.where(touches | np.isnan(lag), 0.0, lag)
         joint = int(error.argmax())
         if error[joint] <= self.limits.tracking_rad:
@@ -335,17 +335,17 @@ class MeasureComparison:
     verdict: str
 
 
-def compare_rounds(runs: list[list[GainScore]]) -> list[MeasureComparison]:
+def compare_rounds(scores_by_round: list[list[GainScore]]) -> list[MeasureComparison]:
     """Compare the rounds with full amplitude, with old and with new gains, run by run.
 
     Args:
-        runs: scores of the rounds of each run.
+        scores_by_round: scores of the rounds of each run.
     """
     columns = []
     for key, (name, unit) in COMPARED_MEASURES.items():
-        old = np.array([getattr(rounds[OLD_GAINS_ROUNDS - 1], key) for rounds in runs])
-        new = np.array([getattr(rounds[-1], key) for rounds in runs])
-        n = len(runs)
+        old = np.array([getattr(rounds[OLD_GAINS_ROUNDS - 1], key) for rounds in scores_by_round])
+        new = np.array([getattr(rounds[-1], key) for rounds in scores_by_round])
+        n = len(scores_by_round)
         mean = float(old.mean())
         change = float((new - old).mean())
         spread = (

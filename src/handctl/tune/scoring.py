@@ -20,12 +20,12 @@ from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.document import validate_content
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content
-from handctl.programs.exercise import ExerciseProgram
+from handctl.programs.gains_exercise import ExerciseProgram
 from handctl.programs.program import Program
-from handctl.report.summary import mean_angles, root_mean_square
+from handctl.report.run_summary import mean_angles, root_mean_square
 from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.session.simulate import SimulatorSettings, homed_controller, simulate_controller
-from handctl.tune.loops.design import linear_factors, worst_margins
+from handctl.tune.loops.gain_design import linear_factors, worst_margins
 
 Array = NDArray[np.float64]
 
@@ -84,30 +84,30 @@ class GainScore:
         return (parts[0] + parts[1] + 0.1 * parts[2]) / 2.1
 
 
-def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
+def evaluate_job(score_job: Mapping[str, Any]) -> dict[str, Any]:
     """Calculate the score of the gains in a job.
 
     The job and the result consist of plain values. Any process can therefore evaluate a job.
 
     Args:
-        job: table with the keys hand (text of the hand file), rate_hz, gains (table), plants
+        score_job: table with the keys hand (text of the hand file), rate_hz, gains (table), plants
             (tables of factors) and seed. If the optional key must_keep_margins is True, gains
             without sufficient margins are not simulated.
 
     Returns:
         The `GainScore`, as a table.
     """
-    hand = hand_from_content(tomllib.loads(job["hand"]), "the hand of the search")
+    hand = hand_from_content(tomllib.loads(score_job["hand"]), "the hand of the search")
     # If a job comes from another process, it contains lists in place of tuples.
-    gains = validate_content(job["gains"], Gains, "the gains of the search")
-    model = HandModel.from_hand(hand, gains, float(job["rate_hz"]))
-    plants = job["plants"]
+    gains = validate_content(score_job["gains"], Gains, "the gains of the search")
+    model = HandModel.from_hand(hand, gains, float(score_job["rate_hz"]))
+    plants = score_job["plants"]
     shortfall = worst_margins(model, tuple(linear_factors(factors) for factors in plants)).shortfall
-    if shortfall > 0.0 and job.get("must_keep_margins", False):
+    if shortfall > 0.0 and score_job.get("must_keep_margins", False):
         return _score_table(_failed_score(0.0, "margins", shortfall))
     runs = []
     for i, factors in enumerate(plants):
-        runs.append(score_exercise(hand, model, factors, int(job["seed"]) + i))
+        runs.append(score_exercise(hand, model, factors, int(score_job["seed"]) + i))
         if runs[-1].failure:
             return _score_table(replace(runs[-1], shortfall=shortfall))
     # In a root mean square, the worst plants have the largest weight.
@@ -124,24 +124,24 @@ def _score_table(score: GainScore) -> dict[str, Any]:
 
 
 def score_exercise(
-    hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int
+    hand: Hand, model: HandModel, plant_factors: Mapping[str, float], seed: int
 ) -> GainScore:
     """Calculate the score of one run of the exercise on a simulated plant, without the margins.
 
     Args:
         hand: description of the hand.
         model: model of the hand, with its gains.
-        factors: factors by which the parameters of the plant differ from the description.
+        plant_factors: factors by which the parameters of the plant differ from the description.
         seed: seed of the simulated noise.
     """
-    return score_run(hand, *simulate_program(hand, model, ExerciseProgram(), factors, seed))
+    return score_run(hand, *simulate_program(hand, model, ExerciseProgram(), plant_factors, seed))
 
 
 TickRecords = list[tuple[TickIn, TickOut]]
 
 
 def simulate_program(
-    hand: Hand, model: HandModel, program: Program, factors: Mapping[str, float], seed: int
+    hand: Hand, model: HandModel, program: Program, plant_factors: Mapping[str, float], seed: int
 ) -> tuple[TickRecords, TruthRecord, str]:
     """Execute a program on a simulated plant in lockstep.
 
@@ -149,7 +149,7 @@ def simulate_program(
         hand: description of the hand.
         model: model of the hand with its gains.
         program: program to run.
-        factors: factors by which the plant's parameters differ from the description.
+        plant_factors: factors by which the plant's parameters differ from the description.
         seed: seed of the simulated noise.
 
     Returns:
@@ -159,7 +159,9 @@ def simulate_program(
     ticks: TickRecords = []
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
         file = Path(folder) / "truth"
-        simulator = SimulatorSettings(hand, seed=seed, perturb=factors, homed=True, truth=file)
+        simulator = SimulatorSettings(
+            hand, seed=seed, perturb=plant_factors, homed=True, truth=file
+        )
         state = simulate_controller(
             homed_controller(model, program, hand),
             simulator,
@@ -169,7 +171,7 @@ def simulate_program(
 
 
 def score_run(
-    hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthRecord, failure: str
+    hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthRecord, failure_text: str
 ) -> GainScore:
     """Return the score of a run, computed from the true values of the simulator.
 
@@ -177,15 +179,15 @@ def score_run(
         hand: description of the hand of the run.
         ticks: ticks of the run.
         truth: true values of the plant.
-        failure: reason why the run ended early, or an empty text.
+        failure_text: reason why the run ended early, or an empty text.
     """
     active = [(entry.t_ns, out) for entry, out in ticks if out.mode == HandMode.ACTIVE]
     tension = truth.values[
         :, [truth.columns.index(f"tension/{name}") for name in hand.tendon_names]
     ]
     peak = float(tension.max(initial=0.0))
-    if failure or not active:
-        return _failed_score(peak, failure or "never active")
+    if failure_text or not active:
+        return _failed_score(peak, failure_text or "never active")
     t_ns = np.array([t for t, _ in active])
     goal, tension_goal, torque = (
         np.array([getattr(out.telemetry, name) for _, out in active])
@@ -213,10 +215,15 @@ def _true_touches(hand: Hand, truth: TruthRecord, t_ns: NDArray[np.int64]) -> ND
     return np.asarray(np.linalg.norm(force, axis=-1).T > TOUCH_FORCE_N)
 
 
-def _failed_score(peak_tension_N: float, failure: str, shortfall: float = 0.0) -> GainScore:
+def _failed_score(peak_tension_N: float, failure_text: str, shortfall: float = 0.0) -> GainScore:
     """Return the score of gains for which the exercise gave no result."""
     return GainScore(
-        FAILED_OBJECTIVE, FAILED_OBJECTIVE, FAILED_OBJECTIVE, peak_tension_N, shortfall, failure
+        FAILED_OBJECTIVE,
+        FAILED_OBJECTIVE,
+        FAILED_OBJECTIVE,
+        peak_tension_N,
+        shortfall,
+        failure_text,
     )
 
 
@@ -258,7 +265,7 @@ class GroundTruth(NamedTuple):
 
 def score_ticks(
     t_ns: NDArray[np.int64],
-    phase: NDArray[Any],
+    phase_of_tick: NDArray[Any],
     angle: Array,
     tension: Array,
     torque: Array,
@@ -268,7 +275,7 @@ def score_ticks(
 
     Args:
         t_ns: (ticks,) times of the ticks [ns].
-        phase: (ticks,) name of the phase in each tick.
+        phase_of_tick: (ticks,) name of the phase in each tick.
         angle: (ticks, D) goals of the mean joint angle [rad].
         tension: (ticks, N) tension goals [N].
         torque: (ticks, M) commanded motor torques [N m].
@@ -276,9 +283,11 @@ def score_ticks(
     """
     rate = np.diff(torque, axis=0) / (np.diff(t_ns)[:, None] / 1e9)
     return GainScore(
-        tracking_deg=float(np.degrees(root_mean_square((angle - truth.angle)[phase == "move"]))),
-        tension_N=root_mean_square((tension - truth.tension)[phase == "hold"]),
-        effort_Nm_per_s=root_mean_square(rate[np.isin(phase[1:], ("move", "hold"))]),
+        tracking_deg=float(
+            np.degrees(root_mean_square((angle - truth.angle)[phase_of_tick == "move"]))
+        ),
+        tension_N=root_mean_square((tension - truth.tension)[phase_of_tick == "hold"]),
+        effort_Nm_per_s=root_mean_square(rate[np.isin(phase_of_tick[1:], ("move", "hold"))]),
         peak_tension_N=float(truth.tension.max(initial=0.0)),
         shortfall=0.0,
     )

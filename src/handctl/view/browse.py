@@ -29,7 +29,7 @@ FLUSH_TIMEOUT_S = 5.0
 def browse_log(
     path: Path,
     run: RunInfo,
-    arguments: Sequence[str],
+    viewer_arguments: Sequence[str],
     environment: dict[str, str],
     scan: RecordScan | None = None,
 ) -> Iterator[Viewer]:
@@ -40,7 +40,7 @@ def browse_log(
     Args:
         path: path of the log.
         run: data about the run and the hand of the log.
-        arguments: further arguments of the viewer.
+        viewer_arguments: further arguments of the viewer.
         environment: environment variables for the viewer.
         scan: list of the log's records, if the records have been scanned already.
 
@@ -53,7 +53,7 @@ def browse_log(
     """
     # The viewer starts on another processor core while this process imports Rerun and converts the
     # first part of the log.
-    with launched_viewer(["--expect-data-soon", *arguments], environment) as launch:
+    with launched_viewer(["--expect-data-soon", *viewer_arguments], environment) as launch:
         from handctl.view.rerun_conversion import (
             run_chunks_in_parts,
         )  # Rerun is imported while the viewer starts
@@ -65,7 +65,7 @@ def browse_log(
         yield running
 
 
-def _send_chunks(running: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> None:
+def _send_chunks(running_viewer: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> None:
     """Send chunks of Rerun data to a viewer, until all are sent or the viewer is closed."""
     import rerun as rr
 
@@ -73,10 +73,10 @@ def _send_chunks(running: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> No
     from handctl.view.scene.blueprint import dashboard_layout
 
     stream = new_recording(run)
-    stream.connect_grpc(running.url, default_blueprint=dashboard_layout(run))
+    stream.connect_grpc(running_viewer.url, default_blueprint=dashboard_layout(run))
     try:
         rr.send_chunks(
-            takewhile(lambda _: running.process.poll() is None, chunks), recording=stream
+            takewhile(lambda _: running_viewer.process.poll() is None, chunks), recording=stream
         )
     finally:
         with suppress(RuntimeError):  # the user has closed the viewer

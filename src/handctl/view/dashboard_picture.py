@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from handctl.errors import HandctlError
-from handctl.output import atomic_path
+from handctl.output_files import atomic_path
 from handctl.view.scene.chunk_arrays import RUN_TIME_TIMELINE
 from handctl.view.viewer import Viewer, running_viewer, software_vulkan
 
@@ -24,13 +24,13 @@ UNCHANGED_TIMEOUT_S = 10.0
 """Longest wait until two screenshots are equal [s]."""
 
 
-def draw_recording(rrd: Path, at_s: float, out: Path) -> list[str]:
+def draw_recording(recording_path: Path, at_s: float, picture_path: Path) -> list[str]:
     """Draw the dashboard of a Rerun recording at one time as PNG.
 
     Args:
-        rrd: path of the Rerun recording, which also contains the layout of the dashboard.
+        recording_path: path of the Rerun recording, which also contains the layout of the dashboard.
         at_s: time to show, since the start of the run [s].
-        out: path of the PNG file to write.
+        picture_path: path of the PNG file to write.
 
     Returns:
         problems that the views of the dashboard report, or an empty list.
@@ -41,7 +41,7 @@ def draw_recording(rrd: Path, at_s: float, out: Path) -> list[str]:
         OSError: the PNG file cannot be written.
     """
     with running_viewer(
-        ["--headless", "--window-size", PICTURE_SIZE_PX, str(rrd)], software_vulkan()
+        ["--headless", "--window-size", PICTURE_SIZE_PX, str(recording_path)], software_vulkan()
     ) as running:
         clear = time.monotonic() + NOTICE_S
         client = connect_client(running)
@@ -50,7 +50,7 @@ def draw_recording(rrd: Path, at_s: float, out: Path) -> list[str]:
         time.sleep(max(SCREENSHOT_PAUSE_S, clear - time.monotonic()))
         png = settled_screenshot(client)
         reports = view_problem_reports(client)
-    with atomic_path(out) as part:
+    with atomic_path(picture_path) as part:
         part.write_bytes(png)
     return reports
 
@@ -70,24 +70,24 @@ def settled_screenshot(client: "ViewerClient") -> bytes:
         before = now
 
 
-def connect_client(running: Viewer) -> "ViewerClient":
+def connect_client(running_viewer: Viewer) -> "ViewerClient":
     """Wait for a viewer that is starting, and return a client connected to the viewer."""
     from rerun.experimental import ViewerClient
 
     end = time.monotonic() + LOAD_TIMEOUT_S
     while True:
         try:
-            client = ViewerClient.connect(running.url)
+            client = ViewerClient.connect(running_viewer.url)
             client.get_state()
         except (RuntimeError, ConnectionError) as error:
-            if running.process.poll() is not None or time.monotonic() > end:
+            if running_viewer.process.poll() is not None or time.monotonic() > end:
                 raise HandctlError(f"no answer from the viewer: {error}", "rerun", "") from error
             time.sleep(0.1)
         else:
             return client
 
 
-def timeline_end(state: "ViewerState", timeline: str) -> int:
+def timeline_end(state: "ViewerState", timeline_name: str) -> int:
     """Return the latest end of a timeline in all recordings of a viewer, in the unit of the timeline.
 
     If there are no data, the result is -1.
@@ -96,12 +96,12 @@ def timeline_end(state: "ViewerState", timeline: str) -> int:
         line
         for recording in state.recordings
         for line in recording.timelines
-        if line.name == timeline
+        if line.name == timeline_name
     ]
     return max((line.end for line in lines if line.end is not None), default=-1)
 
 
-def wait_until_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
+def wait_until_loaded(client: "ViewerClient", timeline_name: str, until_ns: int = 0) -> None:
     """Wait until a viewer shows views and has loaded a recording up to a given time.
 
     A viewer gets a recording and the layout before the first data. Even before the first data, the
@@ -109,8 +109,8 @@ def wait_until_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> 
 
     Args:
         client: client of the viewer.
-        timeline: name of a timeline of the recording.
-        until: time up to which the recording must be loaded, in the unit of the timeline.
+        timeline_name: name of a timeline of the recording.
+        until_ns: time up to which the recording must be loaded, in the unit of the timeline.
 
     Raises:
         HandctlError: the recording is not loaded after `LOAD_TIMEOUT_S`.
@@ -118,7 +118,7 @@ def wait_until_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> 
     end = time.monotonic() + LOAD_TIMEOUT_S
     while time.monotonic() < end:
         state = client.get_state()
-        if timeline_end(state, timeline) >= until and state.views and not state.loading:
+        if timeline_end(state, timeline_name) >= until_ns and state.views and not state.loading:
             return
         time.sleep(0.1)
     raise HandctlError(

@@ -47,7 +47,7 @@ class LogFollower:
         self._tail = LogTail(log)
         self._folder = tempfile.TemporaryDirectory(prefix="handctl-follow-")
         self._stream = new_recording(run)
-        self._stream.connect_grpc(url, default_blueprint=dashboard_layout(run, live=True))
+        self._stream.connect_grpc(url, default_blueprint=dashboard_layout(run, is_live=True))
         rr.send_chunks(chain(style_chunks(run), mesh_chunks(run)), recording=self._stream)
 
     def send_new_chunks(self) -> bool:
@@ -86,13 +86,13 @@ class LogFollower:
 
 
 def follow_log(
-    log: Path, arguments: Sequence[str] = (), stop: TerminationFlag | None = None
+    log: Path, viewer_arguments: Sequence[str] = (), stop: TerminationFlag | None = None
 ) -> None:
     """Open a viewer, and show a growing log until the log ends.
 
     Args:
         log: path of the log. The file may be created later.
-        arguments: further command-line arguments of the viewer.
+        viewer_arguments: further command-line arguments of the viewer.
         stop: flag that is set to end the display early.
 
     Raises:
@@ -100,7 +100,7 @@ def follow_log(
         ConfigError: the desktop session has no screen on which a viewer could open.
         HandctlError: the viewer does not start.
     """
-    headless = "--headless" in arguments
+    headless = "--headless" in viewer_arguments
     if not headless:
         check_screen()
     stop = stop or TerminationFlag()
@@ -108,7 +108,7 @@ def follow_log(
     if run is None:
         return
     running = start_viewer(
-        ["--expect-data-soon", *arguments], software_vulkan() if headless else {}
+        ["--expect-data-soon", *viewer_arguments], software_vulkan() if headless else {}
     )
     follower = LogFollower(log, run, running.url)
     try:
@@ -120,10 +120,10 @@ def follow_log(
         follower.close()
 
 
-def _follow_until_end(follower: LogFollower, running: Viewer, stop: TerminationFlag) -> None:
+def _follow_until_end(follower: LogFollower, running_viewer: Viewer, stop: TerminationFlag) -> None:
     """Send new chunks until the log ends or stops growing, or until the viewer is closed or a stop is requested."""
     news = time.monotonic()
-    while not (follower.log_ended or stop.requested) and running.process.poll() is None:
+    while not (follower.log_ended or stop.requested) and running_viewer.process.poll() is None:
         start = time.monotonic()
         if follower.send_new_chunks():
             news = start

@@ -21,7 +21,7 @@ NICE_INCREMENT = 10
 """Increment of the nice value, for a lower priority than the controller."""
 
 
-def start_live_view(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
+def start_live_view(log_path: Path, *viewer_arguments: str) -> "subprocess.Popen[bytes]":
     """Start a process that shows a log in a viewer while the log is being written.
 
     A failure of this process or of the viewer has no effect on the controller. The controller's
@@ -29,9 +29,9 @@ def start_live_view(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]
 
     Args:
         log_path: path of the log. The file may be created later.
-        arguments: further command-line arguments of the viewer, such as --headless.
+        viewer_arguments: further command-line arguments of the viewer, such as --headless.
     """
-    command = [sys.executable, "-m", "handctl.view.live_view", str(log_path), *arguments]
+    command = [sys.executable, "-m", "handctl.view.live_view", str(log_path), *viewer_arguments]
     quiet = os.environ | {"RUST_LOG": "off"}
     return subprocess.Popen(
         command,

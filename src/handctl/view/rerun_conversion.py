@@ -140,13 +140,13 @@ def new_recording(run: RunInfo) -> rr.RecordingStream:
     return stream
 
 
-def write_rrd(path: Path, run: RunInfo, out: Path) -> int:
+def write_rrd(path: Path, run: RunInfo, recording_path: Path) -> int:
     """Write a log as a Rerun recording that also contains the layout of the dashboard.
 
     Args:
         path: path of the log.
         run: data about the run and the hand of the log.
-        out: path of the recording to write.
+        recording_path: path of the recording to write.
 
     Returns:
         size of the recording [bytes].
@@ -155,14 +155,19 @@ def write_rrd(path: Path, run: RunInfo, out: Path) -> int:
         LogError: the log is damaged, or the file cannot be written.
         OSError: the free disk space is too small.
     """
-    if shutil.disk_usage(out.absolute().parent).free < DISK_SPACE_FACTOR * path.stat().st_size:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(out))
+    if (
+        shutil.disk_usage(recording_path.absolute().parent).free
+        < DISK_SPACE_FACTOR * path.stat().st_size
+    ):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(recording_path))
     stream = new_recording(run)
     try:
-        stream.save(out, default_blueprint=dashboard_layout(run))
+        stream.save(recording_path, default_blueprint=dashboard_layout(run))
     except (RuntimeError, OSError) as error:
-        raise LogError(f"cannot write: {error}", str(out), "a file in a writable folder") from error
+        raise LogError(
+            f"cannot write: {error}", str(recording_path), "a file in a writable folder"
+        ) from error
     rr.send_chunks(run_chunks(path, run), recording=stream)
     stream.flush()
     stream.disconnect()
-    return out.stat().st_size
+    return recording_path.stat().st_size

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO
 
 from handctl.errors import ConfigError, HandctlError
-from handctl.runtime.paths import run_dir
+from handctl.runtime.socket_paths import run_dir
 
 LOOPBACK_ADDRESS = "127.0.0.1"
 """Address on which the viewer listens. Only programs on this machine can connect to the viewer."""
@@ -77,9 +77,11 @@ def software_vulkan() -> dict[str, str]:
     return {} if configured else {"VK_ICD_FILENAMES": str(drivers[0])}
 
 
-def _driver_files(pattern: str) -> list[Path]:
+def _driver_files(file_pattern: str) -> list[Path]:
     """Return the description files of installed Vulkan drivers whose names fit a pattern."""
-    return [path for folder in VULKAN_DRIVER_FOLDERS for path in sorted(Path(folder).glob(pattern))]
+    return [
+        path for folder in VULKAN_DRIVER_FOLDERS for path in sorted(Path(folder).glob(file_pattern))
+    ]
 
 
 def _has_loader() -> bool:
@@ -158,7 +160,7 @@ class StartingViewer:
         return Viewer(self.process, url)
 
 
-def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> StartingViewer:
+def launch_viewer(viewer_arguments: Sequence[str], environment: dict[str, str]) -> StartingViewer:
     """Start a viewer on a free port of this machine.
 
     The viewer sends no usage data to the makers of Rerun.
@@ -169,7 +171,7 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Star
     from other programs, and data meant for a viewer that was closed earlier.
 
     Args:
-        arguments: further arguments of the viewer's command.
+        viewer_arguments: further arguments of the viewer's command.
         environment: environment variables in addition to those of this process.
     """
     exe = str(viewer_path())
@@ -184,7 +186,7 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Star
     )
     subprocess.run([exe, "analytics", "disable"], env=environ, check=False, capture_output=True)
     notes = tempfile.TemporaryFile()  # noqa: SIM115 (`StartingViewer.wait_until_ready` closes it)
-    command = [exe, "--bind", LOOPBACK_ADDRESS, "--port", "0", *arguments]
+    command = [exe, "--bind", LOOPBACK_ADDRESS, "--port", "0", *viewer_arguments]
     # The viewer runs in a process session of its own, so that Ctrl-C in the terminal does not
     # interrupt the viewer.
     process = subprocess.Popen(
@@ -198,18 +200,18 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Star
     return StartingViewer(process, notes)
 
 
-def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewer:
+def start_viewer(viewer_arguments: Sequence[str], environment: dict[str, str]) -> Viewer:
     """Start a viewer with `launch_viewer`, and wait until the viewer listens.
 
     Raises:
         HandctlError: the viewer does not start.
     """
-    return launch_viewer(arguments, environment).wait_until_ready()
+    return launch_viewer(viewer_arguments, environment).wait_until_ready()
 
 
 @contextmanager
 def launched_viewer(
-    arguments: Sequence[str], environment: dict[str, str]
+    viewer_arguments: Sequence[str], environment: dict[str, str]
 ) -> Iterator[StartingViewer]:
     """Start a viewer with `launch_viewer`, for the duration of a context.
 
@@ -219,7 +221,7 @@ def launched_viewer(
     with tempfile.TemporaryDirectory(
         prefix="handctl-viewer-", ignore_cleanup_errors=True
     ) as scratch:
-        launch = launch_viewer(arguments, {"TMPDIR": scratch} | environment)
+        launch = launch_viewer(viewer_arguments, {"TMPDIR": scratch} | environment)
         try:
             yield launch
         finally:
@@ -227,13 +229,15 @@ def launched_viewer(
 
 
 @contextmanager
-def running_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Viewer]:
+def running_viewer(
+    viewer_arguments: Sequence[str], environment: dict[str, str]
+) -> Iterator[Viewer]:
     """Start a viewer with `start_viewer`, for the duration of a context."""
-    with launched_viewer(arguments, environment) as launch:
+    with launched_viewer(viewer_arguments, environment) as launch:
         yield launch.wait_until_ready()
 
 
-def _wait_for_url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
+def _wait_for_url(process: "subprocess.Popen[bytes]", stderr_pipe: IO[bytes]) -> str:
     """Wait until the output of the viewer shows the address of the viewer, and return the address.
 
     Raises:
@@ -247,8 +251,8 @@ def _wait_for_url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
             process.wait(0.05)
         except subprocess.TimeoutExpired:
             remaining -= 0.05
-        notes.seek(0)
-        text = notes.read()
+        stderr_pipe.seek(0)
+        text = stderr_pipe.read()
         listens = _ADDRESS_LINE.search(text)
         if listens:
             return listens.group().decode()

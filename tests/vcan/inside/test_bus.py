@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 import pytest
 
 from handctl.drives.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, Frame
+from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.buses.open import open_bus
 
 CLASSICAL_FRAME = struct.Struct("=IB3x8s")
 NOMINAL_BITRATE, DATA_BITRATE = 1_000_000, 5_000_000

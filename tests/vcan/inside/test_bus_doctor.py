@@ -6,7 +6,7 @@ import subprocess
 import pytest
 
 from handctl.cli.main import main
-from handctl.runtime.buses.link import read_link
+from handctl.runtime.buses.link_state import read_link
 from tests.drives.bench_process import run_simulated_drives
 
 

@@ -26,8 +26,8 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import HoldTension
 from handctl.session.exit_codes import ExitCode
-from handctl.session.plan import RunPlan
 from handctl.session.run import RunOutcome, make_controller, run_live
+from handctl.session.run_plan import RunPlan
 from tests.drives.protocol_bench import hand_file
 from tests.vcan.inside.conftest import STALL_FAULTS
 from tests.vcan.inside.test_protocols import DIGIT_NAMES, PULL_N, RATE_HZ, simulated_hand_process

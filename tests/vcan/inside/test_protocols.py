@@ -30,11 +30,11 @@ from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import HoldTension
-from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clocks.real import RealClock
+from handctl.runtime.buses.bus_opening import open_bus
+from handctl.runtime.clocks.real_clock import RealClock
 from handctl.session.exit_codes import ExitCode
-from handctl.session.plan import RunPlan
 from handctl.session.run import RunOutcome, make_controller, run_live
+from handctl.session.run_plan import RunPlan
 from tests.drives.protocol_bench import hand_file, move_to_second_bus
 
 RATE_HZ = 200.0

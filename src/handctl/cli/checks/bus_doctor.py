@@ -14,10 +14,11 @@ from handctl.hand.description import Hand
 from handctl.hand.file.sections import Bus as BusSection
 from handctl.hand.hand_loading import load_hand
 from handctl.runtime.buses.adapter import UsbAdapter, read_adapter
+from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.buses.interface import interface_names
-from handctl.runtime.buses.link import MissingTool, read_link
-from handctl.runtime.buses.open import open_bus
+from handctl.runtime.buses.interface_setup import interface_names
+from handctl.runtime.buses.link_state import MissingTool, read_link
+from handctl.runtime.diagnostics.bus_scan import BusScan, scan_bus
 from handctl.runtime.diagnostics.link_findings import (
     WIRING_ADVICE,
     LinkFinding,
@@ -26,7 +27,6 @@ from handctl.runtime.diagnostics.link_findings import (
     missing_interface_finding,
 )
 from handctl.runtime.diagnostics.round_trip import RoundTrip, measure_round_trips
-from handctl.runtime.diagnostics.scan import BusScan, scan_bus
 from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode
 
@@ -65,7 +65,7 @@ def _expected_buses(
 ) -> Sequence[tuple[str, BusSection]]:
     """Return each bus that the command line names, with its expected name and bit rates."""
     if hand is not None:
-        from handctl.session.plan import bus_specs
+        from handctl.session.run_plan import bus_specs
 
         return tuple(zip(bus_specs(hand, args.bus), hand.bus, strict=True))
     rates = {"bitrate": args.bitrate, "data_bitrate": args.data_bitrate}

@@ -16,7 +16,7 @@ from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.report.load_table import BUS_LOAD_ROWS, TABLE_RATES_HZ
 from handctl.session.exit_codes import ExitCode
-from handctl.session.plan import bus_specs, highest_rate_of_buses
+from handctl.session.run_plan import bus_specs, highest_rate_of_buses
 
 
 def run(args: argparse.Namespace) -> int:
@@ -64,7 +64,7 @@ def bit_rate_errors(hand: Hand, specs: tuple[str, ...]) -> list[str]:
 
     Each line contains the command that corrects the bit rate.
     """
-    from handctl.runtime.buses.interface import wrong_rate_text
+    from handctl.runtime.buses.interface_setup import wrong_rate_text
 
     lines = [
         wrong_rate_text(spec.removeprefix("socketcan:"), bus.bitrate, bus.data_bitrate)

@@ -9,7 +9,7 @@ from handctl.cli.console.options import print_json
 from handctl.errors import BusError, ConfigError
 from handctl.hand.file.sections import Bus as BusSection
 from handctl.hand.hand_loading import load_hand
-from handctl.runtime.buses.interface import CommandWords, interface_names, set_up_commands
+from handctl.runtime.buses.interface_setup import CommandWords, interface_names, set_up_commands
 from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode
 
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
 def _bus_rates(args: argparse.Namespace) -> tuple[tuple[str, BusSection], ...]:
     """Return each bus with its bit rates, which come from the hand file or from the options."""
     if args.hand:
-        from handctl.session.plan import bus_specs
+        from handctl.session.run_plan import bus_specs
 
         hand = load_hand(args.hand)
         return tuple(zip(bus_specs(hand, args.bus), hand.bus, strict=True))

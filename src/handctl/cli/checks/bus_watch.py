@@ -16,14 +16,14 @@ from handctl.drives.contract import Drive, DriveState
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
-from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clocks.real import RealClock
+from handctl.runtime.buses.bus_opening import open_bus
+from handctl.runtime.clocks.real_clock import RealClock
 from handctl.runtime.diagnostics.bus_watch import STALE_AFTER_S, BusWatch, is_saturated
 from handctl.runtime.mailbox import bus_lock, is_running
 from handctl.session.buses import refuse_default_hand
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
-from handctl.session.plan import bus_specs, chosen_time_scale, default_rate
+from handctl.session.run_plan import bus_specs, chosen_time_scale, default_rate
 from handctl.signal_handlers import TerminationFlag, installed_handler
 
 MAX_POLL_RATE_HZ = 100.0

@@ -45,14 +45,19 @@ from handctl.hand.hand_loading import (
 )
 from handctl.hand.readiness import arm_table_fit_lines
 from handctl.hand.tendon_strength import strength_warnings
-from handctl.output import FIGURE_SUFFIXES, check_output, path_with_suffix, write_text_atomically
+from handctl.output_files import (
+    FIGURE_SUFFIXES,
+    check_output,
+    path_with_suffix,
+    write_text_atomically,
+)
 from handctl.programs.commission import idle_torque_warnings
 from handctl.programs.default_task import grasp_warnings
 from handctl.programs.task import load_task
 from handctl.safety.missing_sensors import sensing_warnings
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import LayeredGains
-from handctl.session.plan import (
+from handctl.session.run_plan import (
     check_gain_margins,
     control_rate,
     highest_rate_of_buses,

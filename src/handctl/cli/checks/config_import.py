@@ -31,7 +31,7 @@ from handctl.hand.file.imported_file import (
     ANSWER_NAMES,
     DescribedHand,
     TendonAnswers,
-    described_text,
+    imported_hand_text,
     usable_tendons,
 )
 from handctl.hand.file.new_file import check_name, check_springs, options_line
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     if answers.protocol:
         drive_options = options_with_motor_type(answers.protocol, answers.motor_type)
         options = options_line(answers.protocol, drive_options)
-    text = described_text(described, answers, options, traits is not None and traits.can_fd)
+    text = imported_hand_text(described, answers, options, traits is not None and traits.can_fd)
     mistakes = inspect_content(parse_toml(text, str(args.output))).mistakes
     missing = [mistake for mistake in mistakes if UNMEASURED_PLACEHOLDER in mistake.what]
     schema = write_with_schema(args.output, text)
@@ -136,7 +136,7 @@ def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Describe
         palm=palm,
         digits=digits,
         tendons=model["tendons"],
-        palm_mesh=palm_mesh and palm_mesh.seen_from(palm, origin),
+        palm_mesh=palm_mesh and palm_mesh.in_frame(palm, origin),
     )
     return described, notes
 

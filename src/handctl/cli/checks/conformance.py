@@ -24,7 +24,7 @@ from handctl.drives.contract import Drive
 from handctl.drives.discovery import DiscoveredNode
 from handctl.errors import ConfigError, PowerError
 from handctl.hand.file.quantities import MAX_TORQUE_N_M, MIN_TORQUE_LIMIT_N_M
-from handctl.runtime.buses.open import check_bus_spec
+from handctl.runtime.buses.bus_opening import check_bus_spec
 from handctl.runtime.diagnostics.conformance import (
     CHECKED_REQUIREMENTS,
     CheckVerdict,

@@ -14,13 +14,13 @@ from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_quiet, is_verbose, print_detail
 from handctl.errors import BusError
 from handctl.extras import extras_installed
-from handctl.runtime.clocks.priority import (
+from handctl.runtime.clocks.realtime_priority import (
     GrantedPriority,
     realtime_priority,
     request_priority,
     restore_priority,
 )
-from handctl.runtime.paths import run_dir
+from handctl.runtime.socket_paths import run_dir
 from handctl.session.exit_codes import ExitCode
 
 WAKEUP_TEST_S = 1.0

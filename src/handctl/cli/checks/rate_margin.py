@@ -111,7 +111,7 @@ def _largest_force_with_margin(hand: Hand, gains: Gains, rate_hz: float) -> floa
 
 def _smallest_gain_margin(hand: Hand, gains: Gains, rate_hz: float) -> tuple[str, float]:
     """Return the tendon whose motion loop has the smallest gain margin, and this margin [dB]."""
-    from handctl.tune.loops.linear import LoopKind, open_loop
+    from handctl.tune.loops.linear_models import LoopKind, open_loop
     from handctl.tune.loops.margins import margins_of_loop
 
     model = HandModel.from_hand(hand, gains, rate_hz)

@@ -13,8 +13,8 @@ from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.frame import REMOTE_FLAG, Frame
 from handctl.drives.protocol_registry import PROTOCOLS_WITHOUT_DISCOVERY
 from handctl.hand.file.sections import CIA404_PROTOCOL
-from handctl.runtime.buses.open import open_bus
-from handctl.runtime.diagnostics.scan import BusScan, requests_without_answers, scan_bus
+from handctl.runtime.buses.bus_opening import open_bus
+from handctl.runtime.diagnostics.bus_scan import BusScan, requests_without_answers, scan_bus
 from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode
 

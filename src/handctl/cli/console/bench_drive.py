@@ -25,12 +25,12 @@ from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.file.error_text import toml_spelling
 from handctl.hand.file.sections import Motor
 from handctl.hand.hand_loading import parse_toml
+from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clocks.priority import request_priority, restore_priority
-from handctl.runtime.clocks.real import RealClock
+from handctl.runtime.clocks.real_clock import RealClock
+from handctl.runtime.clocks.realtime_priority import request_priority, restore_priority
+from handctl.runtime.diagnostics.bus_scan import BusScan, collect_frames, scan_bus
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
-from handctl.runtime.diagnostics.scan import BusScan, collect_frames, scan_bus
 
 NOT_OFF_WARNING = "the drive does not report that it is off: REMOVE ITS POWER"
 """Message about a drive that may still produce torque."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.session.exit_codes import ExitCode
-from handctl.session.plan import RunPlan, check_gain_margins
+from handctl.session.run_plan import RunPlan, check_gain_margins
 
 
 def report_dry_run(args: argparse.Namespace, plan: RunPlan, *lines: str, **fields: Any) -> int:

@@ -13,8 +13,8 @@ from handctl.cli.console.verbosity import print_note
 from handctl.core.calibration import Calibration
 from handctl.core.gains.gains import load_gains_file
 from handctl.errors import ConfigError
-from handctl.runtime.buses.open import real_buses
-from handctl.session.plan import RunPlan
+from handctl.runtime.buses.bus_opening import real_buses
+from handctl.session.run_plan import RunPlan
 
 MINUTE_S = 60.0
 HOUR_S = 3600.0

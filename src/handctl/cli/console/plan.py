@@ -17,18 +17,18 @@ from handctl.cli.console.verbosity import (
 from handctl.core.calibration import Calibration
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.output import check_output
-from handctl.session import calibration, gains, plan
+from handctl.output_files import check_output
+from handctl.session import calibration, gains, run_plan
 from handctl.session.simulate import SimulatorSettings
 
 
-def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.RunPlan:
+def make_plan(args: argparse.Namespace, lockstep: bool = False) -> run_plan.RunPlan:
     """Check the hand, the gains, the buses and the control rate on a command line, and return the plan of the run.
 
     Raises:
         ConfigError: an argument or a file is wrong.
     """
-    choice = plan.RunChoice(
+    choice = run_plan.RunChoice(
         hand=args.hand,
         hand_named=args.hand_named,
         bus_words=None if lockstep else args.bus,
@@ -40,26 +40,26 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.RunPlan:
         clear_faults=args.clear,
     )
     display = None if args.json or is_quiet() else _display_starter
-    run_plan = replace(plan.make_plan(choice, display, print_notice), show_progress=progress_bar)
+    plan = replace(run_plan.make_plan(choice, display, print_notice), show_progress=progress_bar)
     if is_verbose():
-        _print_plan(args, run_plan)
-    return run_plan
+        _print_plan(args, plan)
+    return plan
 
 
-def _print_plan(args: argparse.Namespace, run_plan: plan.RunPlan) -> None:
+def _print_plan(args: argparse.Namespace, plan: run_plan.RunPlan) -> None:
     """Print the details of a plan if ``--verbose`` is given."""
-    hand = run_plan.hand
+    hand = plan.hand
     print_detail(
         f"hand: {hand.name} from {args.hand}, identity {hand.identity[:16]}, {len(hand.tendon)} tendons"
     )
     loads = ", ".join(
         f"{name} {100 * load:.0f} %"
-        for name, load in zip(hand.bus_names, run_plan.bus_loads, strict=False)
+        for name, load in zip(hand.bus_names, plan.bus_loads, strict=False)
     )
     print_detail(
-        f"rate: {run_plan.rate_hz:g} Hz, bus load: {loads}; buses: {', '.join(run_plan.buses) or 'in lockstep'}"
+        f"rate: {plan.rate_hz:g} Hz, bus load: {loads}; buses: {', '.join(plan.buses) or 'in lockstep'}"
     )
-    for text in plan.hint_lines(hand):
+    for text in run_plan.hint_lines(hand):
         print_detail(f"hint: {text}")
     for key, origin in layered_gains(args, hand).origins.items():
         if origin != gains.PACKAGED_ORIGIN:
@@ -80,11 +80,11 @@ def print_notice(text: str) -> None:
         print_note(text)
 
 
-def _display_starter(of: plan.RunPlan) -> plan.OperatorDisplay:
+def _display_starter(plan: run_plan.RunPlan) -> run_plan.OperatorDisplay:
     """Return a function that starts the display of a run."""
     from handctl.cli.console.display import DisplayProcess
 
-    return DisplayProcess.start_display(of.hand, of.rate_hz, max(of.bus_loads, default=0.0))
+    return DisplayProcess.start_display(plan.hand, plan.rate_hz, max(plan.bus_loads, default=0.0))
 
 
 def layered_gains(args: argparse.Namespace, hand: Hand) -> gains.LayeredGains:

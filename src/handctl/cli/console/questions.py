@@ -9,7 +9,7 @@ from handctl.cli.console.options import print_escaped
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.file.json_schema import hand_schema_text
-from handctl.output import write_text_atomically
+from handctl.output_files import write_text_atomically
 
 SCHEMA_FILE = "hand.schema.json"
 """Name of the JSON Schema file, next to a new hand file."""

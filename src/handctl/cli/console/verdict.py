@@ -3,8 +3,8 @@
 from typing import Any
 
 from handctl.cli.console.screen import rich_console
-from handctl.report.summary import angle_rows, tracking_text
-from handctl.session.plan import RunPlan
+from handctl.report.run_summary import angle_rows, tracking_text
+from handctl.session.run_plan import RunPlan
 
 
 def print_summary(result: dict[str, Any], plan: RunPlan) -> None:

@@ -11,7 +11,7 @@ from handctl.cli.console.progress import progress_bar
 from handctl.cli.console.verbosity import is_verbose
 from handctl.errors import ConfigError, LogError
 from handctl.log.read.reader import RunLog
-from handctl.output import atomic_path, path_with_suffix
+from handctl.output_files import atomic_path, path_with_suffix
 from handctl.session.exit_codes import ExitCode
 
 EXPORT_UNITS = {"candump": "frames", "rrd": "bytes", "lerobot": "frames"}
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_info(args: argparse.Namespace) -> int:
-    from handctl.log.topics.clock_pairs import clock_steps
+    from handctl.log.topics.clock_pair_topic import clock_steps
 
     with RunLog(args.log) as log:
         header = log.header
@@ -199,7 +199,7 @@ def _write_export(args: argparse.Namespace, logs: list[RunLog], out: Path) -> in
         return export_lerobot(
             logs, out, args.fps, make_cameras(names, videos, args.camera_start, len(logs))
         )
-    from handctl.log.export.tables import export_candump, export_csv
+    from handctl.log.export.csv_and_candump import export_candump, export_csv
 
     return export_csv(log, out) if form == "csv" else export_candump(log, out)
 

@@ -19,8 +19,8 @@ from handctl.replay.motion_replay import (
 from handctl.replay.run_comparison import check_same_hand, difference_lines
 from handctl.session.calibration import ensure_calibration
 from handctl.session.exit_codes import ExitCode
-from handctl.session.plan import commission_log, default_log
 from handctl.session.run import make_controller, run_live
+from handctl.session.run_plan import commission_log, default_log
 
 
 def run(args: argparse.Namespace) -> int:

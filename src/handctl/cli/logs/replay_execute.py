@@ -9,7 +9,7 @@ from typing import Any
 from handctl.cli.console.options import checked_count, print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.progress import progress_bar
 from handctl.errors import ConfigError, LogError
-from handctl.output import check_output, path_with_suffix
+from handctl.output_files import check_output, path_with_suffix
 from handctl.processes import usable_cores
 from handctl.session.exit_codes import ExitCode
 

@@ -4,7 +4,7 @@ import argparse
 
 from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.progress import progress_bar
-from handctl.output import check_output, path_with_suffix
+from handctl.output_files import check_output, path_with_suffix
 
 
 def run(args: argparse.Namespace) -> int:

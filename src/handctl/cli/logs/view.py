@@ -10,7 +10,7 @@ from typing import Any
 from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.progress import progress_bar
 from handctl.errors import ConfigError
-from handctl.output import atomic_path, check_output
+from handctl.output_files import atomic_path, check_output
 from handctl.session.exit_codes import ExitCode
 
 

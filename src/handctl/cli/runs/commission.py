@@ -7,8 +7,8 @@ from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import calibration_path, make_plan
 from handctl.session.calibration import previous_identified, run_commissioning, write_calibration
-from handctl.session.plan import default_log
 from handctl.session.run import run_live
+from handctl.session.run_plan import default_log
 
 
 def run(args: argparse.Namespace) -> int:

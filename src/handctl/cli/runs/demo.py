@@ -26,7 +26,7 @@ from handctl.cli.runs.run import print_run_result
 from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.task_program import TaskProgram
-from handctl.runtime.paths import truth_path
+from handctl.runtime.socket_paths import truth_path
 from handctl.session.calibration import (
     IdentifiedByTendon,
     identified_in_file,
@@ -35,7 +35,6 @@ from handctl.session.calibration import (
 )
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments
-from handctl.session.plan import RunPlan, commission_log, default_log
 from handctl.session.run import (
     RunFunction,
     RunOutcome,
@@ -44,6 +43,7 @@ from handctl.session.run import (
     run_live,
     run_lockstep,
 )
+from handctl.session.run_plan import RunPlan, commission_log, default_log
 from handctl.session.simulate import SimulatorSettings
 from handctl.session.tasks import load_task_for_hand, scene_for_hand
 

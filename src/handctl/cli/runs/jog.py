@@ -12,8 +12,8 @@ from handctl.errors import ConfigError
 from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.session.calibration import ensure_calibration
-from handctl.session.plan import commission_log, default_log
 from handctl.session.run import make_controller, run_live
+from handctl.session.run_plan import commission_log, default_log
 
 
 def run(args: argparse.Namespace) -> int:

@@ -28,7 +28,7 @@ from handctl.hand.file.quantities import (
     MIN_TORQUE_LIMIT_N_M,
 )
 from handctl.hand.file.sections import Motor
-from handctl.runtime.buses.open import check_bus_spec
+from handctl.runtime.buses.bus_opening import check_bus_spec
 from handctl.runtime.diagnostics.conformance import release_drive
 from handctl.runtime.diagnostics.drive_jog import JogGoal, JogResult, jog_drive
 from handctl.runtime.mailbox import bus_lock

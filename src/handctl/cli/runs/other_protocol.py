@@ -14,7 +14,7 @@ from handctl.errors import ConfigError
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.formats.link_meshes import with_meshes_from
 from handctl.hand.hand_loading import hand_path
-from handctl.output import write_text_atomically
+from handctl.output_files import write_text_atomically
 
 
 @contextmanager

@@ -16,10 +16,10 @@ from handctl.programs.live_session import LiveProgram
 from handctl.programs.playback import PlaybackProgram
 from handctl.programs.program import Program
 from handctl.programs.task_program import TaskProgram
-from handctl.runtime.paths import truth_path
+from handctl.runtime.socket_paths import truth_path
 from handctl.session.calibration import ensure_calibration
-from handctl.session.plan import RunPlan, commission_log, default_log
 from handctl.session.run import RunOutcome, make_controller, refuse_view_without_screen, run_live
+from handctl.session.run_plan import RunPlan, commission_log, default_log
 from handctl.session.tasks import load_task_for_hand, load_trajectory_for_hand
 from handctl.session.time_scale_advice import pace_advice
 

@@ -42,7 +42,7 @@ def _simulator_command(args: argparse.Namespace, hand: str) -> list[str]:
 
 def _check_and_print(args: argparse.Namespace) -> int:
     """Check the arguments, print the command that starts the simulator, and return the exit code."""
-    from handctl.session.plan import bus_specs
+    from handctl.session.run_plan import bus_specs
 
     command = _simulator_command(args, str(path_in_protocol(args)) if args.protocol else args.hand)
     with hand_in_protocol(args):

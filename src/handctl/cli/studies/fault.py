@@ -3,7 +3,7 @@
 import argparse
 
 from handctl.cli.console.options import print_json
-from handctl.runtime.simulator import ask_simulator, find_simulator
+from handctl.runtime.simulator_requests import ask_simulator, find_simulator
 
 MAX_PRINTED_INSTANCES = 8
 """Largest number of components whose names are printed in one line."""

@@ -17,10 +17,10 @@ from handctl.cli.console.progress import progress_bar
 from handctl.errors import ConfigError
 from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
-from handctl.output import write_text_atomically
+from handctl.output_files import write_text_atomically
 from handctl.session.exit_codes import ExitCode
-from handctl.session.header import run_header
-from handctl.session.plan import RunPlan, default_rate
+from handctl.session.run_header import run_header
+from handctl.session.run_plan import RunPlan, default_rate
 from handctl.session.simulate import SimulatedRun
 
 QUICK_FAULT_FREE_S = 4.0
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
             protocols,
             default_rate,
             jobs=args.jobs,
-            quick=args.quick,
+            is_quick=args.quick,
             fault_free_s=fault_free_s,
             on_progress=lambda protocol, done, total: update_progress(done, total, protocol),
             on_failure=failure_log_writer(folder),

@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from handctl.campaign import sequences
+from handctl.campaign import fault_sequences
 from handctl.campaign.run_stages import hand_with_protocol
 from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress_bar
@@ -15,7 +15,7 @@ from handctl.cli.studies.fault_campaign import (
 )
 from handctl.errors import ConfigError
 from handctl.session.exit_codes import ExitCode
-from handctl.session.plan import default_rate
+from handctl.session.run_plan import default_rate
 
 MAX_SEQUENCES = 1_000_000
 
@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     folder = report_folder(args)
     seeds = range(args.seed, args.seed + args.count)
     with progress_bar(FIRST_PROGRESS_LABEL, quiet=args.json) as update_progress:
-        results = sequences.run_sequences(
+        results = fault_sequences.run_sequences(
             hand,
             args.protocol,
             default_rate(hand),

@@ -13,7 +13,7 @@ from handctl.errors import ConfigError
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.hand_loading import load_hand
-from handctl.output import check_output, write_text_atomically
+from handctl.output_files import check_output, write_text_atomically
 from handctl.paper.bench.experiments import (
     ExperimentJob,
     job_count,

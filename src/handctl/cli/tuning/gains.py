@@ -13,8 +13,8 @@ from handctl.core.gains.gain_bounds import (
     GainBounds,
     bounds_after_check,
     different_values,
+    gains_with_values,
     values_by_key,
-    with_values,
 )
 from handctl.core.gains.gains import Gains, GainsProvenance, load_gains_file, packaged_gains
 from handctl.errors import ConfigError, UnconfirmedError
@@ -23,7 +23,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.requests import REFUSED_PREFIX
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments, read_gains_for_hand
-from handctl.session.plan import check_gain_margins
+from handctl.session.run_plan import check_gain_margins
 from handctl.tune.gains_store import GainsStore, StoredGains
 
 GAIN_CHANGE_TIMEOUT_S = 3.0
@@ -257,7 +257,7 @@ def _change_live_gains(args: argparse.Namespace) -> int:
     )
 
     values = gain_assignments(args.values, "gains set")
-    with_values(Gains(), values, "gains set", live=True)
+    gains_with_values(Gains(), values, "gains set", is_live=True)
     bus = controller_bus(args)
     watcher = open_watcher(bus, "gains")
     try:

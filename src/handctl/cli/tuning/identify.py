@@ -29,7 +29,7 @@ from handctl.log.header import RunHeader
 from handctl.log.read.reader import RunLog
 from handctl.programs.excitation import ExciteProgram
 from handctl.replay.controller_rebuild import logged_hand
-from handctl.runtime.buses.open import real_buses
+from handctl.runtime.buses.bus_opening import real_buses
 from handctl.runtime.hold_limit import HoldLimit
 from handctl.session.calibration import (
     ensure_calibration,
@@ -40,11 +40,11 @@ from handctl.session.calibration import (
 )
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments
-from handctl.session.plan import RunPlan, commission_log, default_log
 from handctl.session.run import RunFunction, RunOutcome, make_controller, run_live, run_lockstep
+from handctl.session.run_plan import RunPlan, commission_log, default_log
 from handctl.session.simulate import SimulatorSettings
 from handctl.tune.identify.excitation import excitation_steps
-from handctl.tune.identify.figure import draw_identification
+from handctl.tune.identify.identification_figure import draw_identification
 from handctl.tune.identify.identify import (
     LOW_COHERENCE_TEXT,
     TendonResult,

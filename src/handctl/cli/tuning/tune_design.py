@@ -21,7 +21,7 @@ from handctl.controller.bus_load import bus_loads
 from handctl.core.hand_model import HandModel
 from handctl.errors import ConfigError
 from handctl.session.exit_codes import ExitCode
-from handctl.session.plan import control_rate
+from handctl.session.run_plan import control_rate
 
 TABLE_WIDTH = 100
 """Width at which the table of margins cuts no number [columns]."""
@@ -34,9 +34,14 @@ def run(args: argparse.Namespace) -> int:
 
     The command fails if the stability margins are too small.
     """
-    from handctl.tune.loops.design import GainDesign, design_gains, linear_factors, model_with_gains
+    from handctl.tune.loops.gain_design import (
+        GainDesign,
+        design_gains,
+        linear_factors,
+        model_with_gains,
+    )
     from handctl.tune.loops.step_tests import DESIGN_FRACTION, RestTest
-    from handctl.tune.plots import draw_loops
+    from handctl.tune.tuning_figures import draw_loops
 
     if args.poles is None and args.damping != 1.0:
         raise ConfigError(
@@ -95,7 +100,7 @@ def _place_poles(args: argparse.Namespace, model: HandModel, plants: Any, rate: 
     Raises:
         ConfigError: a pole or the damping is not a number within the limits.
     """
-    from handctl.tune.loops.design import design_with_poles
+    from handctl.tune.loops.gain_design import design_with_poles
 
     try:
         motion, tension = (float(word) for word in args.poles.split(","))

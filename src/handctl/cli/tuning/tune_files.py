@@ -12,7 +12,7 @@ from handctl.core.identified_parameters import identified_hand
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
-from handctl.output import check_output, path_with_suffix, write_text_atomically
+from handctl.output_files import check_output, path_with_suffix, write_text_atomically
 from handctl.session.calibration import identified_in_file
 from handctl.tune.search.ensemble import draw_ensemble, ensemble_widths
 

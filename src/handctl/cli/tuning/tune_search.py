@@ -26,7 +26,7 @@ from handctl.core.hand_model import HandModel
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.session.exit_codes import ExitCode
-from handctl.session.plan import control_rate
+from handctl.session.run_plan import control_rate
 
 
 def run(args: argparse.Namespace) -> int:
@@ -34,9 +34,9 @@ def run(args: argparse.Namespace) -> int:
 
     The command fails if no trial has large enough stability margins.
     """
-    from handctl.tune.plots import draw_search
     from handctl.tune.search.search import SearchPlan, run_search
     from handctl.tune.search.workers import make_workers
+    from handctl.tune.tuning_figures import draw_search
 
     hand, twin, spread = load_tuned_hand(args.hand, args.fit)
     gains = layered_gains(args, hand).gains
@@ -102,7 +102,7 @@ def _designed_gains(
 
     The search also starts from these gains. If the design fails, return an empty tuple.
     """
-    from handctl.tune.loops.design import design_gains, linear_factors
+    from handctl.tune.loops.gain_design import design_gains, linear_factors
 
     try:
         result = design_gains(

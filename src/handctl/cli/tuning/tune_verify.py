@@ -20,8 +20,8 @@ from handctl.errors import ConfigError
 from handctl.session.calibration import ensure_calibration, homed_calibration, identified_in_file
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments, read_gains_for_hand
-from handctl.session.plan import RunPlan, check_gain_margins, commission_log, default_log
 from handctl.session.run import RunOutcome, make_controller, run_live, run_lockstep
+from handctl.session.run_plan import RunPlan, check_gain_margins, commission_log, default_log
 from handctl.session.simulate import SimulatorSettings
 
 
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
 
     The exit code is 0 only if the new gains pass the round with the full amplitude.
     """
-    from handctl.programs.exercise import ExerciseProgram
+    from handctl.programs.gains_exercise import ExerciseProgram
     from handctl.tune.gains_verification import VerifyObserver, round_amplitudes
 
     if not 0.0 < args.amplitude <= 1.0:
@@ -114,7 +114,7 @@ def _judge_run(
     from handctl.log.read.reader import RunLog
     from handctl.report.truth_record import read_truth
     from handctl.tune.gains_verification import scores_by_round
-    from handctl.tune.plots import draw_verify
+    from handctl.tune.tuning_figures import draw_verify
 
     truth = read_truth(truth_file) if truth_file else None
     with RunLog(log) as record:

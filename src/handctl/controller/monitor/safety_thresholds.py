@@ -66,8 +66,8 @@ def compiled_constants(
     drives: tuple[Drive, ...],
     sensors: SensorInterface,
     limits: SafetyLimits,
-    tare: Vector,
-    zero: Vector,
+    tare_tensions: Vector,
+    motor_zeros: Vector,
 ) -> HandConstants:
     """Return the constants of a hand for the compiled code.
 
@@ -76,8 +76,8 @@ def compiled_constants(
         drives: drives of the hand.
         sensors: sensor node of the hand.
         limits: safety thresholds.
-        tare: (N,) tare of each load cell [N].
-        zero: (N,) zero angle of each motor [rad].
+        tare_tensions: (N,) tare of each load cell [N].
+        motor_zeros: (N,) zero angle of each motor [rad].
     """
     hand = model.hand
     period = model.period
@@ -86,8 +86,8 @@ def compiled_constants(
     mute = ticks_for(SILENT_S, joint_period, MIN_SILENT_TICKS) * joint_period
     rates = np.array([hand.motor_of(name).velocity_range_rad_s for name in hand.tendon_names])
     return HandConstants(model, {
-        "tare": tare,
-        "zero": zero,
+        "tare": tare_tensions,
+        "zero": motor_zeros,
         "step_limit": POSITION_STEP_FACTOR * period * rates,
         "joint_step_limit": POSITION_STEP_FACTOR * period * JOINT_RATE_RAD_S * hand.display_units.scale,
         "residual_fraction": low_pass_fractions(model, motor_period, joint_period),

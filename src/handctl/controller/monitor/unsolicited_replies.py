@@ -102,9 +102,9 @@ def _has_lost_answers(last_state: ControllerState) -> bool:
     )
 
 
-def _duplicate_kind(payloads: list[bytes], due: int) -> int:
+def _duplicate_kind(payloads: list[bytes], expected_count: int) -> int:
     """Return 2 if the bytes of an excess reply differ from the last expected reply, and 1 if they are equal."""
-    return 2 if len(set(payloads[due - 1 :])) > 1 else 1
+    return 2 if len(set(payloads[expected_count - 1 :])) > 1 else 1
 
 
 def _accepted_payloads(

@@ -33,7 +33,7 @@ def write_tension_goals(
         layout: layout of the state block.
         constants: constants of the hand.
         block: state block, modified in place.
-        action: reaction of the safety monitor, as a number of ``safety.action.SafetyAction``.
+        action: reaction of the safety monitor, as a number of ``safety.safety_action.SafetyAction``.
     """
     constants_in = constants.block, constants.layout.places
     undecided = tick_stages.evaluate_goals(block, layout.places, *constants_in, action)

@@ -45,7 +45,7 @@ def correct_covariance(
     n: int,
     z: Vector,
     gain: Matrix,
-    predicted: Matrix,
+    predicted_covariances: Matrix,
     information: Vector,
 ) -> float:
     """Correct the covariance of a tendon by the measurements of its encoder and its load cell.
@@ -58,7 +58,7 @@ def correct_covariance(
         n: index of the tendon.
         z: (3,) measurements, NaN if missing.
         gain: (7, 3) steady gains. Replace the first two columns of the gain: encoder and load cell.
-        predicted: (7, 7) result: covariance after the correction.
+        predicted_covariances: (7, 7) result: covariance after the correction.
         information: (3,) result: inverse covariance of the two innovations, see
             ``constants.INFORMATION_AT``.
 
@@ -104,14 +104,16 @@ def correct_covariance(
     joseph = _multiply_by_transposed(_multiply_matrices(rest, P), rest)
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
-            predicted[i, j] = (
+            predicted_covariances[i, j] = (
                 joseph[i, j] + gain[i, 0] * R[0] * gain[j, 0] + gain[i, 1] * R[1] * gain[j, 1]
             )
     return math.sqrt(d)
 
 
 @kernel_helper
-def predict_covariances(x: StateTables, c: ConstantTables, predicted: Matrix, missed: int) -> None:
+def predict_covariances(
+    x: StateTables, c: ConstantTables, predicted_covariances: Matrix, missed_ticks: int
+) -> None:
     """Predict the covariances (N, 7, 7) of all tendons to the next tick.
 
     End the propagation if all covariances are steady.
@@ -119,13 +121,13 @@ def predict_covariances(x: StateTables, c: ConstantTables, predicted: Matrix, mi
     If the filter design of a tendon has changed, its covariance is set to the constant covariance
     of the new design.
     """
-    periods = 1 + ticks_to_predict(c, missed)
+    periods = 1 + ticks_to_predict(c, missed_ticks)
     steady = True
-    for n in range(len(predicted)):
+    for n in range(len(predicted_covariances)):
         kind = x.tendon_int[s.FILTER_KIND, n]
         F = _copy_design_matrix(c, n, kind, h.F_AT)
         Q = _copy_design_matrix(c, n, kind, h.Q_AT)
-        P = predicted[n]
+        P = predicted_covariances[n]
         for _ in range(periods):
             P = _multiply_by_transposed(_multiply_matrices(F, P), F)
             for i in range(STATE_COUNT):
@@ -142,9 +144,9 @@ def predict_covariances(x: StateTables, c: ConstantTables, predicted: Matrix, mi
 
 
 @kernel_helper
-def ticks_to_predict(c: ConstantTables, missed: int) -> int:
+def ticks_to_predict(c: ConstantTables, missed_ticks: int) -> int:
     """Return the number of missed ticks over which the covariance is predicted."""
-    return min(missed, round(HELD_TORQUE_S / c.run[h.PERIOD]))
+    return min(missed_ticks, round(HELD_TORQUE_S / c.run[h.PERIOD]))
 
 
 @kernel_helper
@@ -159,13 +161,13 @@ def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
-def _present_covariance(x: StateTables, c: ConstantTables, n: int, kind: int) -> Matrix:
+def _present_covariance(x: StateTables, c: ConstantTables, n: int, design_kind: int) -> Matrix:
     """Return the covariance (7, 7) of a tendon's predicted states.
 
     After a missing measurement, the covariance computed in each tick is returned, and otherwise the
     constant covariance.
     """
-    P = _copy_design_matrix(c, n, kind, h.P_AT)
+    P = _copy_design_matrix(c, n, design_kind, h.P_AT)
     if x.run_int[s.COVARIANCE_PROPAGATED]:
         for i in range(STATE_COUNT):
             for j in range(STATE_COUNT):
@@ -174,36 +176,36 @@ def _present_covariance(x: StateTables, c: ConstantTables, n: int, kind: int) ->
 
 
 @kernel_helper
-def _is_steady(c: ConstantTables, n: int, kind: int, P: Matrix) -> bool:
-    steady = _copy_design_matrix(c, n, kind, h.P_AT)
+def _is_steady(c: ConstantTables, n: int, design_kind: int, P: Matrix) -> bool:
+    steady = _copy_design_matrix(c, n, design_kind, h.P_AT)
     for i in range(STATE_COUNT):
-        observed = c.design[n, kind, h.CELL_ERROR_OBSERVABLE_AT] if i == CELL_ERROR else 1.0
+        observed = c.design[n, design_kind, h.CELL_ERROR_OBSERVABLE_AT] if i == CELL_ERROR else 1.0
         if abs(P[i, i] - steady[i, i]) * observed > STEADY_FRACTION * steady[i, i] * observed:
             return False
-    variance = _tension_variance(c, n, kind, steady)
-    return abs(_tension_variance(c, n, kind, P) - variance) <= STEADY_FRACTION * variance
+    variance = _tension_variance(c, n, design_kind, steady)
+    return abs(_tension_variance(c, n, design_kind, P) - variance) <= STEADY_FRACTION * variance
 
 
 @kernel_helper
-def _tension_variance(c: ConstantTables, n: int, kind: int, P: Matrix) -> float:
+def _tension_variance(c: ConstantTables, n: int, design_kind: int, P: Matrix) -> float:
     variance = 0.0
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
             variance += (
-                c.design[n, kind, h.TENSION_ROW_AT + i]
+                c.design[n, design_kind, h.TENSION_ROW_AT + i]
                 * P[i, j]
-                * c.design[n, kind, h.TENSION_ROW_AT + j]
+                * c.design[n, design_kind, h.TENSION_ROW_AT + j]
             )
     return variance
 
 
 @kernel_helper
-def _copy_design_matrix(c: ConstantTables, n: int, kind: int, at: int) -> Matrix:
+def _copy_design_matrix(c: ConstantTables, n: int, design_kind: int, first_column: int) -> Matrix:
     """Return a copy of a (7, 7) matrix of a tendon's filter design."""
     matrix = np.empty((STATE_COUNT, STATE_COUNT))
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
-            matrix[i, j] = c.design[n, kind, at + STATE_COUNT * i + j]
+            matrix[i, j] = c.design[n, design_kind, first_column + STATE_COUNT * i + j]
     return matrix
 
 

@@ -13,7 +13,7 @@ with deferred_imports():
 
 
 def predict_filter_states(
-    model: HandModel, layout: BlockLayout, block: BlockArray, missed: int = 0
+    model: HandModel, layout: BlockLayout, block: BlockArray, missed_ticks: int = 0
 ) -> None:
     """Predict the states of the tension filter for all tendons to the next tick.
 
@@ -24,7 +24,7 @@ def predict_filter_states(
         model: model of the hand.
         layout: layout of the state block.
         block: state block, modified in place.
-        missed: ticks missed before the present tick.
+        missed_ticks: ticks missed before the present tick.
     """
     n = model.tendon_count
     first = layout.start("tendon")
@@ -32,8 +32,8 @@ def predict_filter_states(
     inputs = block[first + 7 * n : first + 9 * n]
     F, B = model.filter.transition(layout.table(block, "tendon_int")[s.FILTER_KIND].tobytes())
     x = predict_steadystate(states, F, inputs, B)
-    if missed:
+    if missed_ticks:
         held = np.concatenate((inputs[:n], np.zeros(n)))
-        for _ in range(min(missed, round(HELD_TORQUE_S / model.period))):
+        for _ in range(min(missed_ticks, round(HELD_TORQUE_S / model.period))):
             x = predict_steadystate(x, F, held, B)
     states[:] = x

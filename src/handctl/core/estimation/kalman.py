@@ -108,7 +108,7 @@ def filter_kind(x: StateTables, n: int) -> int:
 
 
 @kernel_helper
-def correct_filter(x: StateTables, c: ConstantTables, missed: int) -> None:
+def correct_filter(x: StateTables, c: ConstantTables, missed_ticks: int) -> None:
     """Correct the filter by the measurements of a tick, and judge slack, open stop and contact of each tendon.
 
     A digit with ``PLANNED_CONTACT`` or ``BLOCKED`` counts as held, see ``is_in_contact``.
@@ -116,7 +116,7 @@ def correct_filter(x: StateTables, c: ConstantTables, missed: int) -> None:
     Args:
         x: state tables.
         c: constants of the hand.
-        missed: ticks missed since the last tick.
+        missed_ticks: ticks missed since the last tick.
     """
     count = x.tendon.shape[1]
     for n in range(count):
@@ -125,7 +125,11 @@ def correct_filter(x: StateTables, c: ConstantTables, missed: int) -> None:
         x.tendon_int[s.FILTER_KIND, n] = x.tendon_int[s.FILTER_KIND_BEFORE, n] = filter_kind(x, n)
     z = _usable_measurements(x)
     innovation = _innovations(x, c, z)
-    full = missed > 0 or x.run_int[s.COVARIANCE_PROPAGATED] == 1 or _is_measurement_missing(x, c, z)
+    full = (
+        missed_ticks > 0
+        or x.run_int[s.COVARIANCE_PROPAGATED] == 1
+        or _is_measurement_missing(x, c, z)
+    )
     gain = np.zeros((count, STATE_COUNT, 3))
     information = np.zeros((count, 3))
     cell_sigma = np.zeros(count)
@@ -138,14 +142,14 @@ def correct_filter(x: StateTables, c: ConstantTables, missed: int) -> None:
             cell_sigma[n] = filter_covariance.correct_covariance(
                 x, c, n, z[n], gain[n], after[n], information[n]
             )
-    _gate_and_correct(x, c, innovation, gain, cell_sigma)
+    _gate_and_correct_states(x, c, innovation, gain, cell_sigma)
     _move_slack_with_taut(x, c)
     _judge_consistency(x, c, innovation, information, full)
     force = _judge_regimes(x, c)
     _choose_filter_kinds(x)
     _write_external_tension(x, c, force)
     if full:
-        filter_covariance.predict_covariances(x, c, after, missed)
+        filter_covariance.predict_covariances(x, c, after, missed_ticks)
 
 
 @kernel_helper
@@ -207,19 +211,19 @@ def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> boo
 
 @kernel_helper
 def _write_steady_gain(
-    c: ConstantTables, n: int, kind: int, gain: Matrix, information: Vector
+    c: ConstantTables, n: int, design_kind: int, gain: Matrix, information: Vector
 ) -> None:
     """Write the constant gain (7, 3) of a tendon's filter, and the inverse covariance (3,) of the innovations."""
     for i in range(STATE_COUNT):
         for m in range(3):
-            gain[i, m] = c.design[n, kind, h.K_AT + 3 * i + m]
+            gain[i, m] = c.design[n, design_kind, h.K_AT + 3 * i + m]
     for i in range(3):
-        information[i] = c.design[n, kind, h.INFORMATION_AT + i]
+        information[i] = c.design[n, design_kind, h.INFORMATION_AT + i]
 
 
 @kernel_helper
-def _gate_and_correct(
-    x: StateTables, c: ConstantTables, innovation: Matrix, gain: Matrix, cell_sigma: Vector
+def _gate_and_correct_states(
+    x: StateTables, c: ConstantTables, innovations: Matrix, gain: Matrix, cell_sigma: Vector
 ) -> None:
     """Correct the states of the filter by the innovations.
 
@@ -228,13 +232,13 @@ def _gate_and_correct(
     Args:
         x: state tables.
         c: constants of the hand.
-        innovation: (N, 3) innovations. The values are NaN if the measurement is missing. Rejected
+        innovations: (N, 3) innovations. The values are NaN if the measurement is missing. Rejected
             innovations become NaN.
         gain: (N, 7, 3) gains.
         cell_sigma: (N,) standard deviation of the innovation of each load cell [N].
     """
-    for n in range(len(innovation)):
-        cell = innovation[n, 1]
+    for n in range(len(innovations)):
+        cell = innovations[n, 1]
         sigmas = 0.0 if math.isnan(cell) else cell / cell_sigma[n]
         before = x.tendon[s.CELL_INNOVATION_SIGMAS, n]
         again = (
@@ -254,12 +258,12 @@ def _gate_and_correct(
             # applied here.
             jump = max(STEP_FRACTION - steady, 0.0) * cell
         if abs(sigmas) > OUTLIER_GATE_SIGMAS and not again:
-            innovation[n, 1] = math.nan
+            innovations[n, 1] = math.nan
         x.tendon[s.CELL_INNOVATION_SIGMAS, n] = sigmas
         for i in range(STATE_COUNT):
             for m in range(3):
-                if not math.isnan(innovation[n, m]):
-                    x.tendon[s.TRAVEL + i, n] += gain[n, i, m] * innovation[n, m]
+                if not math.isnan(innovations[n, m]):
+                    x.tendon[s.TRAVEL + i, n] += gain[n, i, m] * innovations[n, m]
         # At the same travel, more tension means more stretch of the tendon, and therefore less
         # excursion.
         x.tendon[s.EXCURSION, n] -= jump / c.tendon[h.TENDON_STIFFNESS, n]
@@ -306,7 +310,11 @@ def _normalised_innovation_squared(
 
 @kernel_helper
 def _judge_consistency(
-    x: StateTables, c: ConstantTables, innovation: Matrix, information: Matrix, full: bool
+    x: StateTables,
+    c: ConstantTables,
+    innovations: Matrix,
+    information: Matrix,
+    has_all_readings: bool,
 ) -> None:
     """Average the normalised innovations squared (NIS), and judge whether the model of each tendon is consistent.
 
@@ -315,16 +323,16 @@ def _judge_consistency(
     uses the covariance without added noise, because added noise would hide an error of the model.
     """
     nominal = np.empty(3)
-    for n in range(len(innovation)):
+    for n in range(len(innovations)):
         blind = c.tendon_int[h.CELL_GROUP, n] < 0
-        nis = _normalised_innovation_squared(innovation[n], information[n], blind)
+        nis = _normalised_innovation_squared(innovations[n], information[n], blind)
         x.tendon[s.NIS, n] = nis
-        x.tendon[s.INNOVATION, n] = innovation[n, 1]
+        x.tendon[s.INNOVATION, n] = innovations[n, 1]
         kind = x.tendon_int[s.FILTER_KIND, n]
-        if kind >= 3 and not full:
+        if kind >= 3 and not has_all_readings:
             for i in range(3):
                 nominal[i] = c.design[n, kind - 3, h.INFORMATION_AT + i]
-            nis = _normalised_innovation_squared(innovation[n], nominal, blind)
+            nis = _normalised_innovation_squared(innovations[n], nominal, blind)
         if math.isnan(nis):
             continue
         nis = min(nis, MAX_NIS_SAMPLE)
@@ -334,7 +342,7 @@ def _judge_consistency(
         x.tendon[s.NIS_MEAN, n] += period / NIS_AVERAGING_TIME_S * (nis - x.tendon[s.NIS_MEAN, n])
         if period <= ADDED_NOISE_MAX_PERIOD_S:
             x.tendon[s.NIS_FAST, n] += period / NOISE_NIS_S * (nis - x.tendon[s.NIS_FAST, n])
-    for n in range(len(innovation)):
+    for n in range(len(innovations)):
         limit = CONSISTENT_NIS if x.tendon_int[s.DOUBTFUL, n] else INCONSISTENT_NIS
         doubtful = x.tendon[s.NIS_MEAN, n] > limit
         if doubtful != x.tendon_int[s.DOUBTFUL, n]:
@@ -519,11 +527,11 @@ def is_in_contact(x: StateTables, d: int) -> bool:
 
 
 @kernel_helper
-def _is_at_stop(was_at_stop: bool, excursion: float, force: float, resistance: float) -> bool:
+def _is_at_stop(was_at_stop: bool, excursion: float, force: float, spring_force: float) -> bool:
     """Return True if springs hold a digit on its open stop against the pull of a tendon."""
     if was_at_stop:
-        return excursion < STOP_BAND_STAY_M and force < resistance * STOP_PULL_STAY
-    return excursion < STOP_BAND_REST_M and force < resistance * STOP_PULL_REST
+        return excursion < STOP_BAND_STAY_M and force < spring_force * STOP_PULL_STAY
+    return excursion < STOP_BAND_REST_M and force < spring_force * STOP_PULL_REST
 
 
 @kernel_helper

@@ -46,68 +46,68 @@ def write_measurements(x: StateTables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def reject_outliers(x: StateTables, c: ConstantTables, missed: int) -> None:
+def reject_outliers(x: StateTables, c: ConstantTables, missed_ticks: int) -> None:
     """Reject positions that a motor or a joint cannot have reached since the last accepted position.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        missed: ticks missed before the present tick. The hand moved on in the missed ticks, and a
+        missed_ticks: ticks missed before the present tick. The hand moved on in the missed ticks, and a
             reading may be the reply to an older request.
     """
     for n in range(x.tendon.shape[1]):
         _reject_outlier(
             x.tendon, n, s.MEASURED_POSITION, s.ACCEPTED_POSITION, s.ACCEPTED_GAP, s.REJECTED_STEP,
-            s.REJECTED_POSITIONS, c.tendon[h.STEP_LIMIT, n], missed,
+            s.REJECTED_POSITIONS, c.tendon[h.STEP_LIMIT, n], missed_ticks,
         )  # fmt: skip
     for j in range(x.joint.shape[1]):
         _reject_outlier(
             x.joint, j, s.MEASURED_JOINT, s.ACCEPTED_JOINT_ANGLE, s.ACCEPTED_JOINT_GAP, s.REJECTED_JOINT_STEP,
-            s.REJECTED_JOINT_ANGLES, c.joint[h.JOINT_STEP_LIMIT, j], missed,
+            s.REJECTED_JOINT_ANGLES, c.joint[h.JOINT_STEP_LIMIT, j], missed_ticks,
         )  # fmt: skip
 
 
 @kernel_helper
 def _reject_outlier(
-    table: NDArray[np.float64],
+    reading_table: NDArray[np.float64],
     i: int,
-    measured: int,
-    accepted: int,
+    measured_row: int,
+    accepted_row: int,
     gap_row: int,
-    jump: int,
-    dropped: int,
+    jump_row: int,
+    dropped_row: int,
     limit: float,
-    missed: int,
+    missed_ticks: int,
 ) -> None:
     """Reject a position that is too far from the last accepted position of the same sensor.
 
     Args:
-        table: table of the position, (rows, n).
+        reading_table: table of the position, (rows, n).
         i: column of the position in the table.
-        measured: row of the measured position.
-        accepted: row of the last accepted position.
+        measured_row: row of the measured position.
+        accepted_row: row of the last accepted position.
         gap_row: row of a number of ticks: the accepted position may have been measured this number
             of ticks before the last tick.
-        jump: row of the rejected step.
-        dropped: row for the number of consecutive rejections.
+        jump_row: row of the rejected step.
+        dropped_row: row for the number of consecutive rejections.
         limit: largest possible step in a period [rad].
-        missed: see ``reject_outliers``.
+        missed_ticks: see ``reject_outliers``.
     """
-    value = table[measured, i]
+    value = reading_table[measured_row, i]
     # A comparison with NaN is False. So no position is rejected if the measured or the accepted
     # position is missing.
-    step = abs(value - table[accepted, i])
-    gap = table[gap_row, i] + 1.0 + missed
-    table[jump, i] = 0.0
+    step = abs(value - reading_table[accepted_row, i])
+    gap = reading_table[gap_row, i] + 1.0 + missed_ticks
+    reading_table[jump_row, i] = 0.0
     if step > limit * gap:
-        table[jump, i] = step
-        table[dropped, i] += 1.0
-        table[measured, i] = math.nan
+        reading_table[jump_row, i] = step
+        reading_table[dropped_row, i] += 1.0
+        reading_table[measured_row, i] = math.nan
     elif not math.isnan(value):
-        table[accepted, i] = value
-        table[dropped, i] = 0.0
-        gap = float(missed)
-    table[gap_row, i] = gap
+        reading_table[accepted_row, i] = value
+        reading_table[dropped_row, i] = 0.0
+        gap = float(missed_ticks)
+    reading_table[gap_row, i] = gap
 
 
 @kernel_helper
@@ -155,18 +155,18 @@ def is_cell_saturated(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 
 @kernel_helper
-def monitored_tension(x: StateTables, c: ConstantTables, n: int, tared: bool) -> float:
+def monitored_tension(x: StateTables, c: ConstantTables, n: int, is_tared: bool) -> float:
     """Return the tension that detectors judge [N]: the load-cell reading, or the estimate without load cell.
 
     Args:
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        tared: True if the zeros of the load cells are known.
+        is_tared: True if the zeros of the load cells are known.
     """
     if c.tendon_int[h.CELL_GROUP, n] < 0:
         return x.tendon[s.TENSION, n]
-    return x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+    return x.tendon[s.MEASURED_TENSION, n] if is_tared else math.nan
 
 
 @kernel_helper

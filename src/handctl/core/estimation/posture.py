@@ -175,8 +175,8 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     for row in range(places, 2 * places + 2):
         for d in range(x.digit.shape[1]):
             fraction = max(
-                _range_fraction(x, c, d, columns[row], 1.0),
-                _range_fraction(x, c, d, columns[row], -1.0),
+                _largest_turn_fraction(x, c, d, columns[row], 1.0),
+                _largest_turn_fraction(x, c, d, columns[row], -1.0),
             )
             for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
                 columns[row, j] *= fraction
@@ -276,7 +276,7 @@ def _write_digit_turn(
         # Unexplained tension is positive if the object pushes the digit open.
         turns[j] = -work / size * compliance
         deviation[j] = work_error / size * compliance
-    fraction = _range_fraction(x, c, d, turns, 1.0)
+    fraction = _largest_turn_fraction(x, c, d, turns, 1.0)
     for j in range(first, end):
         # the turns of all joints are reduced by the same fraction, so that the excursion does not
         # change
@@ -284,14 +284,16 @@ def _write_digit_turn(
 
 
 @kernel_helper
-def _range_fraction(x: StateTables, c: ConstantTables, d: int, turn: Vector, sign: float) -> float:
+def _largest_turn_fraction(
+    x: StateTables, c: ConstantTables, d: int, joint_turn: Vector, sign: float
+) -> float:
     """Return the largest fraction (0 to 1) of a turn (J,) [rad] that keeps the joints within their ranges.
 
     The turn starts at the joint angles of the free digit.
     """
     fraction = 1.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-        way = sign * turn[j]
+        way = sign * joint_turn[j]
         q = x.joint[s.Q, j]
         margin = max(c.joint[h.JOINT_MAX, j] - q if way > 0.0 else q - c.joint[h.JOINT_MIN, j], 0.0)
         fraction = min(fraction, margin / max(abs(way), MIN_TURN_RAD))
@@ -322,7 +324,7 @@ def _write_free_errors(x: StateTables, c: ConstantTables, turn: Matrix) -> None:
 
 @kernel_helper
 def _fuse_encoders(
-    x: StateTables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: int
+    x: StateTables, c: ConstantTables, covariance_columns: Matrix, spread: Matrix, t_ns: int
 ) -> None:
     """Correct the joint angles by the readings of the joint encoders, one encoder after the other.
 
@@ -331,7 +333,7 @@ def _fuse_encoders(
     Args:
         x: state tables.
         c: constants of the hand.
-        columns: (2 H + 2, J) deviations of the angles in the null space [rad], see
+        covariance_columns: (2 H + 2, J) deviations of the angles in the null space [rad], see
             ``_covariance_columns``.
         spread: (J, N) errors of the angles that the errors of the excursions cause [rad], see
             ``_excursion_deviations``.
@@ -343,8 +345,8 @@ def _fuse_encoders(
     covariance = np.zeros((joints, joints))
     for a in range(joints):
         for b in range(joints):
-            for row in range(len(columns)):
-                covariance[a, b] += columns[row, a] * columns[row, b]
+            for row in range(len(covariance_columns)):
+                covariance[a, b] += covariance_columns[row, a] * covariance_columns[row, b]
             for n in range(spread.shape[1]):
                 covariance[a, b] += spread[a, n] * spread[b, n]
             covariance[a, b] *= c.joint_joint[h.SAME_DIGIT, a, b]

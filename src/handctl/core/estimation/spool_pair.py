@@ -16,11 +16,11 @@ from handctl.compiled import kernel_helper
 
 
 @kernel_helper
-def net_tension_at_joint(net: float, pretension: float, passed_fraction: float) -> float:
+def net_tension_at_joint(net_tension: float, pretension: float, passed_fraction: float) -> float:
     """Return the net tension at a joint, after the friction of the pulleys [N].
 
     Args:
-        net: net tension at the spool [N].
+        net_tension: net tension at the spool [N].
         pretension: pretension of both tendons [N].
         passed_fraction: tension of the first tendon behind the pulleys, divided by its tension at
             the spool. The second tendon moves in the opposite direction, so its ratio of tensions
@@ -28,19 +28,19 @@ def net_tension_at_joint(net: float, pretension: float, passed_fraction: float) 
 
     Source: capstan equation.
     """
-    first = max(pretension + 0.5 * net, net, 0.0)
-    second = max(pretension - 0.5 * net, -net, 0.0)
+    first = max(pretension + 0.5 * net_tension, net_tension, 0.0)
+    second = max(pretension - 0.5 * net_tension, -net_tension, 0.0)
     return first * passed_fraction - second / passed_fraction
 
 
 @kernel_helper
-def net_tension_at_spool(net: float, pretension: float, passed_fraction: float) -> float:
+def net_tension_at_spool(net_tension: float, pretension: float, passed_fraction: float) -> float:
     """Return the net tension at the spool for a net tension at a joint [N], the inverse of ``net_tension_at_joint``."""
     both_taut = (
         2.0
-        * (net + pretension * (1.0 / passed_fraction - passed_fraction))
+        * (net_tension + pretension * (1.0 / passed_fraction - passed_fraction))
         / (passed_fraction + 1.0 / passed_fraction)
     )
     if abs(both_taut) < 2.0 * pretension:
         return both_taut
-    return net / passed_fraction if both_taut > 0.0 else net * passed_fraction
+    return net_tension / passed_fraction if both_taut > 0.0 else net_tension * passed_fraction

@@ -81,14 +81,19 @@ def capstan_ratio(c: ConstantTables, n: int, friction_state: float, wrap_angle: 
 
 @kernel_helper
 def pulley_torque(
-    c: ConstantTables, n: int, arm: float, tension: float, friction_state: float, wrap_angle: float
+    c: ConstantTables,
+    n: int,
+    moment_arm: float,
+    tension: float,
+    friction_state: float,
+    wrap_angle: float,
 ) -> float:
     """Return the torque of tendon n about the joint of a pulley, with the effect of friction [N m].
 
     Args:
         c: constants of the hand.
         n: index of the tendon.
-        arm: moment arm of the tendon about the joint [m].
+        moment_arm: moment arm of the tendon about the joint [m].
         tension: tension at the load cell, or the net tension of a spool pair [N].
         friction_state: friction state of the tendon, from 1 while it is wound to -1 while it is
             paid out.
@@ -96,8 +101,8 @@ def pulley_torque(
     """
     passed = capstan_ratio(c, n, friction_state, wrap_angle)
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-        return arm * net_tension_at_joint(tension, c.tendon[h.PRETENSION, n], passed)
-    return arm * tension * passed
+        return moment_arm * net_tension_at_joint(tension, c.tendon[h.PRETENSION, n], passed)
+    return moment_arm * tension * passed
 
 
 @kernel_helper
@@ -200,13 +205,13 @@ def write_tensions_at_joints(
 
 
 @kernel_helper
-def part_explained_by_motion(c: ConstantTables, n: int, values: Vector) -> float:
+def part_explained_by_motion(c: ConstantTables, n: int, tendon_values: Vector) -> float:
     """Return the part of a value of tendon n that a motion of the digit explains, element n of R R^+ v.
 
     Args:
         c: constants of the hand.
         n: index of the tendon.
-        values: (N,) values v, one for each tendon, for example excursions or tensions. If the
+        tendon_values: (N,) values v, one for each tendon, for example excursions or tensions. If the
             values are excursions, the caller must add ``EXPLAINED_OFFSET`` to the result.
     """
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
@@ -214,13 +219,15 @@ def part_explained_by_motion(c: ConstantTables, n: int, values: Vector) -> float
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         angle = 0.0
         for other in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
-            angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, other] * values[other]
+            angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, other] * tendon_values[other]
         total += c.tendon_joint[h.MOMENT_ARMS, n, j] * angle
     return total
 
 
 @kernel_helper
-def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: float) -> float:
+def value_from_other_tendons(
+    c: ConstantTables, n: int, tendon_values: Vector, offset: float
+) -> float:
     """Return the value of tendon n that follows from the values of the other tendons of its digit.
 
     Return NaN if the value does not follow from the other tendons.
@@ -231,7 +238,7 @@ def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: 
     Args:
         c: constants of the hand.
         n: index of the tendon.
-        values: (N,) values, one for each tendon, for example excursions [m].
+        tendon_values: (N,) values, one for each tendon, for example excursions [m].
         offset: ``EXPLAINED_OFFSET`` if the values are excursions, 0 if they are rates of
             excursions.
     """
@@ -241,7 +248,9 @@ def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: 
         own += c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n]
     if own > MAX_OWN_FRACTION:
         return math.nan
-    return (part_explained_by_motion(c, n, values) + offset - own * values[n]) / (1.0 - own)
+    return (part_explained_by_motion(c, n, tendon_values) + offset - own * tendon_values[n]) / (
+        1.0 - own
+    )
 
 
 @kernel_helper

@@ -46,7 +46,12 @@ RANGE_MARGIN_M = 1e-3
 
 @kernel_helper
 def regime_evidence(
-    regime: int, points: int, tension: float, cell: float, cell_error: float, is_nearly_taut: bool
+    regime: int,
+    evidence_count: int,
+    tension: float,
+    cell_tension: float,
+    cell_error: float,
+    is_nearly_taut: bool,
 ) -> int:
     """Return a count that grows while a slack tendon seems to be taut (points), or a taut one slack (ticks).
 
@@ -54,26 +59,26 @@ def regime_evidence(
 
     Args:
         regime: present regime of the tendon.
-        points: result of the function in the last tick.
+        evidence_count: result of the function in the last tick.
         tension: estimated tension [N].
-        cell: load-cell reading [N].
+        cell_tension: load-cell reading [N].
         cell_error: estimated error of the load-cell reading [N].
         is_nearly_taut: True if the spool has wound up the slack length of the tendon.
     """
     if regime != SLACK_REGIME:
-        return points + 1 if tension < SLACK_BELOW_N and cell < SLACK_BELOW_N else 0
-    if math.isnan(cell):
-        return points
+        return evidence_count + 1 if tension < SLACK_BELOW_N and cell_tension < SLACK_BELOW_N else 0
+    if math.isnan(cell_tension):
+        return evidence_count
     evidence = -POINTS_AGAINST
-    if cell - cell_error > TAUT_ABOVE_N:
+    if cell_tension - cell_error > TAUT_ABOVE_N:
         evidence = POINTS_AT_ONCE
-    elif cell - cell_error > LIKELY_ABOVE_N:
+    elif cell_tension - cell_error > LIKELY_ABOVE_N:
         evidence = POINTS_LIKELY
-    elif cell - cell_error > POSSIBLE_ABOVE_N:
+    elif cell_tension - cell_error > POSSIBLE_ABOVE_N:
         evidence = POINTS_POSSIBLE
     if evidence > 0 and is_nearly_taut:
         evidence *= NEARLY_TAUT_FACTOR
-    return max(points + evidence, 0)
+    return max(evidence_count + evidence, 0)
 
 
 TAUT_WITHOUT_CELL_N = 2.5
@@ -86,7 +91,9 @@ SLACK_TICKS_WITHOUT_CELL = 12
 
 
 @kernel_helper
-def regime_evidence_without_cell(regime: int, points: int, tension: float, missing: float) -> int:
+def regime_evidence_without_cell(
+    regime: int, evidence_count: int, tension: float, missing: float
+) -> int:
     """Return the count of ``regime_evidence`` for a tendon without a load cell.
 
     The motor of a slack tendon turns without load. When the tendon has become taut, its tension
@@ -94,13 +101,15 @@ def regime_evidence_without_cell(regime: int, points: int, tension: float, missi
 
     Args:
         regime: present regime of the tendon.
-        points: result of the function in the last tick.
+        evidence_count: result of the function in the last tick.
         tension: estimated tension [N].
         missing: motor force that is missing, compared with the model of a slack tendon [N].
     """
     if regime != SLACK_REGIME:
-        return points + 1 if tension < SLACK_BELOW_N else 0
-    return max(points + (POINTS_LIKELY if missing > TAUT_WITHOUT_CELL_N else -POINTS_AGAINST), 0)
+        return evidence_count + 1 if tension < SLACK_BELOW_N else 0
+    return max(
+        evidence_count + (POINTS_LIKELY if missing > TAUT_WITHOUT_CELL_N else -POINTS_AGAINST), 0
+    )
 
 
 @kernel_helper
@@ -113,17 +122,19 @@ def is_nearly_taut(x: StateTables, n: int) -> bool:
 
 
 @kernel_helper
-def is_regime_over(regime: int, points: int, without_cell: bool) -> bool:
+def is_regime_over(regime: int, evidence_count: int, without_cell: bool) -> bool:
     """Return True if the number of points or ticks is large enough to end a regime.
 
     A taut tendon without load cell (``without_cell``) counts as slack only after more ticks.
     """
     slack_ticks = SLACK_TICKS_WITHOUT_CELL if without_cell else SLACK_TICKS
-    return points >= (POINTS_OF_TAUT if regime == SLACK_REGIME else slack_ticks)
+    return evidence_count >= (POINTS_OF_TAUT if regime == SLACK_REGIME else slack_ticks)
 
 
 @kernel_helper
-def set_offset_of_newly_taut(x: StateTables, c: ConstantTables, n: int, cell: float) -> None:
+def set_offset_of_newly_taut(
+    x: StateTables, c: ConstantTables, n: int, cell_tension: float
+) -> None:
     """Set the stretch offset or the excursion of a tendon that has become taut, to agree with the load cell.
 
     If the open stop or the joint encoders show the excursion, the stretch offset is set. Otherwise
@@ -134,11 +145,11 @@ def set_offset_of_newly_taut(x: StateTables, c: ConstantTables, n: int, cell: fl
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        cell: load-cell reading [N].
+        cell_tension: load-cell reading [N].
     """
     if x.tendon_int[s.ON_OPEN_STOP, n]:
         x.tendon[s.EXCURSION, n] = c.tendon[h.OPEN_EXCURSION, n]
-    stretch = (cell - x.tendon[s.CELL_ERROR, n]) / c.tendon[h.TENDON_STIFFNESS, n]
+    stretch = (cell_tension - x.tendon[s.CELL_ERROR, n]) / c.tendon[h.TENDON_STIFFNESS, n]
     excursion = x.tendon[s.TRAVEL, n] - x.tendon[s.STRETCH_OFFSET, n] - stretch
     low = c.tendon[h.EXCURSION_LOW, n] - RANGE_MARGIN_M
     high = c.tendon[h.EXCURSION_HIGH, n] + RANGE_MARGIN_M

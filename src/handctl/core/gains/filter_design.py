@@ -90,7 +90,7 @@ The regimes are in the order of the design indices 3 and 4.
 
 
 def design_filter(
-    space: TendonSpace, gains: FilterGains, period: float, joint_period: Matrix
+    space: TendonSpace, gains: FilterGains, period_s: float, joint_period: Matrix
 ) -> FilterDesign:
     """Design the filter of each tendon in each regime.
 
@@ -99,7 +99,7 @@ def design_filter(
     Args:
         space: constants of the hand along the tendons.
         gains: noise that the filter assumes.
-        period: control period [s].
+        period_s: control period [s].
         joint_period: (N,) time between two readings of the joint encoders of a tendon [s], inf
             without joint encoders.
 
@@ -113,11 +113,11 @@ def design_filter(
         if kind not in made:
             with solver_failures_as_errors("filter"):
                 certain = tuple(
-                    _design_filter_block(space, i, (regime, False), gains, period, joints)
+                    _design_filter_block(space, i, (regime, False), gains, period_s, joints)
                     for regime in TendonRegime
                 )
                 adds_noise = (
-                    _design_filter_block(space, i, (regime, True), gains, period, joints)
+                    _design_filter_block(space, i, (regime, True), gains, period_s, joints)
                     for regime in TAUT_REGIMES
                 )
                 made[kind] = (
@@ -202,21 +202,25 @@ def _process_noise(space: TendonSpace, i: int, regime: TendonRegime, gains: Filt
     return Q
 
 
-def _add_noise(Q: Matrix, stiffness: float, regime: TendonRegime) -> None:
+def _add_process_noise(process_noise: Matrix, stiffness: float, regime: TendonRegime) -> None:
     """Increase the process noise Q (7, 7) of a taut tendon whose model does not fit the measurements.
 
     Args:
-        Q: (7, 7) process noise of the continuous model, modified in place.
+        process_noise: (7, 7) process noise of the continuous model, modified in place.
         stiffness: stiffness of the tendon [N/m].
         regime: regime of the tendon, free or held.
     """
     free = regime == TendonRegime.FREE
-    Q[D, D] *= (ADDED_DISTURBANCE_FACTOR if free else ADDED_HELD_DISTURBANCE_FACTOR) ** 2
-    Q[S, S] += ((ADDED_TENSION_WALK if free else ADDED_HELD_TENSION_WALK) / stiffness) ** 2
+    process_noise[D, D] *= (
+        ADDED_DISTURBANCE_FACTOR if free else ADDED_HELD_DISTURBANCE_FACTOR
+    ) ** 2
+    process_noise[S, S] += (
+        (ADDED_TENSION_WALK if free else ADDED_HELD_TENSION_WALK) / stiffness
+    ) ** 2
 
 
 def _discretise_model(
-    A: Matrix, B: Matrix, Q: Matrix, period: float
+    A: Matrix, B: Matrix, process_noise: Matrix, period_s: float
 ) -> tuple[Matrix, Matrix, Matrix]:
     """Return the zero-order hold of A and B, and the discrete covariance of Q.
 
@@ -224,8 +228,8 @@ def _discretise_model(
     """
     n, m = B.shape
     # The inputs are constant within a period: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
-    held = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * period)
-    loan = expm(np.block([[-A, Q], [np.zeros((n, n)), A.T]]) * period)
+    held = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * period_s)
+    loan = expm(np.block([[-A, process_noise], [np.zeros((n, n)), A.T]]) * period_s)
     F = held[:n, :n]
     noise = loan[n:, n:].T @ loan[:n, n:]
     return F, held[:n, n:], (noise + noise.T) / 2
@@ -234,9 +238,9 @@ def _discretise_model(
 def _design_filter_block(
     space: TendonSpace,
     i: int,
-    kind: tuple[TendonRegime, bool],
+    regime_and_noise: tuple[TendonRegime, bool],
     gains: FilterGains,
-    period: float,
+    period_s: float,
     joint_period: float,
 ) -> FilterBlock:
     """Return the filter of a tendon for one kind of design.
@@ -256,13 +260,13 @@ def _design_filter_block(
     encoders separate the excursion from the stretch offset within ``joint_time_s``, and correct no
     other state. The gains for all other states therefore do not depend on joint encoders.
     """
-    regime, adds_noise = kind
+    regime, adds_noise = regime_and_noise
     A, B, tension = _continuous_model(space, i, regime, gains)
     intensity = _process_noise(space, i, regime, gains)
     if adds_noise:
-        _add_noise(intensity, float(space.stiffness[i]), regime)
+        _add_process_noise(intensity, float(space.stiffness[i]), regime)
         B[:, 1] *= PLAN_FRACTION_WITH_NOISE
-    F, held, Q = _discretise_model(A, B, intensity, period)
+    F, held, Q = _discretise_model(A, B, intensity, period_s)
     H = np.zeros((MEASUREMENT_COUNT, STATE_COUNT))
     H[0, X] = 1.0
     H[1] = tension
@@ -273,7 +277,7 @@ def _design_filter_block(
     # The first two measurements are the encoder and the load cell. Without a load cell, only the
     # encoder is used.
     read = 2 if space.has_cell[i] else 1
-    P = _solve_riccati(F, H[:read], Q, np.diag(noise[:read] ** 2))
+    P = _prediction_covariance(F, H[:read], Q, np.diag(noise[:read] ** 2))
     innovation = H[:2] @ P @ H[:2].T + np.diag(noise**2)
     K = np.zeros((STATE_COUNT, MEASUREMENT_COUNT))
     K[:, :read] = np.linalg.solve(innovation[:read, :read], H[:read] @ P).T
@@ -301,7 +305,7 @@ def _design_filter_block(
     )
 
 
-def _solve_riccati(F: Matrix, H: Matrix, Q: Matrix, R: Matrix) -> Matrix:
+def _prediction_covariance(F: Matrix, H: Matrix, process_noise: Matrix, R: Matrix) -> Matrix:
     """Return the constant covariance of the filter's prediction.
 
     The Riccati equation is solved in units in which all states have a size of about 1.
@@ -311,7 +315,7 @@ def _solve_riccati(F: Matrix, H: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     P = solve_covariance(
         F * scale / scale[:, None],
         H * scale * rows[:, None],
-        Q / np.outer(scale, scale),
+        process_noise / np.outer(scale, scale),
         np.eye(len(rows)),
     )
     return P * np.outer(scale, scale)

@@ -99,12 +99,12 @@ def gain_bounds() -> Mapping[str, GainBounds]:
     return result
 
 
-def _range_of_field(metadata: list[Any]) -> tuple[float, float, bool]:
+def _range_of_field(field_metadata: list[Any]) -> tuple[float, float, bool]:
     """Return smallest and largest allowed value of a field, and True if the smallest value is excluded."""
     low = float("-inf")
     high = float("inf")
     open_low = False
-    for limit in metadata:
+    for limit in field_metadata:
         if isinstance(limit, Gt):
             low = cast(float, limit.gt)
             open_low = True
@@ -147,38 +147,38 @@ def different_values(old_gains: Gains, new_gains: Gains) -> dict[str, tuple[floa
     """
     old = values_by_key(old_gains)
     new = values_by_key(new_gains)
-    pairs = {key: (_value_of(old, key), _value_of(new, key)) for key in {**old, **new}}
+    pairs = {key: (_gain_of_key(old, key), _gain_of_key(new, key)) for key in {**old, **new}}
     return {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
 
 
-def _value_of(values: Mapping[str, float], key: str) -> float:
+def _gain_of_key(values_by_key: Mapping[str, float], key: str) -> float:
     """Return the value of a key.
 
     If a single tendon has no value, return the value for all tendons.
     """
     parts = tendon_key(key)
-    return values[parts.shared] if parts and key not in values else values[key]
+    return values_by_key[parts.shared] if parts and key not in values_by_key else values_by_key[key]
 
 
-def with_values(
-    gains: Gains, values: Mapping[str, float], source_name: str, live: bool = False
+def gains_with_values(
+    gains: Gains, values_by_key: Mapping[str, float], source_name: str, is_live: bool = False
 ) -> Gains:
     """Return a copy of gains with some values replaced. All new values are checked first.
 
     Args:
         gains: gains to copy.
-        values: new values by key.
+        values_by_key: new values by key.
         source_name: name of the source of the values, for messages.
-        live: True to accept only keys that may change during a run.
+        is_live: True to accept only keys that may change during a run.
 
     Raises:
         ConfigError: a key is unknown, a value is out of bounds, or a key must not change during a
             run.
     """
     content = gains.model_dump(by_alias=True)
-    for key, value in values.items():
+    for key, value in values_by_key.items():
         bound = bounds_after_check(key, value, source_name)
-        if live and not bound.live:
+        if is_live and not bound.live:
             right = f"a key of {', '.join(LIVE_SECTIONS)}, or handctl gains apply and a new run"
             raise ConfigError(
                 "is designed before arming and cannot change in a run",
@@ -193,14 +193,14 @@ def with_values(
     return validate_content(content, Gains, source_name)
 
 
-def _set_tendon_force(content: dict[str, Any], parts: TendonKey, force: float) -> None:
+def _set_tendon_force(gains_content: dict[str, Any], parts: TendonKey, force: float) -> None:
     """Set a force of a single tendon in the content of the gains [N]."""
-    entries = [dict(entry) for entry in content[TENDON_SECTION]]
+    entries = [dict(entry) for entry in gains_content[TENDON_SECTION]]
     entry = next((one for one in entries if one["name"] == parts.tendon), None)
     if entry is None:
         entries.append(entry := {"name": parts.tendon})
     entry[parts.field] = force
-    content[TENDON_SECTION] = entries
+    gains_content[TENDON_SECTION] = entries
 
 
 def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:

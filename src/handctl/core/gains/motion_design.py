@@ -46,22 +46,22 @@ FULL_WEIGHT_PERIOD_S = 2e-3
 """Longest control period at which the force weights are not reduced [s]."""
 
 
-def largest_force_weight(force: float, period: float) -> float:
+def largest_force_weight(force: float, period_s: float) -> float:
     """Return a force weight [N], reduced if the control period is above ``FULL_WEIGHT_PERIOD_S`` [s].
 
     The stiffness of a loop is proportional to the weight. The bandwidth is proportional to the
     square root of the weight.
     """
-    return force * min(1.0, math.sqrt(FULL_WEIGHT_PERIOD_S / period))
+    return force * min(1.0, math.sqrt(FULL_WEIGHT_PERIOD_S / period_s))
 
 
-def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesign:
+def design_motion(space: TendonSpace, gains: Gains, period_s: float) -> MotionDesign:
     """Design the motion loop and the tension loop of every tendon by LQR.
 
     Args:
         space: constants of the hand along the tendons.
         gains: gains with the weights.
-        period: control period [s].
+        period_s: control period [s].
 
     Raises:
         ConfigError: no gains follow from the weights, or they name a tendon that the hand does not
@@ -70,7 +70,10 @@ def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesi
     check_tendon_names(gains, space.names)
     return design_from_pieces(
         space,
-        [design_piece(space, gains, period, piece) for piece in range(design_piece_count(space))],
+        [
+            design_loop_piece(space, gains, period_s, piece)
+            for piece in range(design_piece_count(space))
+        ],
     )
 
 
@@ -82,7 +85,9 @@ def design_piece_count(space: TendonSpace) -> int:
     return 2 * len(space.spool)
 
 
-def design_piece(space: TendonSpace, gains: Gains, period: float, piece_index: int) -> Vector:
+def design_loop_piece(
+    space: TendonSpace, gains: Gains, period_s: float, piece_index: int
+) -> Vector:
     """Return the feedback gains (2,) of one control loop.
 
     Pieces 0 to N - 1 of the design are motion loops, and pieces N to 2 N - 1 are tension loops.
@@ -93,17 +98,17 @@ def design_piece(space: TendonSpace, gains: Gains, period: float, piece_index: i
     n = len(space.spool)
     if piece_index < n:
         with solver_failures_as_errors("motion"):
-            return _design_motion_loop(space, piece_index, gains, period)
+            return _design_motion_loop(space, piece_index, gains, period_s)
     with solver_failures_as_errors("tension"):
-        return _design_tension_loop(space, piece_index - n, gains, period)
+        return _design_tension_loop(space, piece_index - n, gains, period_s)
 
 
-def design_from_pieces(space: TendonSpace, designed: list[Vector]) -> MotionDesign:
+def design_from_pieces(space: TendonSpace, feedback_gains: list[Vector]) -> MotionDesign:
     """Combine the feedback gains of all pieces into the design of all tendons."""
     n = len(space.spool)
     mass = space.motor_mass + space.load_mass
-    motion = designed[:n]
-    tension = designed[n:]
+    motion = feedback_gains[:n]
+    tension = feedback_gains[n:]
     return MotionDesign(
         stiffness=np.array([K[0] for K in motion]) / mass,
         damping=np.array([K[1] for K in motion]) / mass,
@@ -113,11 +118,15 @@ def design_from_pieces(space: TendonSpace, designed: list[Vector]) -> MotionDesi
 
 
 def _sampled_lqr_gain(
-    A: NDArray[np.float64], B: NDArray[np.float64], state: list[float], force: float, period: float
+    A: NDArray[np.float64],
+    B: NDArray[np.float64],
+    state: list[float],
+    force: float,
+    period_s: float,
 ) -> Vector:
     """Return the LQR gain (2,) for x' = A x + B u, sampled at the period, with weights by Bryson's rule."""
     # The inputs are constant within a period: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
-    sampled = expm(period * np.block([[A, B], [np.zeros((1, 3))]]))
+    sampled = expm(period_s * np.block([[A, B], [np.zeros((1, 3))]]))
     F = sampled[:2, :2]
     G = sampled[:2, 2:]
     K = solve_lqr(F, G, np.diag([1.0 / x**2 for x in state]), np.array([[1.0 / force**2]]))
@@ -127,7 +136,7 @@ def _sampled_lqr_gain(
     return np.asarray(K[0], dtype=np.float64)
 
 
-def _design_motion_loop(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
+def _design_motion_loop(space: TendonSpace, i: int, gains: Gains, period_s: float) -> Vector:
     """Design the motion loop, for motor and digit as one mass on a rigid tendon.
 
     The states are excursion error [m] and speed error [m/s].
@@ -136,13 +145,13 @@ def _design_motion_loop(space: TendonSpace, i: int, gains: Gains, period: float)
     mass = float(space.motor_mass[i] + space.load_mass[i])
     A = np.array([[0.0, 1.0], [0.0, 0.0]])
     B = np.array([[0.0], [1.0 / mass]])
-    force = largest_force_weight(gains.forces_of(space.names[i])[0], period)
+    force = largest_force_weight(gains.forces_of(space.names[i])[0], period_s)
     return _sampled_lqr_gain(
-        A, B, [weights.position_error_m, weights.speed_error_m_s], force, period
+        A, B, [weights.position_error_m, weights.speed_error_m_s], force, period_s
     )
 
 
-def _design_tension_loop(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
+def _design_tension_loop(space: TendonSpace, i: int, gains: Gains, period_s: float) -> Vector:
     """Design the tension loop, for a rotor on the tendon of a blocked digit.
 
     The states are tension error [N] and tendon speed [m/s].
@@ -153,7 +162,7 @@ def _design_tension_loop(space: TendonSpace, i: int, gains: Gains, period: float
     b = space.motor_damping[i] + space.damping[i]
     A = np.array([[0.0, k], [-1.0 / mass, -b / mass]])
     B = np.array([[0.0], [1.0 / mass]])
-    force = largest_force_weight(gains.forces_of(space.names[i])[1], period)
+    force = largest_force_weight(gains.forces_of(space.names[i])[1], period_s)
     return _sampled_lqr_gain(
-        A, B, [weights.tension_error_N, weights.speed_error_m_s], force, period
+        A, B, [weights.tension_error_N, weights.speed_error_m_s], force, period_s
     )

@@ -13,11 +13,11 @@ from handctl.errors import ConfigError
 
 
 @contextmanager
-def solver_failures_as_errors(section: str) -> Iterator[None]:
+def solver_failures_as_errors(gains_section: str) -> Iterator[None]:
     """Convert any failure of a solver within a ``with`` block into an error with a message of one line.
 
     Args:
-        section: section of the gains file from which the gains are designed.
+        gains_section: section of the gains file from which the gains are designed.
 
     Raises:
         ConfigError: if the solver fails.
@@ -32,7 +32,7 @@ def solver_failures_as_errors(section: str) -> Iterator[None]:
     ) as error:  # the exceptions above are those of scipy, numpy and control
         right = "weights nearer to the packaged ones (handctl gains show)"
         raise ConfigError(
-            "no controller follows from these values", f"gains: {section}", right
+            "no controller follows from these values", f"gains: {gains_section}", right
         ) from error
 
 

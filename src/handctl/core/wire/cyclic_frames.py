@@ -120,7 +120,7 @@ def receive_frames(
     at: TablePlaces,
     constants: BlockArray,
     constants_at: TablePlaces,
-    rows: WordRows,
+    frame_rows: WordRows,
     keys: IntArray,
     entries: IntArray,
     wholes: IntArray,
@@ -137,7 +137,7 @@ def receive_frames(
         at: ``BlockLayout.places`` of the state block.
         constants: constants of the hand.
         constants_at: ``BlockLayout.places`` of the constants.
-        rows: (n, WORDS_PER_RECORD) records of frames.
+        frame_rows: (n, WORDS_PER_RECORD) records of frames.
         keys: see ``WireTables``.
         entries: see ``WireTables``.
         wholes: see ``WireTables``.
@@ -154,17 +154,17 @@ def receive_frames(
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
-    rows = borrowed_array(rows, 0, rows.shape)
+    frame_rows = borrowed_array(frame_rows, 0, frame_rows.shape)
     keys = borrowed_array(keys, 0, keys.shape)
     entries = borrowed_array(entries, 0, entries.shape)
     wholes = borrowed_array(wholes, 0, wholes.shape)
     reals = borrowed_array(reals, 0, reals.shape)
     recheck_ranges = borrowed_array(recheck_ranges, 0, recheck_ranges.shape)
     rechecks = borrowed_array(rechecks, 0, rechecks.shape)
-    for r in range(first, len(rows)):
+    for r in range(first, len(frame_rows)):
         # The word HEAD_WORD contains the identifier with its flags in bits 0 to 31, then the flags of
         # the frame, the bus (from BUS_BIT) and the payload length (from LENGTH_BIT).
-        head = np.int64(rows[r, HEAD_WORD])
+        head = np.int64(frame_rows[r, HEAD_WORD])
         can_id = head & ID_MASK & ~ERROR_FLAG
         bus = head >> BUS_BIT & BYTE_MASK
         length = head >> LENGTH_BIT & BYTE_MASK
@@ -176,8 +176,8 @@ def receive_frames(
         if flagged:
             continue  # an error frame has no values, even if its identifier belongs to a node
         kind = entries[entry, FRAME_KIND_COLUMN]
-        t_ns = np.int64(rows[r, TIME_WORD])
-        payload = rows[r, PAYLOAD_WORD]
+        t_ns = np.int64(frame_rows[r, TIME_WORD])
+        payload = frame_rows[r, PAYLOAD_WORD]
         fits = length == entries[entry, PAYLOAD_BYTES_COLUMN]
         owner = entries[entry, OWNER_COLUMN]
         if owner != SENSOR_NODE_OWNER and x.tendon_int[s.RECHECK_TRIES, owner] > 0:
@@ -194,10 +194,10 @@ def receive_frames(
             kind == STATE_MACHINE_FRAMES
             or kind == HOST_FRAMES
             or not fits
-            or not _decode_drive_frame(x, c, t_ns, rows[r], entries, entry, wholes, reals)
+            or not _decode_drive_frame(x, c, t_ns, frame_rows[r], entries, entry, wholes, reals)
         ):
             return r
-    return len(rows)
+    return len(frame_rows)
 
 
 @kernel_helper
@@ -272,18 +272,18 @@ def _is_recheck_regular(x: StateTables, n: Any, now_ns: Any) -> bool:
 
 
 @kernel_helper
-def _copy_record(source: Any, row: Any) -> None:
+def _copy_record(record: Any, frame_row: Any) -> None:
     """Copy the record of a frame into a row, without the words that follow the record."""
     for word in range(WORDS_PER_RECORD):
-        row[word] = source[word]
+        frame_row[word] = record[word]
 
 
 @kernel_helper
 def _request_recheck(
-    x: StateTables, n: Any, row: Any, ranges: IntArray, rechecks: WordRows
+    x: StateTables, n: Any, frame_row: Any, ranges: IntArray, rechecks: WordRows
 ) -> None:
     """Write into the record of a frame the request that reads a setting of a drive again."""
-    _copy_record(rechecks[ranges[n, 0] + x.tendon_int[s.RECHECK_STEP, n]], row)
+    _copy_record(rechecks[ranges[n, 0] + x.tendon_int[s.RECHECK_STEP, n]], frame_row)
     x.tendon_int[s.RECHECK_DUE_NS, n] += RECHECK_PERIOD_NS
     x.tendon_int[s.RECHECK_TRIES, n] += 1
 
@@ -309,11 +309,11 @@ def _count_unknown_frame(
 
 
 @kernel_helper
-def _count_stale_frame(x: StateTables, group: int) -> None:
+def _count_stale_frame(x: StateTables, sensor_group: int) -> None:
     """Count a sensor frame that answers an older SYNC."""
     x.run_int[s.STALE_FRAMES] += 1
     x.run_int[s.STALE_NOW] = max(
-        x.run_int[s.STALE_NOW], 2 if x.group_int[s.GROUP_FRAMES_NOW, group] else 1
+        x.run_int[s.STALE_NOW], 2 if x.group_int[s.GROUP_FRAMES_NOW, sensor_group] else 1
     )
 
 
@@ -386,7 +386,7 @@ def _decode_drive_frame(
     x: StateTables,
     c: ConstantTables,
     t_ns: Any,
-    row: Any,
+    frame_row: Any,
     entries: IntArray,
     entry: int,
     wholes: IntArray,
@@ -400,7 +400,7 @@ def _decode_drive_frame(
         x: state tables.
         c: constants of the hand.
         t_ns: reception time [ns].
-        row: (WORDS_PER_RECORD,) record of the frame.
+        frame_row: (WORDS_PER_RECORD,) record of the frame.
         entries: see ``WireTables``.
         entry: row of the frame in ``entries``.
         wholes: see ``WireTables``.
@@ -412,13 +412,13 @@ def _decode_drive_frame(
     expected = x.tendon_int[s.STATUS_EXPECTED, n]
     position = velocity = torque = temperature = math.nan
     status = 0
-    payload = row[PAYLOAD_WORD]
+    payload = frame_row[PAYLOAD_WORD]
     opposite = bytes_reversed(payload)
     for i in range(entries[entry, FIRST_SIGNAL_COLUMN], entries[entry, END_SIGNAL_COLUMN]):
         if wholes[i, WINDOW_COLUMN] == 0:
             window = opposite if wholes[i, ORDER_COLUMN] else payload
         else:
-            window = window_at(row, PAYLOAD_WORD, wholes[i, WINDOW_COLUMN])
+            window = window_at(frame_row, PAYLOAD_WORD, wholes[i, WINDOW_COLUMN])
             window = bytes_reversed(window) if wholes[i, ORDER_COLUMN] else window
         value = decode_signal(window, wholes, reals, i)
         if math.isnan(value):
@@ -447,10 +447,10 @@ def _decode_drive_frame(
         x.tendon_int[s.FEEDBACKS, n] += 1
         x.tendon_int[s.FEEDBACKS_NOW, n] += 1
         return True
-    _store_value(x, s.POSITION, n, position)
-    _store_value(x, s.VELOCITY, n, velocity)
-    _store_value(x, s.REPORTED_TORQUE, n, torque)
-    _store_value(x, s.TEMPERATURE, n, temperature)
+    _store_tendon_value(x, s.POSITION, n, position)
+    _store_tendon_value(x, s.VELOCITY, n, velocity)
+    _store_tendon_value(x, s.REPORTED_TORQUE, n, torque)
+    _store_tendon_value(x, s.TEMPERATURE, n, temperature)
     if feedback:
         x.tendon_int[s.FEEDBACK_NS, n] = t_ns
         x.tendon_int[s.FEEDBACKS, n] += 1
@@ -459,20 +459,22 @@ def _decode_drive_frame(
 
 
 @kernel_helper
-def _store_value(x: StateTables, row: int, n: int, value: float) -> None:
+def _store_tendon_value(x: StateTables, table_row: int, n: int, value: float) -> None:
     """Write a value into the table of tendons, unless the value is NaN.
 
     NaN means that the frame has no signal for this value.
     """
     if not math.isnan(value):
-        x.tendon[row, n] = value
+        x.tendon[table_row, n] = value
 
 
 @kernel_helper
-def _can_be_encoded(x: StateTables, n: int, reals: FloatArray, first: int, end: int) -> bool:
+def _can_be_encoded(
+    x: StateTables, n: int, reals: FloatArray, first_signal: int, end_signal: int
+) -> bool:
     """Return True if each number of a drive's position command is within the range of its signal."""
-    for i in range(first, end):
-        if not reals[i, 2] <= x.servo[s.SERVO_POSITION + i - first, n] <= reals[i, 3]:
+    for i in range(first_signal, end_signal):
+        if not reals[i, 2] <= x.servo[s.SERVO_POSITION + i - first_signal, n] <= reals[i, 3]:
             return False
     return True
 
@@ -481,34 +483,34 @@ def _can_be_encoded(x: StateTables, n: int, reals: FloatArray, first: int, end: 
 def _write_position_command(
     x: StateTables,
     n: int,
-    row: Any,
+    frame_row: Any,
     template: Any,
     wholes: IntArray,
     reals: FloatArray,
-    first: int,
-    end: int,
+    first_signal: int,
+    end_signal: int,
 ) -> None:
     """Write position, velocity, kp, kd, torque and torque limit into the record of a command."""
-    _copy_record(template, row)
-    for i in range(first, end):
-        bits = encode_signal(x.servo[s.SERVO_POSITION + i - first, n], wholes, reals, i)
+    _copy_record(template, frame_row)
+    for i in range(first_signal, end_signal):
+        bits = encode_signal(x.servo[s.SERVO_POSITION + i - first_signal, n], wholes, reals, i)
         bits = bytes_reversed(bits) if wholes[i, ORDER_COLUMN] else bits
-        write_window(row, PAYLOAD_WORD, wholes[i, WINDOW_COLUMN], bits)
+        write_window(frame_row, PAYLOAD_WORD, wholes[i, WINDOW_COLUMN], bits)
 
 
 @kernel_helper
 def _write_torque_command(
-    row: Any, template: Any, torque: float, signal: Any, wholes: IntArray, reals: FloatArray
+    frame_row: Any, template: Any, torque: float, signal: Any, wholes: IntArray, reals: FloatArray
 ) -> None:
     """Write a torque command into the record of a frame.
 
     For a command without a torque, ``signal`` is -1.
     """
-    _copy_record(template, row)
+    _copy_record(template, frame_row)
     if signal >= 0:
         bits = encode_signal(torque, wholes, reals, signal)
         ordered = bytes_reversed(bits) if wholes[signal, ORDER_COLUMN] else bits
-        write_window(row, PAYLOAD_WORD, wholes[signal, WINDOW_COLUMN], ordered)
+        write_window(frame_row, PAYLOAD_WORD, wholes[signal, WINDOW_COLUMN], ordered)
 
 
 @kernel(

@@ -159,17 +159,17 @@ class WireTables:
         self.max_frames = 1 + len(self.templates) + len(drives)
         self._entries_without: dict[tuple[int, ...], IntArray] = {}
 
-    def entries_without(self, groups: tuple[int, ...]) -> IntArray:
+    def entries_without(self, removed_groups: tuple[int, ...]) -> IntArray:
         """Return a copy of the entries, in which the state machines of the sensors handle some groups of frames."""
-        entries = self._entries_without.get(groups)
+        entries = self._entries_without.get(removed_groups)
         if entries is None:
             entries = self.entries.copy()
             entries[
                 (entries[:, FRAME_KIND_COLUMN] == SENSOR_FRAMES)
-                & np.isin(entries[:, GROUP_COLUMN], groups),
+                & np.isin(entries[:, GROUP_COLUMN], removed_groups),
                 FRAME_KIND_COLUMN,
             ] = STATE_MACHINE_FRAMES
-            self._entries_without[groups] = entries
+            self._entries_without[removed_groups] = entries
         return entries
 
     def _add_message(self, message: CyclicMessage) -> tuple[int, int]:
@@ -243,12 +243,12 @@ class WireTables:
         self.rechecks: WordRows = np.array(rows, dtype=np.uint64).reshape(-1, WORDS_PER_RECHECK)
 
 
-def _recheck_row(recheck: SettingRecheck, entry: int) -> WordRows:
+def _recheck_row(recheck: SettingRecheck, frame_entry: int) -> WordRows:
     """Return the row of a repeated read-back in ``WireTables.rechecks``, (WORDS_PER_RECHECK,).
 
     Args:
         recheck: request and reply.
-        entry: index of the entry of the reply.
+        frame_entry: index of the entry of the reply.
     """
     request, reply = frames_as_records((recheck.request, recheck.reply)).rows
     key_mask, mask = (
@@ -260,7 +260,7 @@ def _recheck_row(recheck: SettingRecheck, entry: int) -> WordRows:
     row[REPLY_WORD] = reply[PAYLOAD_WORD]
     row[REPLY_KEY_MASK_WORD] = key_mask
     row[REPLY_MASK_WORD] = mask
-    row[REPLY_ENTRY_WORD] = entry
+    row[REPLY_ENTRY_WORD] = frame_entry
     row[REPLY_BYTES_WORD] = int(reply[HEAD_WORD]) >> LENGTH_BIT
     return row
 

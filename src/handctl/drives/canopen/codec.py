@@ -45,9 +45,9 @@ ABORT_TEXTS = {
 """SDO abort codes in words. Source: CiA 301."""
 
 
-def abort_text(code: int) -> str:
+def abort_text(abort_code: int) -> str:
     """Return the meaning of an SDO abort code in words."""
-    return ABORT_TEXTS.get(code, f"abort {code:#010x}")
+    return ABORT_TEXTS.get(abort_code, f"abort {abort_code:#010x}")
 
 
 def upload_request(index: int, subindex: int) -> bytes:
@@ -77,18 +77,18 @@ class SdoReply(NamedTuple):
     abort: int
 
 
-def decode_sdo_reply(data: bytes) -> SdoReply | None:
+def decode_sdo_reply(payload: bytes) -> SdoReply | None:
     """Decode the 8 bytes of an SDO reply.
 
     Return None if the bytes are not a reply to a read or a write.
     """
-    specifier, index, sub = struct.unpack_from("<BHB", data)
+    specifier, index, sub = struct.unpack_from("<BHB", payload)
     # 0x80 is an abort, 0x60 confirms a write. 0x43 is a value, with the number of unused bytes in
     # bits 2..3.
     if specifier == 0x80:
-        return SdoReply(index, sub, b"", int.from_bytes(data[4:], "little"))
+        return SdoReply(index, sub, b"", int.from_bytes(payload[4:], "little"))
     if specifier == 0x60:
         return SdoReply(index, sub, b"", 0)
     if specifier & 0xF3 == 0x43:
-        return SdoReply(index, sub, data[4 : 8 - (specifier >> 2 & 3)], 0)
+        return SdoReply(index, sub, payload[4 : 8 - (specifier >> 2 & 3)], 0)
     return None

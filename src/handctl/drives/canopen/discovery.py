@@ -91,10 +91,14 @@ def discovered_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 
 
 def _describe_node(
-    node_number: int, device_type: int | None, nmt: int | None, twins: bool, channels: int
+    node_number: int,
+    device_type: int | None,
+    nmt_state: int | None,
+    has_twin: bool,
+    channel_count: int,
 ) -> DiscoveredNode:
     """Return a discovered node, with the data reported by the node."""
-    state = NMT_STATES.get(nmt, f"NMT state {nmt:#x}") if nmt is not None else ""
+    state = NMT_STATES.get(nmt_state, f"NMT state {nmt_state:#x}") if nmt_state is not None else ""
     if device_type is None:
         return DiscoveredNode(
             "canopen",
@@ -103,11 +107,12 @@ def _describe_node(
             notes=("sends heartbeats, but does not answer an SDO",),
         )
     profile = device_type & 0xFFFF
-    notes = (TWO_DRIVES_WARNING,) * twins
+    notes = (TWO_DRIVES_WARNING,) * has_twin
     if profile == CIA404_PROFILE:
-        text = f"a measuring amplifier of CiA 404{f' with {channels} channels' if channels else ''}: not a drive"
+        channels = f" with {channel_count} channels" if channel_count else ""
+        text = f"a measuring amplifier of CiA 404{channels}: not a drive"
         options: dict[str, bool | int | float | str] = (
-            {"channels_per_node": channels} if channels else {}
+            {"channels_per_node": channel_count} if channel_count else {}
         )
         return DiscoveredNode(
             CIA404_PROTOCOL,
@@ -115,12 +120,12 @@ def _describe_node(
             state=state,
             options=options,
             notes=(*notes, text),
-            twins=twins,
+            twins=has_twin,
         )
     if profile != CIA402_PROFILE:
         notes = (*notes, f"a CANopen device of profile {profile}, not a drive of CiA 402")
     protocol = "cia402" if profile == CIA402_PROFILE else "canopen"
-    return DiscoveredNode(protocol, node_number, state=state, notes=notes, twins=twins)
+    return DiscoveredNode(protocol, node_number, state=state, notes=notes, twins=has_twin)
 
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:

@@ -77,19 +77,26 @@ class SetupStep(NamedTuple):
 
 
 def pdo_steps(
-    communication: int, mapping: int, cob: int, transmission: int, objects: tuple[int, ...]
+    communication_index: int,
+    mapping_index: int,
+    cob_id: int,
+    transmission_type: int,
+    mapped_objects: tuple[int, ...],
 ) -> tuple[SetupStep, ...]:
     """Return the steps that set up one PDO: they disable the PDO, map its objects, and enable it again."""
     write = ObjectCheck.WRITE
     return (
         # By CiA 301, the mapping of a PDO can be changed only while the PDO is off and its entry
         # count is 0.
-        SetupStep(write, communication, 1, PDO_DISABLED_BIT | cob, 4),
-        SetupStep(write, mapping, 0, 0, 1),
-        *(SetupStep(write, mapping, i + 1, entry, 4) for i, entry in enumerate(objects)),
-        SetupStep(write, mapping, 0, len(objects), 1),
-        SetupStep(write, communication, 2, transmission, 1),
-        SetupStep(write, communication, 1, cob, 4),
+        SetupStep(write, communication_index, 1, PDO_DISABLED_BIT | cob_id, 4),
+        SetupStep(write, mapping_index, 0, 0, 1),
+        *(
+            SetupStep(write, mapping_index, i + 1, entry, 4)
+            for i, entry in enumerate(mapped_objects)
+        ),
+        SetupStep(write, mapping_index, 0, len(mapped_objects), 1),
+        SetupStep(write, communication_index, 2, transmission_type, 1),
+        SetupStep(write, communication_index, 1, cob_id, 4),
     )
 
 
@@ -106,7 +113,7 @@ def _has_required_value(step: SetupStep, value: int) -> bool:
 
 
 def on_reply(
-    cursor: ReadbackCursor, required: tuple[SetupStep, ...], reply: codec.SdoReply
+    cursor: ReadbackCursor, required_steps: tuple[SetupStep, ...], reply: codec.SdoReply
 ) -> tuple[ReadbackCursor, int, str]:
     """Return the new position in the read-back after an SDO reply.
 
@@ -116,7 +123,7 @@ def on_reply(
         the new cursor, the value of an object with the rule READ_IF_PRESENT (0 for any other), and
         the problem in words, empty without a problem.
     """
-    step = required[cursor.step]
+    step = required_steps[cursor.step]
     if not cursor.waiting or reply[:2] != (step.number, step.sub):
         return cursor, 0, ""
     if reply.abort:
@@ -143,7 +150,7 @@ def on_reply(
 
 
 def next_request(
-    cursor: ReadbackCursor, required: tuple[SetupStep, ...], t_ns: int
+    cursor: ReadbackCursor, required_steps: tuple[SetupStep, ...], t_ns: int
 ) -> tuple[ReadbackCursor, bytes, str]:
     """Return the next SDO request of the read-back, with the new cursor and a problem in words.
 
@@ -151,7 +158,7 @@ def next_request(
     problem is empty if no problem has occurred. The first object is requested again and again until
     the drive answers.
     """
-    step = required[cursor.step]
+    step = required_steps[cursor.step]
     cursor, send, problem = readback.request_setting(
         cursor, step.name, t_ns, readback.REQUEST_TRIES if cursor.step else UNLIMITED_TRIES
     )

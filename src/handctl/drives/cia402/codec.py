@@ -78,13 +78,13 @@ ENABLED_STATUS = 0x07 << 2 | 0x01
 """Status of the power state operation enabled: the signals state and stop of ``feedback_message``, joined."""
 
 
-def power_state(status: int) -> str:
+def power_state(status_word: int) -> str:
     """Return the power state that a status word contains, or an empty string if the code is undefined."""
-    return next((state for mask, value, state in _POWER_STATES if status & mask == value), "")
+    return next((state for mask, value, state in _POWER_STATES if status_word & mask == value), "")
 
 
 def feedback_message(
-    node_id: int, counts: int, ratio: float, rated: float, zero: float
+    node_id: int, counts_per_turn: int, gear_ratio: float, rated_torque: float, zero_angle: float
 ) -> CyclicMessage:
     """Return the signal table of TPDO1: status word, position [count], torque [1/1000 of rated].
 
@@ -92,14 +92,15 @@ def feedback_message(
 
     Args:
         node_id: node number of the drive.
-        counts: position counts per turn of the shaft.
-        ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
+        counts_per_turn: position counts per turn of the shaft.
+        gear_ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
-        rated: rated torque of the drive at the shaft [N m].
-        zero: angle of the shaft when the spool angle is zero [rad].
+        rated_torque: rated torque of the drive at the shaft [N m].
+        zero_angle: angle of the shaft when the spool angle is zero [rad].
     """
-    count = math.tau / counts / ratio
-    torque = rated / 1000 * ratio
+    count = math.tau / counts_per_turn / gear_ratio
+    offset = -zero_angle / gear_ratio
+    torque = rated_torque / 1000 * gear_ratio
     return CyclicMessage("tpdo1", TPDO + node_id, 8, (
         # Bits 0..3 and 5..6 define the power state. Bit 4 (voltage) and the upper bits do not
         # belong to the power state.
@@ -107,19 +108,21 @@ def feedback_message(
         Signal("voltage", SignalQuantity.UNUSED, 4, 1),
         Signal("stop", SignalQuantity.STATUS, 5, 2),
         Signal("status", SignalQuantity.UNUSED, 7, 9),
-        Signal("position", SignalQuantity.POSITION, 16, 32, False, SignalCoding.SIGNED, count, -zero / ratio, "rad"),
+        Signal("position", SignalQuantity.POSITION, 16, 32, False, SignalCoding.SIGNED, count, offset, "rad"),
         Signal("torque", SignalQuantity.TORQUE, 48, 16, False, SignalCoding.SIGNED, torque, 0.0, "N m"),
     ))  # fmt: skip
 
 
-def command_message(node_id: int, ratio: float, rated: float, limit: float) -> CyclicMessage:
+def command_message(
+    node_id: int, gear_ratio: float, rated_torque: float, limit: float
+) -> CyclicMessage:
     """Return the signal table of RPDO1 with the control word and the target torque [1/1000 of rated].
 
     Args:
         node_id: node number of the drive.
-        ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
+        gear_ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
-        rated: rated torque of the drive at the shaft [N m].
+        rated_torque: rated torque of the drive at the shaft [N m].
         limit: largest torque command [N m at the spool].
     """
     torque = Signal(
@@ -129,7 +132,7 @@ def command_message(node_id: int, ratio: float, rated: float, limit: float) -> C
         16,
         False,
         SignalCoding.SIGNED,
-        rated / 1000 * ratio,
+        rated_torque / 1000 * gear_ratio,
         0.0,
         "N m",
     )
@@ -139,22 +142,22 @@ def command_message(node_id: int, ratio: float, rated: float, limit: float) -> C
 
 
 def position_message(
-    node_id: int, counts: int, ratio: float, zero: float, limit: float
+    node_id: int, counts_per_turn: int, gear_ratio: float, zero_angle: float, limit: float
 ) -> CyclicMessage:
     """Return the signal table of RPDO1 with the control word and the target position [count].
 
     Args:
         node_id: node number of the drive.
-        counts: position counts per turn of the shaft.
-        ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
+        counts_per_turn: position counts per turn of the shaft.
+        gear_ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
-        zero: angle of the shaft when the spool angle is zero [rad].
+        zero_angle: angle of the shaft when the spool angle is zero [rad].
         limit: largest position command [rad at the spool].
 
     Raises:
         ValueError: the largest position does not fit into the object of the drive.
     """
-    count = math.tau / counts / ratio
+    count = math.tau / counts_per_turn / gear_ratio
     signal = Signal(
         "position",
         SignalQuantity.POSITION,
@@ -163,10 +166,10 @@ def position_message(
         False,
         SignalCoding.SIGNED,
         count,
-        -zero / ratio,
+        -zero_angle / gear_ratio,
         "rad",
     )
-    return _motion_message(node_id, signal, limit, limit + abs(zero / ratio))
+    return _motion_message(node_id, signal, limit, limit + abs(zero_angle / gear_ratio))
 
 
 def velocity_message(node_id: int, unit: float, limit: float) -> CyclicMessage:
@@ -187,9 +190,9 @@ def velocity_message(node_id: int, unit: float, limit: float) -> CyclicMessage:
     return _motion_message(node_id, signal, limit, limit)
 
 
-def _motion_message(node_id: int, signal: Signal, limit: float, largest: float) -> CyclicMessage:
-    """Return the signal table of RPDO1 with a target of four bytes, from ``-largest`` to ``largest``."""
-    if not largest / abs(signal.scale) < MAX_TARGET_COUNT:
+def _motion_message(node_id: int, signal: Signal, limit: float, max_value: float) -> CyclicMessage:
+    """Return the signal table of RPDO1 with a target of four bytes, from ``-max_value`` to ``max_value``."""
+    if not max_value / abs(signal.scale) < MAX_TARGET_COUNT:
         raise ValueError(
             f"{signal.name} {limit:g} {signal.unit} does not fit into the object of the drive"
         )
@@ -198,6 +201,6 @@ def _motion_message(node_id: int, signal: Signal, limit: float, largest: float) 
     return CyclicMessage("rpdo1", RPDO + node_id, 6, (control, signal), 0, base, False, limit)
 
 
-def error_text(code: int) -> str:
+def error_text(error_code: int) -> str:
     """Return the meaning of the error code in an emergency frame, in words."""
-    return ERROR_TEXTS.get(code, f"error {code:#06x}")
+    return ERROR_TEXTS.get(error_code, f"error {error_code:#06x}")

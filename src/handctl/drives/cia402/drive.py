@@ -342,10 +342,10 @@ class Cia402Drive:
         code = int.from_bytes(frame.data[:2], "little")
         return state._replace(private=progress_of(state)._replace(code=code)) if code else state
 
-    def _on_sdo_reply(self, state: DriveState, data: bytes) -> DriveState:
+    def _on_sdo_reply(self, state: DriveState, payload: bytes) -> DriveState:
         """Return the state after an SDO reply of the drive."""
         progress = progress_of(state)
-        reply = canopen.decode_sdo_reply(data)
+        reply = canopen.decode_sdo_reply(payload)
         if reply is not None and state.phase == ENABLED and state.recheck.waiting:
             return self._on_recheck_reply(state, reply)
         if (
@@ -511,10 +511,10 @@ class Cia402Drive:
             self._nmt_frame(canopen.START_NODE),
         )
 
-    def _rpdo_frame(self, control: int, command: float) -> Frame:
+    def _rpdo_frame(self, control_word: int, command: float) -> Frame:
         """Return the frame RPDO1 with the given control word and command, in the unit of ``command_limit``."""
         try:
-            data = struct.pack("<H", control) + self.command.pack(command)[2:]
+            data = struct.pack("<H", control_word) + self.command.pack(command)[2:]
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
         return Frame(canopen.RPDO + self.node_id, data, 0, self.bus)
@@ -523,13 +523,13 @@ class Cia402Drive:
         """Return a command of zero torque, for a drive that is being enabled."""
         return 0.0
 
-    def _sdo_frame(self, data: bytes) -> Frame:
+    def _sdo_frame(self, payload: bytes) -> Frame:
         """Return the frame of an SDO request with the given payload."""
-        return Frame(canopen.SDO_REQUEST + self.node_id, data, 0, self.bus)
+        return Frame(canopen.SDO_REQUEST + self.node_id, payload, 0, self.bus)
 
-    def _nmt_frame(self, order: int) -> Frame:
+    def _nmt_frame(self, nmt_command: int) -> Frame:
         """Return the frame of an NMT command to the drive."""
-        return Frame(canopen.NMT, bytes((order, self.node_id)), 0, self.bus)
+        return Frame(canopen.NMT, bytes((nmt_command, self.node_id)), 0, self.bus)
 
     def identity(self, state: DriveState) -> str:
         """Return the serial number in object 0x1018:4, or the node number if the drive does not have this object."""

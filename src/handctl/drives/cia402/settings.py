@@ -39,7 +39,7 @@ The maximum speed is required only in the position and velocity modes.
 
 def required_steps(
     node_id: int,
-    rated: int,
+    rated_torque: int,
     max_torque: int,
     watchdog_ms: int,
     heartbeat_ms: int,
@@ -49,7 +49,7 @@ def required_steps(
 
     Args:
         node_id: node number of the drive.
-        rated: rated torque of the drive, in the unit of object 0x6076.
+        rated_torque: rated torque of the drive, in the unit of object 0x6076.
         max_torque: maximum torque [1/1000 of rated].
         watchdog_ms: time without a heartbeat of this host after which the drive goes into fault
             [ms].
@@ -74,7 +74,7 @@ def required_steps(
         # The object contains one bit for each mode that the drive may support. Bit 9 stands for
         # mode 10, cyclic synchronous torque.
         SetupStep(bits, 0x6502, 0, 1 << mode - 1, 4),
-        SetupStep(same, 0x6076, 0, rated, 4),
+        SetupStep(same, 0x6076, 0, rated_torque, 4),
         SetupStep(write, 0x6072, 0, max_torque, 2),
         SetupStep(write, 0x6071, 0, 0, 2),
         # With the value 1 of the abort connection option, the drive goes into fault when the

@@ -92,14 +92,14 @@ class LoadCellAmplifier:
             return state
         return state._replace(phase=READY, error_text="")
 
-    def _on_heartbeat(self, state: AmplifierState, nmt: int) -> AmplifierState:
+    def _on_heartbeat(self, state: AmplifierState, nmt_state: int) -> AmplifierState:
         """Return the state after a heartbeat.
 
         An amplifier that has restarted or was stopped must be set up again.
         """
-        if nmt == codec.OPERATIONAL:
+        if nmt_state == codec.OPERATIONAL:
             return self._on_life_sign(state)
-        if nmt == codec.BOOT_UP or state.phase == READY:
+        if nmt_state == codec.BOOT_UP or state.phase == READY:
             return self.initial_state()
         return state
 
@@ -147,6 +147,6 @@ class LoadCellAmplifier:
             *frames,
         ) if cursor.step == 0 and data else frames
 
-    def _nmt_frame(self, order: int) -> Frame:
+    def _nmt_frame(self, nmt_command: int) -> Frame:
         """Return the frame of an NMT command to the amplifier."""
-        return Frame(codec.NMT, bytes((order, self.node_id)), 0, self.bus)
+        return Frame(codec.NMT, bytes((nmt_command, self.node_id)), 0, self.bus)

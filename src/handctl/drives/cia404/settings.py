@@ -34,13 +34,13 @@ PROCESS_VALUES = {"int32": (0x9130, SignalCoding.SIGNED), "real32": (0x6130, Sig
 
 
 def required_steps(
-    node_id: int, channels: int, process_value: str, digits: int
+    node_id: int, channel_count: int, process_value: str, digits: int
 ) -> tuple[SetupStep, ...]:
     """Return all objects checked or written before arming, in the order of the requests.
 
     Args:
         node_id: node number of the amplifier.
-        channels: number of channels in use, from channel 1 on.
+        channel_count: number of channels in use, from channel 1 on.
         process_value: key of ``PROCESS_VALUES``.
         digits: number of decimal digits of an ``int32`` process value.
     """
@@ -51,7 +51,7 @@ def required_steps(
         SetupStep(adjust, 0x1005, 0, codec.SYNC, 4),
         SetupStep(adjust, 0x1017, 0, HEARTBEAT_MS, 2),
     ]
-    for channel in range(1, channels + 1):
+    for channel in range(1, channel_count + 1):
         steps.append(SetupStep(adjust, 0x6131, channel, NEWTON_UNIT_CODE, 4))
         if process_value == "int32":
             steps.append(SetupStep(adjust, 0x6132, channel, digits, 1))
@@ -60,7 +60,7 @@ def required_steps(
         steps.append(SetupStep(ObjectCheck.SAME_IF_PRESENT, 0x6150, channel, 0, 1))
     for i, base in enumerate(TPDO_BASES):
         first = CHANNELS_PER_TPDO * i
-        mapped = range(first + 1, min(first + CHANNELS_PER_TPDO, channels) + 1)
+        mapped = range(first + 1, min(first + CHANNELS_PER_TPDO, channel_count) + 1)
         entries = tuple(number << 16 | channel << 8 | 8 * CHANNEL_BYTES for channel in mapped)
         if entries:
             # An inhibit time of the PDO could delay answers. The inhibit time is set to 0 while the

@@ -369,22 +369,24 @@ def decode_feedback(data: bytes, table: SignalTable) -> FeedbackValues:
     return int(state) >> 4, position, velocity, torque, max(mosfet, winding)
 
 
-def special_command(code: int) -> bytes:
+def special_command(command_code: int) -> bytes:
     """Return the payload of a special command: ENABLE, DISABLE, or CLEAR."""
-    return b"\xff" * 7 + bytes((code,))
+    return b"\xff" * 7 + bytes((command_code,))
 
 
-def register_request(node_id: int, operation: int, register: int = 0, value: float = 0.0) -> bytes:
+def register_request(
+    node_id: int, operation_code: int, register: int = 0, value: float = 0.0
+) -> bytes:
     """Return the payload of a register request. The identifier of the request is BROADCAST_ID.
 
     Args:
         node_id: node number of the motor, ESC_ID.
-        operation: READ, WRITE or REFRESH.
+        operation_code: READ, WRITE or REFRESH.
         register: number of the register.
         value: value to write. Operations other than WRITE ignore the value.
     """
-    raw = register_bytes(register, value) if operation == WRITE else bytes(4)
-    return struct.pack("<HBB", node_id, operation, register) + raw
+    raw = register_bytes(register, value) if operation_code == WRITE else bytes(4)
+    return struct.pack("<HBB", node_id, operation_code, register) + raw
 
 
 def register_bytes(register: int, value: float) -> bytes:
@@ -396,9 +398,9 @@ def register_bytes(register: int, value: float) -> bytes:
     return layout.pack(int(value)) if layout is _INTEGER_STRUCT else layout.pack(value)
 
 
-def register_reply(node_id: int, operation: int, register: int, value: float) -> bytes:
+def register_reply(node_id: int, operation_code: int, register: int, value: float) -> bytes:
     """Return the payload with which a motor answers a register request, see ``register_request``."""
-    return struct.pack("<HBB", node_id, operation, register) + register_bytes(register, value)
+    return struct.pack("<HBB", node_id, operation_code, register) + register_bytes(register, value)
 
 
 class RegisterReply(NamedTuple):

@@ -199,9 +199,9 @@ def _read_request(node_number: int, register: int) -> Frame:
     return Frame(codec.BROADCAST_ID, codec.register_request(node_number, codec.READ, register))
 
 
-def _decode_integer(raw: bytes) -> int:
+def _decode_integer(register_bytes: bytes) -> int:
     """Return the integer in little-endian bytes."""
-    return int.from_bytes(raw, "little")
+    return int.from_bytes(register_bytes, "little")
 
 
 def ping_request(motor: DiscoveredNode) -> Frame:

@@ -78,38 +78,38 @@ def progress_of(state: DriveState) -> MitProgress:
     return progress
 
 
-def apply_status(state: DriveState, nibble: int) -> DriveState:
+def apply_status(state: DriveState, status_nibble: int) -> DriveState:
     """Return the state after feedback with a state nibble.
 
     The argument ``state`` already contains the values of the same feedback.
     """
     progress = progress_of(state)
-    if nibble == codec.ENABLED:
+    if status_nibble == codec.ENABLED:
         return state_when_on(state, ENABLED_BY_OTHER_HOST_ERROR, "enabled, but not by this host")
-    if nibble == codec.DISABLED:
+    if status_nibble == codec.DISABLED:
         dropped_out = state.phase == ENABLED
         return state_when_off(state, dropped_out, DROPPED_OUT_ERROR, "disabled by itself")
-    return _state_after_error(state, progress, nibble)
+    return _state_after_error(state, progress, status_nibble)
 
 
-def _state_after_error(state: DriveState, progress: MitProgress, nibble: int) -> DriveState:
+def _state_after_error(state: DriveState, progress: MitProgress, status_nibble: int) -> DriveState:
     """Return the state after the motor has reported an error.
 
     A motor with a known error makes no torque. A motor with an unknown state nibble may still make
     torque.
     """
-    if nibble in codec.ERROR_TEXTS and progress.clearing:
+    if status_nibble in codec.ERROR_TEXTS and progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     idle = not (progress.enable_sent or progress.enabled_by_other or progress.disabling)
-    if nibble == WATCHDOG_FIRED and idle and state.phase in (CONFIGURING, READY):
+    if status_nibble == WATCHDOG_FIRED and idle and state.phase in (CONFIGURING, READY):
         # The watchdog has fired, because register requests do not restart it. The motor makes no
         # torque, so no operator has to clear the error.
         return state._replace(
             error_text=FIRES_WHILE_DISABLED_TEXT, private=progress._replace(clearing=CLEAR_TRIES)
         )
-    if nibble in codec.ERROR_TEXTS:
+    if status_nibble in codec.ERROR_TEXTS:
         off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))
-        return enter_fault(off, nibble, codec.ERROR_TEXTS[nibble])
+        return enter_fault(off, status_nibble, codec.ERROR_TEXTS[status_nibble])
     unknown = state._replace(private=progress._replace(enabled_by_other=True))
-    unknown = enter_fault(unknown, UNKNOWN_STATUS_ERROR, f"unknown state {nibble:#x}")
+    unknown = enter_fault(unknown, UNKNOWN_STATUS_ERROR, f"unknown state {status_nibble:#x}")
     return unknown._replace(phase=ENABLED) if progress.disabling else unknown

@@ -156,14 +156,14 @@ STATUS_HEADERS = ((0, b"\x21"), (3, b"\x22"), (7, b"\x2f\x01"), (21, b"\x21\x0a"
 """Position and value of the bytes that are the same in every feedback of an enabled drive without a fault."""
 
 
-def request_id(node_id: int, source: int = 0) -> int:
+def request_id(node_id: int, source_node: int = 0) -> int:
     """Return the identifier of a request from a source to a node."""
-    return EXTENDED_FLAG | REPLY_WANTED | source << 8 | node_id
+    return EXTENDED_FLAG | REPLY_WANTED | source_node << 8 | node_id
 
 
-def reply_id(node_id: int, source: int = 0) -> int:
+def reply_id(node_id: int, source_node: int = 0) -> int:
     """Return the identifier of a node's reply to a request from a source."""
-    number = node_id << 8 | source
+    number = node_id << 8 | source_node
     return number if number < STANDARD_IDS else number | EXTENDED_FLAG
 
 
@@ -172,15 +172,15 @@ def padded_payload(payload: bytes) -> bytes:
     return payload.ljust(next(size for size in FD_SIZES if size >= len(payload)), bytes((NOP,)))
 
 
-def write_floats_subframe(first: int, *values: float) -> bytes:
+def write_floats_subframe(first_register: int, *values: float) -> bytes:
     """Return a subframe that writes up to three consecutive registers as float32."""
-    head = bytes((WRITE | FLOAT << 2 | len(values), first))
+    head = bytes((WRITE | FLOAT << 2 | len(values), first_register))
     return head + struct.pack(f"<{len(values)}f", *values)
 
 
-def write_bytes_subframe(first: int, *values: int) -> bytes:
+def write_bytes_subframe(first_register: int, *values: int) -> bytes:
     """Return a subframe that writes up to three consecutive registers as int8. -128 means NaN."""
-    return struct.pack(f"<BB{len(values)}b", WRITE | len(values), first, *values)
+    return struct.pack(f"<BB{len(values)}b", WRITE | len(values), first_register, *values)
 
 
 def read_subframe(value_type: int, register: int) -> bytes:
@@ -188,13 +188,13 @@ def read_subframe(value_type: int, register: int) -> bytes:
     return bytes((READ | value_type << 2 | 1,)) + encode_varuint(register)
 
 
-def encode_varuint(number: int) -> bytes:
+def encode_varuint(value: int) -> bytes:
     """Return a number as varuint, in groups of seven bits with the lowest group first."""
     out = bytearray()
-    while number > 0x7F:
-        out.append(number & 0x7F | 0x80)
-        number >>= 7
-    return bytes((*out, number))
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes((*out, value))
 
 
 def limits_subframes(torque: float, timeout_s: float) -> bytes:
@@ -421,9 +421,9 @@ class _SubframeReader:
     At the end of the payload, the reader raises IndexError.
     """
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, payload: bytes) -> None:
         """Start at the first byte of the payload."""
-        self.data = data
+        self.data = payload
         self.at = 0
 
     def byte(self) -> int:
@@ -432,12 +432,12 @@ class _SubframeReader:
         self.at += 1
         return value
 
-    def bytes(self, number: int) -> bytes:
+    def bytes(self, byte_count: int) -> bytes:
         """Return the given number of next bytes."""
-        value = self.data[self.at : self.at + number]
-        if len(value) < number:
+        value = self.data[self.at : self.at + byte_count]
+        if len(value) < byte_count:
             raise IndexError
-        self.at += number
+        self.at += byte_count
         return value
 
     def varuint(self) -> int:

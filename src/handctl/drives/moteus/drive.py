@@ -461,13 +461,13 @@ class MoteusDrive:
         self,
         channel: items.DiagnosticChannel,
         setting: items.MoteusSetting,
-        writing: bool,
+        is_write: bool,
         t_ns: int,
     ) -> tuple[items.DiagnosticChannel, bytes]:
         """Return the next state of the text channel, and the payload that reads or writes a setting."""
         if setting.register:
             return channel, codec.read_subframe(codec.FLOAT, setting.register)
-        command = items.write_request(setting) if writing else items.read_request(setting)
+        command = items.write_request(setting) if is_write else items.read_request(setting)
         return channel.ask(command, t_ns)
 
     def _request_serial(

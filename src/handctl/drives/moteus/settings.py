@@ -97,19 +97,19 @@ def gain_of_drive(gain: float) -> float:
 
 
 def required_settings(
-    torque: float, timeout_s: float, configuration: tuple[MoteusSetting, ...]
+    torque: float, timeout_s: float, configured_settings: tuple[MoteusSetting, ...]
 ) -> tuple[MoteusSetting, ...]:
     """Return the settings required before arming.
 
     Args:
         torque: torque limit [N m].
         timeout_s: watchdog [s].
-        configuration: required configuration items.
+        configured_settings: required configuration items.
     """
     return (
         MoteusSetting("torque limit", rounded_to_float32(torque), codec.MAX_TORQUE),
         MoteusSetting("watchdog", rounded_to_float32(timeout_s), codec.TIMEOUT),
-        *configuration,
+        *configured_settings,
     )
 
 
@@ -129,10 +129,10 @@ def write_request(setting: MoteusSetting) -> bytes:
     return f"conf set {setting.name} {value}\n".encode()
 
 
-def value_in_answer(line: bytes) -> float | None:
+def value_in_answer(answer_line: bytes) -> float | None:
     """Return the number in an answer of the drive, or None if the answer is no number."""
     try:
-        return float(line)
+        return float(answer_line)
     except ValueError:
         return None
 

@@ -123,16 +123,18 @@ def message_id(node_id: int, command: int) -> int:
     return node_id << 5 | command
 
 
-def error_text(errors: int) -> str:
+def error_text(error_flags: int) -> str:
     """Return the texts of all set error bits. An undocumented bit appears with its number."""
     return ", ".join(
-        ERROR_TEXTS.get(bit, f"unknown error bit {bit}") for bit in range(32) if errors >> bit & 1
+        ERROR_TEXTS.get(bit, f"unknown error bit {bit}")
+        for bit in range(32)
+        if error_flags >> bit & 1
     )
 
 
-def result_text(result: int) -> str:
+def result_text(result_code: int) -> str:
     """Return the text for the result of a procedure."""
-    return PROCEDURE_RESULT_TEXTS.get(result, f"unknown result {result}")
+    return PROCEDURE_RESULT_TEXTS.get(result_code, f"unknown result {result_code}")
 
 
 def _float_signal(
@@ -149,7 +151,7 @@ def _float_signal(
     )
 
 
-def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) -> CyclicMessage:
+def encoder_message(node_id: int, ratio: float, zero: float, is_requested: bool) -> CyclicMessage:
     """Return the signal table of Get_Encoder_Estimates: position [turn] and velocity [turn/s] of the shaft.
 
     Args:
@@ -157,7 +159,7 @@ def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) ->
         ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
         zero: angle of the shaft when the spool angle is zero [rad].
-        requested: True if every tick requests the message. The drive also sends it by itself, by
+        is_requested: True if every tick requests the message. The drive also sends it by itself, by
             default every 10 ms.
     """
     # One turn of the shaft is an angle of tau / ratio at the spool. A negative ratio reverses the
@@ -166,7 +168,7 @@ def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) ->
     return CyclicMessage("encoder_estimates", message_id(node_id, ENCODER_ESTIMATES), 8, (
         _float_signal("position", SignalQuantity.POSITION, 0, turn, -zero / ratio, "rad"),
         _float_signal("velocity", SignalQuantity.VELOCITY, 4, turn, 0.0, "rad/s"),
-    ), nearest=requested)  # fmt: skip
+    ), nearest=is_requested)  # fmt: skip
 
 
 def torques_message(node_id: int, ratio: float) -> CyclicMessage:

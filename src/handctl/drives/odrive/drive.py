@@ -103,7 +103,7 @@ class OdriveDrive:
             SignalTable(codec.torque_message(self.node_id, self.ratio, self.command_limit)),
         )
         encoder = codec.encoder_message(
-            self.node_id, self.ratio, self.zero, requested=not self.cyclic_s
+            self.node_id, self.ratio, self.zero, is_requested=not self.cyclic_s
         )
         object.__setattr__(self, "encoder", SignalTable(encoder))
         object.__setattr__(

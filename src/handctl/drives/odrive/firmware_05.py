@@ -39,8 +39,10 @@ def decode_heartbeat(data: bytes) -> Heartbeat:
     return Heartbeat(int.from_bytes(data[:4], "little") | flags, data[4], PROCEDURE_SUCCESS)
 
 
-def error_text(errors: int) -> str:
+def error_text(error_flags: int) -> str:
     """Return the texts of all set error bits. An undocumented bit appears with its number."""
     return ", ".join(
-        ERROR_TEXTS.get(bit, f"unknown error bit {bit}") for bit in range(32) if errors >> bit & 1
+        ERROR_TEXTS.get(bit, f"unknown error bit {bit}")
+        for bit in range(32)
+        if error_flags >> bit & 1
     )

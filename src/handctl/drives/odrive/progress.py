@@ -126,7 +126,7 @@ def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveSta
 
 
 def _state_after_error(
-    state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat, firmware_05: bool
+    state: DriveState, progress: OdriveProgress, heartbeat: codec.Heartbeat, firmware_05: bool
 ) -> DriveState:
     """Return the state after a heartbeat that reports an error.
 
@@ -134,8 +134,8 @@ def _state_after_error(
     torque.
     """
     error_text = odrive_05.error_text if firmware_05 else codec.error_text
-    in_error = enter_fault(state, beat.errors, error_text(beat.errors))
-    if beat.state == codec.IDLE:
+    in_error = enter_fault(state, heartbeat.errors, error_text(heartbeat.errors))
+    if heartbeat.state == codec.IDLE:
         return in_error._replace(
             private=progress._replace(enable_sent_ns=-1, disabling_ns=-1, clearing=0)
         )
@@ -174,7 +174,7 @@ def _state_when_in_other_axis_state(state: DriveState, progress: OdriveProgress)
 
 
 def _state_when_disabled(
-    state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat
+    state: DriveState, progress: OdriveProgress, heartbeat: codec.Heartbeat
 ) -> DriveState:
     """Return the state after a heartbeat that reports the axis state idle.
 
@@ -186,18 +186,18 @@ def _state_when_disabled(
             return state
         return off._replace(phase=FAULT if state.error else READY)
     if state.phase == ENABLED:
-        reason = f": {codec.result_text(beat.result)}" if beat.result else ""
+        reason = f": {codec.result_text(heartbeat.result)}" if heartbeat.result else ""
         return enter_fault(off, DROPPED_OUT_ERROR, f"disabled by itself{reason}")
     if (
         0 <= progress.enable_sent_ns < progress.heartbeat_ns - SETTLE_TIME_NS
-        and beat.result != codec.PROCEDURE_BUSY
+        and heartbeat.result != codec.PROCEDURE_BUSY
     ):
-        return _state_when_enable_failed(state, progress, beat)
+        return _state_when_enable_failed(state, progress, heartbeat)
     return state._replace(phase=CONFIGURING) if state.phase == SILENT else state
 
 
 def _state_when_enable_failed(
-    state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat
+    state: DriveState, progress: OdriveProgress, heartbeat: codec.Heartbeat
 ) -> DriveState:
     """Return the state after a heartbeat that reports idle although an enable command was sent.
 
@@ -206,10 +206,10 @@ def _state_when_enable_failed(
     The host has no other sign of a restart. All settings are therefore verified and written again
     before the next enable command.
     """
-    if beat.result != codec.PROCEDURE_SUCCESS:
+    if heartbeat.result != codec.PROCEDURE_SUCCESS:
         off = state._replace(private=progress._replace(enable_sent_ns=-1))
         return enter_fault(
-            off, ENABLE_REFUSED_ERROR, f"refuses to enable: {codec.result_text(beat.result)}"
+            off, ENABLE_REFUSED_ERROR, f"refuses to enable: {codec.result_text(heartbeat.result)}"
         )
     if progress.enable_commands >= ENABLE_COMMANDS:
         off = state._replace(private=progress._replace(enable_sent_ns=-1, enable_commands=0))

@@ -167,11 +167,11 @@ def next_request(
     return cursor, codec.sdo_request(codec.SDO_READ, setting.endpoint) if send else b"", problem
 
 
-def value_as_text(raw: bytes, setting: OdriveSetting) -> str:
+def value_as_text(value_bytes: bytes, setting: OdriveSetting) -> str:
     """Return the value of a setting as text.
 
     A value of one byte is a flag, one of four bytes a float32.
     """
     if len(setting.raw) == 1:
-        return str(raw[0])
-    return f"{struct.unpack_from('<f', raw)[0]:g}"
+        return str(value_bytes[0])
+    return f"{struct.unpack_from('<f', value_bytes)[0]:g}"

@@ -290,9 +290,9 @@ def _signal_over_range(
     )
 
 
-def parameter_request(parameter: int, raw: bytes = EMPTY_DATA[:4]) -> bytes:
+def parameter_request(parameter_index: int, value_bytes: bytes = EMPTY_DATA[:4]) -> bytes:
     """Return the payload of a request that reads a parameter, or writes its four bytes."""
-    return _PARAMETER_STRUCT.pack(parameter, 0, raw)
+    return _PARAMETER_STRUCT.pack(parameter_index, 0, value_bytes)
 
 
 def decode_parameter_reply(data: bytes) -> tuple[int, bytes]:

@@ -290,7 +290,7 @@ class RobstrideDrive:
             return state
         return apply_fault(state, codec.RESET_MODE, faults << codec.REPORT_SHIFT & 0xFFFFFFFF)
 
-    def _on_parameter_reply(self, state: DriveState, data: bytes, failed: bool) -> DriveState:
+    def _on_parameter_reply(self, state: DriveState, data: bytes, has_failed: bool) -> DriveState:
         """Return the state after a parameter reply, whose value is compared with the required value."""
         progress = progress_of(state)
         number, raw = codec.decode_parameter_reply(data)
@@ -298,8 +298,8 @@ class RobstrideDrive:
             one = self.required[state.recheck.step]
             if number != one.number:
                 return state
-            same = one.is_right(raw) and not failed
-            answer = "cannot be read" if failed else f"reads {one.value_text(raw)}"
+            same = one.is_right(raw) and not has_failed
+            answer = "cannot be read" if has_failed else f"reads {one.value_text(raw)}"
             return after_recheck_reply(
                 state,
                 SETTING_MISMATCH_ERROR,
@@ -315,7 +315,7 @@ class RobstrideDrive:
         one = self.required[cursor.step]
         if number != one.number:
             return state
-        if failed:
+        if has_failed:
             return enter_fault(state, SETTING_MISMATCH_ERROR, f"{one.name} cannot be read")
         if one.is_right(raw):
             return state._replace(private=progress._replace(cursor=cursor.next_setting()))
@@ -441,6 +441,6 @@ class RobstrideDrive:
         """Return the cause of an error code of the drive, see ``contract.Drive``."""
         return cause_of_error(error_code)
 
-    def _request_frame(self, kind: int, data: bytes = codec.EMPTY_DATA) -> Frame:
-        """Return a request of type ``kind`` to the motor."""
-        return Frame(codec.request_id(kind, self.node_id, self.host), data, 0, self.bus)
+    def _request_frame(self, message_type: int, data: bytes = codec.EMPTY_DATA) -> Frame:
+        """Return a request of type ``message_type`` to the motor."""
+        return Frame(codec.request_id(message_type, self.node_id, self.host), data, 0, self.bus)

@@ -209,11 +209,11 @@ class RobstrideMitDrive(CubemarsDrive):
         )
         return self._on_answer(updated, state.private)
 
-    def _on_faults(self, state: DriveState, faults: int) -> DriveState:
+    def _on_faults(self, state: DriveState, fault_bits: int) -> DriveState:
         """Return the state after an answer to the read of faults, with the bits of the faults."""
-        if not faults:
+        if not fault_bits:
             return state
-        error = faults << codec.REPORT_SHIFT
+        error = fault_bits << codec.REPORT_SHIFT
         return state._replace(phase=DrivePhase.FAULT, error=error, error_text=fault_text(error))
 
     def advance(

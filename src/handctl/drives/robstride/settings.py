@@ -39,17 +39,17 @@ class RequiredParameter(NamedTuple):
         value = self.value if self.coding == "f" else int(self.value)
         return struct.pack(f"<{self.coding}", value).ljust(4, b"\0")
 
-    def is_right(self, raw: bytes) -> bool:
+    def is_right(self, value_bytes: bytes) -> bool:
         """Return True if four received bytes are the required value.
 
         If the value is shorter than four bytes, the remaining bytes are ignored.
         """
         size = struct.calcsize(self.coding)
-        return raw[:size] == self.raw[:size]
+        return value_bytes[:size] == self.raw[:size]
 
-    def value_text(self, raw: bytes) -> str:
+    def value_text(self, value_bytes: bytes) -> str:
         """Return the value in four received bytes as text."""
-        return f"{struct.unpack_from(f'<{self.coding}', raw)[0]:g}"
+        return f"{struct.unpack_from(f'<{self.coding}', value_bytes)[0]:g}"
 
 
 def required_parameters(torque: float, watchdog_ms: float) -> tuple[RequiredParameter, ...]:

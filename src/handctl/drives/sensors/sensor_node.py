@@ -323,9 +323,9 @@ def _tension_signal(slot: int, index: int) -> Signal:
                       scale=TENSION_STEP_N, offset=TENSION_ZERO_N, unit="N", channel=index)  # fmt: skip
 
 
-def _joint_signal(slot: int, index: int, slides: bool) -> Signal:
+def _joint_signal(slot: int, index: int, is_prismatic: bool) -> Signal:
     """Return the signal of a joint in channel ``slot`` of a frame."""
-    step, unit = (JOINT_STEP_M, "m") if slides else (JOINT_STEP_RAD, "rad")
+    step, unit = (JOINT_STEP_M, "m") if is_prismatic else (JOINT_STEP_RAD, "rad")
     return Signal(f"angle_{slot}", SignalQuantity.ANGLE, CHANNEL_SHIFTS[slot], CHANNEL_BITS,
                   scale=step, offset=-JOINT_ZERO_COUNT * step, unit=unit,
                   channel=index)  # fmt: skip
@@ -371,6 +371,6 @@ def _channel_groups(channels: list[int]) -> list[tuple[int, ...]]:
     ]
 
 
-def _payload_length(channels: int) -> int:
+def _payload_length(channel_count: int) -> int:
     """Return the payload length of a frame with a number of channels [bytes]."""
-    return math.ceil((COUNTER_BITS + CHANNEL_BITS * channels) / 8)
+    return math.ceil((COUNTER_BITS + CHANNEL_BITS * channel_count) / 8)

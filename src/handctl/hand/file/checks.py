@@ -23,8 +23,8 @@ from handctl.hand.link_bodies import link_inertia
 from handctl.hand.moment_arms import (
     TABLE_DEGREE,
     arm_table_residual,
-    arms_at,
     is_arm_varying,
+    moment_arms_at,
     polynomial_of_arm,
 )
 
@@ -156,15 +156,15 @@ def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> Mistak
         yield from _check_pretension(tendon)
 
 
-def _check_unique(names: Iterable[str], where: str) -> MistakeIterator:
+def _check_unique(names: Iterable[str], key_path: str) -> MistakeIterator:
     """Yield a mistake for each name that occurs more than once.
 
-    In the key path ``where``, this name takes the place of {}.
+    In the key path ``key_path``, this name takes the place of {}.
     """
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            yield FileMistake(f'"{name}" twice', where.format(name), "every name once")
+            yield FileMistake(f'"{name}" twice', key_path.format(name), "every name once")
         seen.add(name)
 
 
@@ -209,7 +209,7 @@ def _check_digit(digit: Digit) -> MistakeIterator:
         yield from _check_coupled_types(digit, digit.coupling, f"{where}.coupling")
 
 
-def _check_joint_values(digit: Digit, where: str) -> MistakeIterator:
+def _check_joint_values(digit: Digit, key_path: str) -> MistakeIterator:
     """Check that the keys of revolute and of prismatic joints have a value per joint of their type."""
     sliding = digit.is_prismatic.count(True)
     turning = len(digit.is_prismatic) - sliding
@@ -229,13 +229,13 @@ def _check_joint_values(digit: Digit, where: str) -> MistakeIterator:
         elif not count:
             right = f"no such key, as all joints are {'revolute' if turning else 'prismatic'}"
         elif not values:
-            yield FileMistake("missing", f"{where}.{key}", f"{count}, one per {kind} joint")
+            yield FileMistake("missing", f"{key_path}.{key}", f"{count}, one per {kind} joint")
             continue
-        yield FileMistake(f"{len(values)} values", f"{where}.{key}", right)
+        yield FileMistake(f"{len(values)} values", f"{key_path}.{key}", right)
 
 
 def _check_coupled_types(
-    digit: Digit, coupling: tuple[tuple[float, ...], ...], where: str
+    digit: Digit, coupling: tuple[tuple[float, ...], ...], key_path: str
 ) -> MistakeIterator:
     """Check that each coordinate of a coupled digit moves joints of one type."""
     for i, column in enumerate(zip(*coupling, strict=False)):
@@ -244,27 +244,27 @@ def _check_coupled_types(
         }
         if len(kinds) > 1:
             yield FileMistake(
-                f"column {i} moves revolute and prismatic joints", where, "joints of one type"
+                f"column {i} moves revolute and prismatic joints", key_path, "joints of one type"
             )
 
 
 def check_mesh_keys(
-    section: Digit | Mount, mesh: str, keys: Iterable[str], where: str
+    section: Digit | Mount, mesh: str, keys: Iterable[str], key_path: str
 ) -> MistakeIterator:
     """Check that a section without meshes has no scale and no pose for meshes, and that no scale is 0."""
     for key in keys:
         if getattr(section, mesh) is None and getattr(section, key) is not None:
             yield FileMistake(
-                f"given without {mesh}", f"{where}.{key}", f"{mesh} as well, or no such key"
+                f"given without {mesh}", f"{key_path}.{key}", f"{mesh} as well, or no such key"
             )
     scales = getattr(section, f"{mesh}_scale")
     for i, scale in enumerate(scales if isinstance(section, Digit) and scales else [scales]):
         if isinstance(scale, tuple) and 0.0 in scale:
-            place = f"{where}.{mesh}_scale" + (f"[{i}]" if isinstance(section, Digit) else "")
+            place = f"{key_path}.{mesh}_scale" + (f"[{i}]" if isinstance(section, Digit) else "")
             yield FileMistake("a factor of 0", place, "factors that are not 0")
 
 
-def _check_body(digit: Digit, i: int, where: str) -> MistakeIterator:
+def _check_body(digit: Digit, i: int, key_path: str) -> MistakeIterator:
     """Check that centre of mass and inertia of link i are possible for the size of the link."""
     com = digit.link_com_m[i]
     length = digit.link_length_m[i]
@@ -273,36 +273,40 @@ def _check_body(digit: Digit, i: int, where: str) -> MistakeIterator:
     if isinstance(com, float):
         if com > length:
             yield FileMistake(
-                f"{com:g}", f"{where}.link_com_m[{i}]", f"at most the link's length, {length:g} m"
+                f"{com:g}",
+                f"{key_path}.link_com_m[{i}]",
+                f"at most the link's length, {length:g} m",
             )
     elif np.linalg.norm(com) > size:
         right = f"at most {size:g} m from the joint, the link's length or width"
-        yield FileMistake(f"{np.linalg.norm(com):g} m", f"{where}.link_com_m[{i}]", right)
+        yield FileMistake(f"{np.linalg.norm(com):g} m", f"{key_path}.link_com_m[{i}]", right)
     moments = np.linalg.eigvalsh(link_inertia(digit, i))
     largest = digit.link_mass_kg[i] * size**2
     if moments[-1] > largest:
         right = f"at most mass x length^2 = {largest:.3g} kg m2"
-        yield FileMistake(f"{moments[-1]:g}", f"{where}.link_inertia_kg_m2[{i}]", right)
+        yield FileMistake(f"{moments[-1]:g}", f"{key_path}.link_inertia_kg_m2[{i}]", right)
     elif moments[0] <= 0.0:
         what = f"a principal moment of {moments[0]:.3g} kg m2"
-        yield FileMistake(what, f"{where}.link_inertia_kg_m2[{i}]", "a positive definite inertia")
+        yield FileMistake(
+            what, f"{key_path}.link_inertia_kg_m2[{i}]", "a positive definite inertia"
+        )
     elif moments[-1] > (moments[0] + moments[1]) * (1.0 + UNIT_TOLERANCE):
         what = "principal moments " + ", ".join(f"{moment:.3g}" for moment in moments)
         yield FileMistake(
-            what, f"{where}.link_inertia_kg_m2[{i}]", "none larger than the sum of the other two"
+            what, f"{key_path}.link_inertia_kg_m2[{i}]", "none larger than the sum of the other two"
         )
 
 
 def _check_coupling(
-    coupling: tuple[tuple[float, ...], ...], where: str, links: int
+    coupling: tuple[tuple[float, ...], ...], key_path: str, link_count: int
 ) -> MistakeIterator:
     """Check the shape of a coupling matrix."""
-    if len(coupling) != links:
-        yield FileMistake(f"{len(coupling)} rows", where, f"{links}, one per joint")
+    if len(coupling) != link_count:
+        yield FileMistake(f"{len(coupling)} rows", key_path, f"{link_count}, one per joint")
     widths = {len(row) for row in coupling}
-    if len(widths) != 1 or not 1 <= min(widths) <= links:
+    if len(widths) != 1 or not 1 <= min(widths) <= link_count:
         yield FileMistake(
-            f"rows of {sorted(widths)} values", where, f"rows of equal length, 1 to {links}"
+            f"rows of {sorted(widths)} values", key_path, f"rows of equal length, 1 to {link_count}"
         )
 
 
@@ -328,17 +332,17 @@ def _check_references(hand: Hand) -> MistakeIterator:
     yield from _check_motors(hand)
 
 
-def _check_joint_type(hand: Hand, key: str, joint: str, where: str) -> MistakeIterator:
+def _check_joint_type(hand: Hand, key: str, joint: str, key_path: str) -> MistakeIterator:
     """Check that a tendon has moment arms at revolute joints, and excursion ratios at prismatic joints."""
     slides = hand.is_prismatic[hand.joints.index(joint)]
     if slides and key == "moment_arm_m":
         yield FileMistake(
             f"{joint} is prismatic",
-            where,
+            key_path,
             f"excursion_ratio.{joint}, in metres of tendon per metre",
         )
     elif not slides and key == "excursion_ratio":
-        yield FileMistake(f"{joint} is revolute", where, f"moment_arm_m.{joint}, in metres")
+        yield FileMistake(f"{joint} is revolute", key_path, f"moment_arm_m.{joint}, in metres")
 
 
 def _check_motors(hand: Hand) -> MistakeIterator:
@@ -365,10 +369,12 @@ def _check_motors(hand: Hand) -> MistakeIterator:
             )
 
 
-def _check_name(where: str, name: str, valid: tuple[str, ...]) -> MistakeIterator:
+def _check_name(key_path: str, name: str, valid_names: tuple[str, ...]) -> MistakeIterator:
     """Yield a mistake if a name is not one of the valid names of the file."""
-    if name not in valid:
-        yield FileMistake(f'"{name}" is not in this file', where, "one of " + ", ".join(valid))
+    if name not in valid_names:
+        yield FileMistake(
+            f'"{name}" is not in this file', key_path, "one of " + ", ".join(valid_names)
+        )
 
 
 def _check_mounts(hand: Hand) -> MistakeIterator:
@@ -495,7 +501,7 @@ def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
         postures = np.linspace(limits[0], limits[1], ROUTING_SAMPLES)
         rank = min(
             _moment_arm_rank(one @ coupling)
-            for one in arms_at(hand.arm_polynomials[tendons, joints], limits, postures)
+            for one in moment_arms_at(hand.arm_polynomials[tendons, joints], limits, postures)
         )
     if rank < columns:
         where = f"digit[{digit.name}].coupling"
@@ -520,9 +526,9 @@ def arm_key_of(hand: Hand, joint: str) -> str:
     return "excursion_ratio" if slides else "moment_arm_m"
 
 
-def _moment_arm_rank(arms: NDArray[np.float64]) -> int:
+def _moment_arm_rank(arm_matrix: NDArray[np.float64]) -> int:
     """Return the rank of the matrix R B of a digit."""
-    values = np.linalg.svd(arms, compute_uv=False)
+    values = np.linalg.svd(arm_matrix, compute_uv=False)
     return (
         int((values > MIN_SINGULAR_VALUE_RATIO * values.max(initial=0.0)).sum())
         if values.size
@@ -727,11 +733,11 @@ def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
         yield f"{motor.protocol} node {motor.node_id}", where
 
 
-def _mit_reply_id(motor: Motor, where: str) -> tuple[object, str]:
+def _mit_reply_id(motor: Motor, key_path: str) -> tuple[object, str]:
     """Return the CAN identifier of the replies of an MIT drive, and the key path that sets the identifier."""
     reply = motor.options.get("reply_id")
     if reply is None:
-        return motor.node_id + MIT_REPLY_OFFSET, where
+        return motor.node_id + MIT_REPLY_OFFSET, key_path
     return reply, f"motor[{motor.name}].options.reply_id"
 
 

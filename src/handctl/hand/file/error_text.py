@@ -28,9 +28,9 @@ class FileMistake(NamedTuple):
     where: str
     right: str
 
-    def error(self, source: str) -> ConfigError:
+    def error(self, source_name: str) -> ConfigError:
         """Return the mistake as an exception whose message is a single line with the name of the file."""
-        return ConfigError(self.what, f"{source}: {self.where}", self.right)
+        return ConfigError(self.what, f"{source_name}: {self.where}", self.right)
 
 
 SECTION_PATTERN = re.compile(r"(\w+)\[([^\]]*)\](.*)", re.DOTALL)
@@ -96,18 +96,18 @@ WITHIN_DIGITS = ("tendon", "motor")
 """Kinds of section that may also stand as tables within a digit."""
 
 
-def _meaning_of_missing_key(location: Sequence[str | int], model: type[BaseModel]) -> str:
+def _meaning_of_missing_key(key_location: Sequence[str | int], model: type[BaseModel]) -> str:
     """Return a text that says which value the file should contain for a missing key.
 
     It contains the form of the section or value, and the first sentence of the key's description.
     """
-    field = _field_of_key(location, model)
+    field = _field_of_key(key_location, model)
     if field is None:
         return "a value"
     form = "a value"
     annotation = field.model.model_fields[field.name].annotation
-    if len(location) == 1 and _models_in(annotation):
-        name = location[0]
+    if len(key_location) == 1 and _models_in_annotation(annotation):
+        name = key_location[0]
         is_list = not isinstance(annotation, type)
         form = f"[[{name}]] sections" if is_list else f"a section [{name}]"
         form += f", or {name}.NAME in each digit" if name in WITHIN_DIGITS else ""
@@ -137,16 +137,16 @@ def first_sentence(description: str) -> str:
     )
 
 
-def _field_of_key(location: Sequence[str | int], model: type[BaseModel]) -> _ModelField | None:
+def _field_of_key(key_location: Sequence[str | int], model: type[BaseModel]) -> _ModelField | None:
     """Return the field of a key.
 
     If there is no field, for example for an entry of a list, return None.
     """
-    *tables, key = location
+    *tables, key = key_location
     for part in tables:
         if isinstance(part, str):
             models = (
-                _models_in(model.model_fields[part].annotation)
+                _models_in_annotation(model.model_fields[part].annotation)
                 if part in model.model_fields
                 else []
             )
@@ -160,24 +160,24 @@ def _field_of_key(location: Sequence[str | int], model: type[BaseModel]) -> _Mod
 
 
 def _unknown_key_mistake(
-    location: Sequence[str | int], model: type[BaseModel], content: Mapping[str, Any]
+    key_location: Sequence[str | int], model: type[BaseModel], content: Mapping[str, Any]
 ) -> FileMistake:
     """Return the mistake for an unknown key.
 
     The most similar valid key is given as the valid value.
     """
-    if location[0] == "motor" and location[-1] == "mode":
+    if key_location[0] == "motor" and key_location[-1] == "mode":
         return FileMistake(
             "a hand commands torques",
-            key_path(content, location),
+            key_path(content, key_location),
             "no mode; one drive: handctl jog --mode",
         )
-    valid = most_similar_key(str(location[-1]), _valid_keys_at(model, location[:-1]))
-    return FileMistake("unknown key", key_path(content, location), valid)
+    valid = most_similar_key(str(key_location[-1]), _valid_keys_at(model, key_location[:-1]))
+    return FileMistake("unknown key", key_path(content, key_location), valid)
 
 
 def with_paths_of_file(
-    mistakes: Iterable[FileMistake], origins: Mapping[str, str]
+    mistakes: Iterable[FileMistake], origin_of_path: Mapping[str, str]
 ) -> list[FileMistake]:
     """Return the mistakes with the key paths of the hand file in place of those of the resolved content.
 
@@ -186,11 +186,11 @@ def with_paths_of_file(
 
     Args:
         mistakes: mistakes whose key paths belong to the resolved content.
-        origins: key path in the file, for each key path in the resolved content.
+        origin_of_path: key path in the file, for each key path in the resolved content.
     """
     found: dict[FileMistake | str, FileMistake] = {}
     for mistake in mistakes:
-        where = _path_in_file(mistake.where, origins)
+        where = _path_in_file(mistake.where, origin_of_path)
         shared = where != mistake.where and mistake.what != "missing"
         placed = mistake._replace(where=where)
         found.setdefault(where if shared else placed, placed)
@@ -215,13 +215,15 @@ def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
     ]
 
 
-def shortened_list(names: Sequence[str]) -> str:
+def shortened_list(section_names: Sequence[str]) -> str:
     """Join names with commas.
 
     If there are more than three names, write the first two, and the number of the others.
     """
     return (
-        ", ".join(names) if len(names) <= 3 else f"{', '.join(names[:2])} and {len(names) - 2} more"
+        ", ".join(section_names)
+        if len(section_names) <= 3
+        else f"{', '.join(section_names[:2])} and {len(section_names) - 2} more"
     )
 
 
@@ -237,23 +239,23 @@ def lines_by_text(named_texts: Iterable[tuple[str, str]]) -> tuple[str, ...]:
     return tuple(f"{shortened_list(names[text])}: {text}" for text in names)
 
 
-def _path_in_file(path: str, origins: Mapping[str, str]) -> str:
+def _path_in_file(path: str, origin_of_path: Mapping[str, str]) -> str:
     """Return the key path in the file for a key path of the resolved content.
 
-    The longest part of the path with an entry in ``origins`` is replaced, and the rest stays.
+    The longest part of the path with an entry in ``origin_of_path`` is replaced, and the rest stays.
     """
     part = path
     while part:
-        if part in origins:
-            return origins[part] + path[len(part) :]
+        if part in origin_of_path:
+            return origin_of_path[part] + path[len(part) :]
         part = part[: max(part.rfind("."), part.rfind("["))] if re.search(r"[.\[]", part) else ""
     return path
 
 
-def key_path(content: Any, location: Sequence[str | int]) -> str:
+def key_path(content: Any, key_location: Sequence[str | int]) -> str:
     """Return a readable key path such as ``digit[index].link_mass_kg[1]``, with the names of list entries."""
     path = ""
-    for part in location:
+    for part in key_location:
         try:
             content = content[part]
         except (KeyError, IndexError, TypeError):
@@ -278,24 +280,28 @@ def toml_spelling(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _valid_keys_at(model: type[BaseModel], location: Sequence[str | int]) -> list[str]:
+def _valid_keys_at(model: type[BaseModel], key_location: Sequence[str | int]) -> list[str]:
     """Return the valid keys of the table at a location in the file."""
-    for part in location:
+    for part in key_location:
         if isinstance(part, str):
-            model = next(m for m in _models_in(model.model_fields[part].annotation))
+            model = next(m for m in _models_in_annotation(model.model_fields[part].annotation))
     return [field.alias or name for name, field in model.model_fields.items()]
 
 
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
+def _models_in_annotation(type_annotation: Any) -> list[type[BaseModel]]:
     """Return the pydantic models that a type annotation such as ``tuple[Digit, ...]`` contains."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [model for part in getattr(annotation, "__args__", ()) for model in _models_in(part)]
+    if isinstance(type_annotation, type) and issubclass(type_annotation, BaseModel):
+        return [type_annotation]
+    return [
+        model
+        for part in getattr(type_annotation, "__args__", ())
+        for model in _models_in_annotation(part)
+    ]
 
 
-def most_similar_key(key: str, valid: list[str]) -> str:
+def most_similar_key(key: str, valid_keys: list[str]) -> str:
     """Return the valid key that is most similar to a key.
 
     If none is similar, return all valid keys.
     """
-    return similar_name(key, valid) or "one of " + ", ".join(valid)
+    return similar_name(key, valid_keys) or "one of " + ", ".join(valid_keys)

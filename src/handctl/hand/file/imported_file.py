@@ -201,15 +201,15 @@ def usable_tendons(described: DescribedHand) -> tuple[list[dict[str, Any]], list
     return usable, notes
 
 
-def described_text(
-    described: DescribedHand, answers: TendonAnswers, options: str, can_fd: bool
+def imported_hand_text(
+    described: DescribedHand, answers: TendonAnswers, option_words: str, can_fd: bool
 ) -> str:
     """Return the text of a hand file of schema 2.
 
     Args:
         described: hand of a robot description.
         answers: the user's answers about values that the robot description does not contain.
-        options: line with the options of the drives, or an empty text for drives without options.
+        option_words: line with the options of the drives, or an empty text for drives without options.
         can_fd: True if the protocol needs a bus with CAN FD.
     """
     tendons, _ = usable_tendons(described)
@@ -228,7 +228,7 @@ def described_text(
     if answers.tension_N is None and len(largest) == 1:
         answers = replace(answers, tension_N=largest.pop())
     parts.append(_section_text("default.tendon", _tendon_lines(answers)))
-    parts.append(_section_text("default.motor", _motor_lines(answers)) + options)
+    parts.append(_section_text("default.motor", _motor_lines(answers)) + option_words)
     nodes: dict[int, int | None] = dict.fromkeys(buses.values(), answers.first_node)
     for digit in described.digits:
         own = [tendon for tendon in tendons if tendon["digit"] == digit.name]
@@ -423,12 +423,12 @@ def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_SectionLine]:
         yield _SectionLine("palm_mesh_rpy_deg", _rpy_deg_text(mesh.rotation))
 
 
-def _mesh_lines(meshes: Sequence[ModelMesh | None]) -> Iterable[_SectionLine]:
+def _mesh_lines(link_meshes: Sequence[ModelMesh | None]) -> Iterable[_SectionLine]:
     """Yield lines for the meshes of a digit. Keys with their default value are left out."""
-    if not any(meshes):
+    if not any(link_meshes):
         return
     none = ModelMesh("", np.ones(3), np.zeros(3), np.eye(3))
-    shown = [mesh or none for mesh in meshes]
+    shown = [mesh or none for mesh in link_meshes]
     yield _SectionLine("link_mesh", f"[{', '.join(quoted_string(mesh.file) for mesh in shown)}]")
     if any((mesh.scale != 1.0).any() for mesh in shown):
         yield _SectionLine(
@@ -475,13 +475,13 @@ def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_Section
                 yield _SectionLine(_key_of_type(key, slides), _number_list_text(given))
 
 
-def _key_of_type(key: str, slides: bool) -> str:
+def _key_of_type(key: str, is_prismatic: bool) -> str:
     """Return a key for revolute joints, or the corresponding key for prismatic joints."""
-    return PRISMATIC_KEYS[REVOLUTE_KEYS.index(key)] if slides else key
+    return PRISMATIC_KEYS[REVOLUTE_KEYS.index(key)] if is_prismatic else key
 
 
 def _drive_lines(
-    tendons: Sequence[Mapping[str, Any]], bus: int, nodes: dict[int, int | None]
+    tendons: Sequence[Mapping[str, Any]], bus: int, last_node_of_bus: dict[int, int | None]
 ) -> Iterable[_SectionLine]:
     """Yield lines for the tendons and motors of a digit.
 
@@ -504,7 +504,7 @@ def _drive_lines(
         comment = MISSING_ARMS_COMMENT if arms is None else ""
         yield _SectionLine(f"tendon.{tendon['name']}", f"{{ {', '.join(words)} }}", comment)
     for motor in dict.fromkeys(tendon["motor"] for tendon in tendons):
-        node = nodes[bus]
+        node = last_node_of_bus[bus]
         words = [f'bus = "{_bus_name(bus)}"'] if bus else []
         words.append(
             f'node_id = "{UNMEASURED_PLACEHOLDER}"' if node is None else f"node_id = {node}"
@@ -516,7 +516,7 @@ def _drive_lines(
         )
         yield _SectionLine(f"motor.{motor}", f"{{ {', '.join(words)} }}", comment)
         if node is not None:
-            nodes[bus] = node + 1
+            last_node_of_bus[bus] = node + 1
 
 
 def _tendon_lines(answers: TendonAnswers) -> Iterable[_SectionLine]:
@@ -587,9 +587,9 @@ def _key_meaning(section: type[Section], key: str) -> str:
     return first_sentence(key_description(section, key))
 
 
-def _section_text(name: str, lines: Iterable[_SectionLine]) -> str:
+def _section_text(name: str, section_lines: Iterable[_SectionLine]) -> str:
     """Return the text of a section, or an empty text if there are no lines."""
-    return "\n".join([f"[{name}]", *map(str, lines)])
+    return "\n".join([f"[{name}]", *map(str, section_lines)])
 
 
 def _short_name(name: str, digit: str) -> str:
@@ -628,14 +628,14 @@ def _number_list_text(values: Iterable[float]) -> str:
     return "[" + ", ".join(_number_text(float(value)) for value in values) + "]"
 
 
-def _number_rows_text(rows: Iterable[Iterable[float]]) -> str:
+def _number_rows_text(number_rows: Iterable[Iterable[float]]) -> str:
     """Return the text of a list of lists of numbers."""
-    return "[" + ", ".join(_number_list_text(row) for row in rows) + "]"
+    return "[" + ", ".join(_number_list_text(row) for row in number_rows) + "]"
 
 
-def _inline_table_text(values: Mapping[str, float]) -> str:
+def _inline_table_text(table_values: Mapping[str, float]) -> str:
     """Return the text of an inline table of numbers, without the braces."""
-    return ", ".join(f"{key} = {_number_text(value)}" for key, value in values.items())
+    return ", ".join(f"{key} = {_number_text(value)}" for key, value in table_values.items())
 
 
 ANSWER_NAMES = tuple(one.name for one in fields(TendonAnswers))

@@ -85,9 +85,9 @@ def hand_schema_text() -> str:
     return json.dumps(hand_schema(), indent=1, sort_keys=True) + "\n"
 
 
-def _extend_digit(definition: dict[str, Any]) -> None:
+def _extend_digit(digit_schema: dict[str, Any]) -> None:
     """Add to the definition of a digit the forms that are valid only in hand files of schema 2."""
-    properties = definition["properties"]
+    properties = digit_schema["properties"]
     for kind in DIGIT_KINDS:
         properties[kind] = _table_array_schema(
             kind, f"Each {kind} of this digit, named DIGIT_NAME."
@@ -101,12 +101,12 @@ def _extend_digit(definition: dict[str, Any]) -> None:
         }
 
 
-def _table_array_schema(kind: str, description: str) -> dict[str, Any]:
+def _table_array_schema(section_kind: str, description: str) -> dict[str, Any]:
     """Return the JSON Schema of a table of named tables of one kind."""
     return {
         "type": "object",
         "description": description,
-        "additionalProperties": _reference_to(VALUE_DEFINITIONS[kind]),
+        "additionalProperties": _reference_to(VALUE_DEFINITIONS[section_kind]),
     }
 
 
@@ -115,25 +115,25 @@ def _reference_to(name: str) -> dict[str, Any]:
     return {"$ref": f"#/definitions/{name}"}
 
 
-def _in_draft_vocabulary(node: Any) -> Any:
+def _in_draft_vocabulary(schema_node: Any) -> Any:
     """Convert a JSON Schema to the keywords of draft 7.
 
     Titles that only repeat a key are removed from the schema.
     """
-    if isinstance(node, list):
-        return [_in_draft_vocabulary(entry) for entry in node]
-    if not isinstance(node, dict):
-        return node
-    if "prefixItems" in node:
-        node = {**node, "items": node["prefixItems"]}
-        del node["prefixItems"]
-    if isinstance(node.get("$ref"), str):
+    if isinstance(schema_node, list):
+        return [_in_draft_vocabulary(entry) for entry in schema_node]
+    if not isinstance(schema_node, dict):
+        return schema_node
+    if "prefixItems" in schema_node:
+        schema_node = {**schema_node, "items": schema_node["prefixItems"]}
+        del schema_node["prefixItems"]
+    if isinstance(schema_node.get("$ref"), str):
         # In draft 7, a reference makes all keywords beside it ineffective.
-        node = {"$ref": node["$ref"].replace("#/$defs/", "#/definitions/")}
+        schema_node = {"$ref": schema_node["$ref"].replace("#/$defs/", "#/definitions/")}
     return {
         key: value.replace("``", "`")
         if key == "description" and isinstance(value, str)
         else _in_draft_vocabulary(value)
-        for key, value in node.items()
+        for key, value in schema_node.items()
         if key != "title" or not isinstance(value, str) or value.endswith("Values")
     }

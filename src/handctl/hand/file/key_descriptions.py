@@ -20,14 +20,14 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
 
-def key_description(model: type[BaseModel], field: str) -> str:
+def key_description(model: type[BaseModel], field_name: str) -> str:
     """Return the description of a field, or an empty text if the field has no description.
 
     Args:
         model: model to which the field belongs.
-        field: name of the attribute, which may differ from the key in the file.
+        field_name: name of the attribute, which may differ from the key in the file.
     """
-    return field_docstrings(model).get(field, "")
+    return field_docstrings(model).get(field_name, "")
 
 
 @cache
@@ -54,9 +54,9 @@ def _docstrings_in(model: type[BaseModel]) -> dict[str, str]:
     return dict(_documented_attributes(definition.body))
 
 
-def _documented_attributes(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
+def _documented_attributes(class_body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
     """Yield the name and the docstring of each attribute that a docstring follows."""
-    for statement, following in pairwise(body):
+    for statement, following in pairwise(class_body):
         match statement, following:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(
                 value=ast.Constant(value=str(text))

@@ -172,19 +172,19 @@ def check_answers(answers: HandAnswers) -> None:
     check_springs(answers.tendons, answers.springs)
 
 
-def check_springs(tendons: str | None, springs: str | None) -> None:
+def check_springs(tendons: str | None, spring_torques_text: str | None) -> None:
     """Check that either springs or a tendon can open each digit.
 
     A single tendon only closes the digit, so springs must open it.
 
     Args:
         tendons: answer ``one`` or ``each`` about the tendons of a digit, or None.
-        springs: answer ``all`` or ``none`` about the springs, or None.
+        spring_torques_text: answer ``all`` or ``none`` about the springs, or None.
 
     Raises:
         ConfigError: the digits have one tendon and no springs.
     """
-    if tendons == "one" and springs == "none":
+    if tendons == "one" and spring_torques_text == "none":
         raise ConfigError(
             "none, and one tendon cannot open a digit", "--springs", "all, or --tendons each"
         )
@@ -231,16 +231,16 @@ def palm_warnings(answers: HandAnswers) -> tuple[str, ...]:
     )
 
 
-def new_hand_text(answers: HandAnswers, options: Mapping[str, Any], can_fd: bool) -> str:
+def new_hand_text(answers: HandAnswers, given_options: Mapping[str, Any], can_fd: bool) -> str:
     """Return the text of a hand file of schema 2.
 
     Args:
         answers: the user's answers, already checked.
-        options: options of a drive of the protocol.
+        given_options: options of a drive of the protocol.
         can_fd: True if the protocol needs a bus with CAN FD.
     """
     parts = [_head_tables(answers, can_fd), _digit_values(answers)]
-    parts += [_tendon_values(answers), _motor_values(answers, options)]
+    parts += [_tendon_values(answers), _motor_values(answers, given_options)]
     motors = _motor_names(answers)
     buses = _bus_names(answers)
     per_bus = _digits_per_bus(answers)
@@ -469,7 +469,7 @@ tension_trip_N = {trip}              # above this one valid sample relaxes the h
 drive_limit_N = {_number_text(DRIVE_LIMIT_RATIO * answers.tension_N)}              # torque_max_N_m / spool_radius_m"""
 
 
-def _motor_values(answers: HandAnswers, options: Mapping[str, Any]) -> str:
+def _motor_values(answers: HandAnswers, given_options: Mapping[str, Any]) -> str:
     """Return the text of the values that are the same for all motors."""
     torque = DRIVE_LIMIT_RATIO * answers.tension_N * 1e-3 * answers.spool_mm
     return f"""[default.motor]                    # quantities at the spool, after the gear
@@ -486,19 +486,19 @@ position_range_rad = 12.5          # as in the drive's registers
 velocity_range_rad_s = 50.0        # as in the drive's registers
 direction = 1                      # 1 if positive torque winds; handctl commission checks it
 zero_rad = 0.0
-watchdog_ms = 50{options_line(answers.protocol, options)}"""
+watchdog_ms = 50{options_line(answers.protocol, given_options)}"""
 
 
-def options_line(protocol: str, options: Mapping[str, Any]) -> str:
+def options_line(protocol: str, given_options: Mapping[str, Any]) -> str:
     """Return the line with the options of the drives.
 
     If the protocol has no options, the line is empty.
     """
     if protocol == "odrive":
         return "\n# options: the endpoints of your firmware, from its flat_endpoints.json; config check names them"
-    if not options:
+    if not given_options:
         return ""
-    values = ", ".join(f"{key} = {json.dumps(value)}" for key, value in options.items())
+    values = ", ".join(f"{key} = {json.dumps(value)}" for key, value in given_options.items())
     return f"\noptions = {{ {values} }}   # ASSUMED: of your drive"
 
 

@@ -94,34 +94,34 @@ class NumberRange:
         return {"type": "number", "minimum": self.low, "maximum": self.high}
 
 
-def in_range(low: float, high: float, unit: str = "", hint: str = "") -> CheckedType:
+def in_range(minimum: float, maximum: float, unit: str = "", hint: str = "") -> CheckedType:
     """Return the validation of a number within [low, high], see ``NumberRange``."""
-    number = NumberRange(low, high, unit, hint)
+    number = NumberRange(minimum, maximum, unit, hint)
     return CheckedType(number, number.schema)
 
 
-def whole_in_range(low: int, high: int) -> CheckedType:
+def whole_in_range(minimum: int, maximum: int) -> CheckedType:
     """Return the validation of an integer within [low, high]."""
 
     def check_value(value: Any) -> int:
         """Return the value if it is valid."""
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise validation_error(f"a whole number from {low} to {high}")
+        if isinstance(value, bool) or not isinstance(value, int) or not minimum <= value <= maximum:
+            raise validation_error(f"a whole number from {minimum} to {maximum}")
         return value
 
-    return CheckedType(check_value, {"type": "integer", "minimum": low, "maximum": high})
+    return CheckedType(check_value, {"type": "integer", "minimum": minimum, "maximum": maximum})
 
 
-def one_of(*words: str) -> CheckedType:
+def one_of(*allowed_words: str) -> CheckedType:
     """Return the validation of a text that must be one of the given words."""
 
     def check_value(value: Any) -> str:
         """Return the value if it is one of the given words."""
-        if not isinstance(value, str) or value not in words:
-            raise validation_error(" or ".join(f'"{word}"' for word in words))
+        if not isinstance(value, str) or value not in allowed_words:
+            raise validation_error(" or ".join(f'"{word}"' for word in allowed_words))
         return value
 
-    return CheckedType(check_value, {"enum": list(words)})
+    return CheckedType(check_value, {"enum": list(allowed_words)})
 
 
 def _check_direction(value: Any) -> int:
@@ -162,9 +162,9 @@ def _check_options(value: Any) -> dict[str, bool | int | float | str]:
     return value
 
 
-def zero_or_in_range(low: float, high: float, unit: str, hint: str) -> CheckedType:
+def zero_or_in_range(minimum: float, maximum: float, unit: str, hint: str) -> CheckedType:
     """Return the validation of a number that must be 0 or within [low, high], see ``NumberRange``."""
-    number = NumberRange(low, high, unit, hint)
+    number = NumberRange(minimum, maximum, unit, hint)
 
     def check_value(value: Any) -> float:
         """Return the value as a float."""
@@ -180,28 +180,28 @@ def zero_or_in_range(low: float, high: float, unit: str, hint: str) -> CheckedTy
 
 
 def number_or_list(
-    number_range: NumberRange, entry_range: NumberRange, *counts: int
+    number_range: NumberRange, entry_range: NumberRange, *allowed_counts: int
 ) -> CheckedType:
     """Return the validation of a value that may be a number or a list of numbers.
 
     Args:
         number_range: check of a single number.
         entry_range: check for each number in a list.
-        counts: valid lengths of a list.
+        allowed_counts: valid lengths of a list.
     """
-    right = f"a number, or a list of {' or '.join(str(count) for count in counts)} numbers"
+    right = f"a number, or a list of {' or '.join(str(count) for count in allowed_counts)} numbers"
 
     def check_value(value: Any) -> float | tuple[float, ...]:
         """Return the number as a float, or the list as a tuple of floats."""
         if not isinstance(value, list | tuple):
             return number_range(value)
-        if len(value) not in counts:
+        if len(value) not in allowed_counts:
             raise validation_error(right)
         return tuple(entry_range(one) for one in value)
 
     lists = [
         {"type": "array", "items": entry_range.schema, "minItems": count, "maxItems": count}
-        for count in counts
+        for count in allowed_counts
     ]
     return CheckedType(check_value, {"anyOf": [number_range.schema, *lists]})
 
@@ -244,33 +244,33 @@ def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
 
 
 def _checked_numbers(
-    values: Any, key: str, min_length: int, max_length: int, largest: float
+    values: Any, key: str, min_length: int, max_length: int, max_magnitude: float
 ) -> tuple[float, ...]:
-    """Return the list at a key, if it has ``min_length`` to ``max_length`` numbers from ``-largest`` to ``largest``."""
-    right = f"{min_length} to {max_length} numbers from {-largest:g} to {largest:g} in {key}"
+    """Return the list at a key, if it has ``min_length`` to ``max_length`` numbers of limited magnitude."""
+    right = f"{min_length} to {max_length} numbers from {-max_magnitude:g} to {max_magnitude:g} in {key}"
     if not isinstance(values, list | tuple) or not min_length <= len(values) <= max_length:
         raise validation_error(right)
     # The comparison is negated so that it also refuses NaN.
     if any(
-        isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= largest
+        isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= max_magnitude
         for one in values
     ):
         raise validation_error(right)
     return tuple(float(one) for one in values)
 
 
-def _list_schema(min_length: int, max_length: int, largest: float) -> dict[str, Any]:
+def _list_schema(min_length: int, max_length: int, max_magnitude: float) -> dict[str, Any]:
     """Return the JSON Schema of the lists that ``_checked_numbers`` accepts."""
-    entry = {"type": "number", "minimum": -largest, "maximum": largest}
+    entry = {"type": "number", "minimum": -max_magnitude, "maximum": max_magnitude}
     return {"type": "array", "items": entry, "minItems": min_length, "maxItems": max_length}
 
 
-def _table_schema(**lists: dict[str, Any]) -> dict[str, Any]:
+def _table_schema(**list_schemas: dict[str, Any]) -> dict[str, Any]:
     """Return the JSON Schema of a table with exactly the given lists."""
     return {
         "type": "object",
-        "properties": lists,
-        "required": list(lists),
+        "properties": list_schemas,
+        "required": list(list_schemas),
         "additionalProperties": False,
     }
 

@@ -84,19 +84,19 @@ class TomlTable:
         """Return the values of the table by key."""
         return {entry.key: entry.value for entry in self.entries if entry.key}
 
-    def take(self, keys: Iterable[str]) -> list[TomlEntry]:
+    def take(self, taken_keys: Iterable[str]) -> list[TomlEntry]:
         """Remove the lines with the given keys from the table, and return these lines."""
-        taken = [entry for entry in self.entries if entry.key in set(keys)]
+        taken = [entry for entry in self.entries if entry.key in set(taken_keys)]
         self.entries = [entry for entry in self.entries if entry not in taken]
         return taken
 
 
-def convert_to_schema_2(text: str, source: str) -> str:
+def convert_to_schema_2(text: str, source_name: str) -> str:
     """Convert the text of a hand file of schema 1 to schema 2.
 
     Args:
         text: text of a valid hand file of schema 1.
-        source: name of the file, for error messages.
+        source_name: name of the file, for error messages.
 
     Raises:
         ConfigError: the text is not TOML.
@@ -104,7 +104,7 @@ def convert_to_schema_2(text: str, source: str) -> str:
     try:
         document = tomlkit.parse(text)
     except (TOMLKitError, ValueError, RecursionError) as error:
-        raise ConfigError(f"not TOML: {error}", source, "valid TOML") from None
+        raise ConfigError(f"not TOML: {error}", source_name, "valid TOML") from None
     root, tables = _parse_blocks(document)
     for entry in root.entries:
         if entry.key == "schema":
@@ -161,7 +161,7 @@ def _parse_entry(key: str, item: Item) -> list[TomlEntry]:
             for name, value in item.value.body
             if isinstance(value, Comment)
         ]
-        return [*comments, TomlEntry(key, _inline_table(item.unwrap()), item.unwrap())]
+        return [*comments, TomlEntry(key, _inline_table_text(item.unwrap()), item.unwrap())]
     return [TomlEntry(key, item.as_string().strip(), item.unwrap(), item.trivia.comment)]
 
 
@@ -176,31 +176,31 @@ def _trailing_comments(block: TomlTable) -> list[str]:
     return trailing
 
 
-def _take_common_values(kind: str, blocks: Sequence[TomlTable]) -> list[TomlEntry]:
+def _take_common_values(section_kind: str, section_tables: Sequence[TomlTable]) -> list[TomlEntry]:
     """Remove the values that all sections of a kind have in common, and return their lines."""
-    if kind == "digit":
-        for block in blocks:
+    if section_kind == "digit":
+        for block in section_tables:
             _shorten_lists_per_link(block)
-    if len(blocks) < MIN_SECTIONS_TO_SHARE:
+    if len(section_tables) < MIN_SECTIONS_TO_SHARE:
         return []
-    kept = (*INDIVIDUAL_KEYS[kind], "motor", *ARM_KEYS)
-    return _take_shared_values(blocks, lambda key, value: key not in kept)
+    kept = (*INDIVIDUAL_KEYS[section_kind], "motor", *ARM_KEYS)
+    return _take_shared_values(section_tables, lambda key, value: key not in kept)
 
 
 def _take_shared_values(
-    blocks: Sequence[TomlTable], can_be: Callable[[str, Any], bool]
+    section_tables: Sequence[TomlTable], can_be: Callable[[str, Any], bool]
 ) -> list[TomlEntry]:
     """Remove the values that all tables have in common, and return their lines with the comments of all tables."""
-    first = blocks[0].values()
-    others = [block.values() for block in blocks[1:]]
+    first = section_tables[0].values()
+    others = [block.values() for block in section_tables[1:]]
     keys = [
         key
         for key, value in first.items()
         if can_be(key, value)
         and all(key in other and _are_equal(other[key], value) for other in others)
     ]
-    entries = {entry.key: entry for entry in blocks[0].take(keys)}
-    for block in blocks[1:]:
+    entries = {entry.key: entry for entry in section_tables[0].take(keys)}
+    for block in section_tables[1:]:
         for entry in block.take(keys):
             known = entries[entry.key]
             if entry.comment and entry.comment not in known.comment:
@@ -234,29 +234,29 @@ def _shorten_lists_per_link(block: TomlTable) -> None:
 
 
 def _shorten_sensor_node(
-    others: Sequence[tuple[str, TomlTable]], sections: dict[str, list[TomlTable]]
+    other_tables: Sequence[tuple[str, TomlTable]], tables_of_kind: dict[str, list[TomlTable]]
 ) -> None:
     """Replace a list of all tendons or of all joints in the sensor node by ``"all"``."""
-    digits = [block.values() for block in sections["digit"]]
+    digits = [block.values() for block in tables_of_kind["digit"]]
     names = {
-        "tendons": [block.values().get("name") for block in sections["tendon"]],
+        "tendons": [block.values().get("name") for block in tables_of_kind["tendon"]],
         "joints": [
             f"{digit['name']}_j{i + 1}"
             for digit in digits
             for i in range(len(digit["link_length_m"]))
         ],
     }
-    for name, block in others:
+    for name, block in other_tables:
         for entry in block.entries if name == "sensor_node" else ():
             if entry.key in names and entry.value == names[entry.key]:
                 entry.text = f'"{WORD_FOR_ALL}"'
 
 
-def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
+def _move_into_digits(section_kind: str, tables_of_kind: dict[str, list[TomlTable]]) -> None:
     """Move each tendon or motor into the digit with whose name its name begins, if this is possible for all of them."""
     moved: list[tuple[TomlTable, str, TomlTable]] = []
-    digits = {block.values()["name"]: block for block in sections["digit"]}
-    for block in sections[kind]:
+    digits = {block.values()["name"]: block for block in tables_of_kind["digit"]}
+    for block in tables_of_kind[section_kind]:
         name = str(block.values()["name"])
         owner = max(
             (digit for digit in digits if name.startswith(f"{digit}_")), key=len, default=None
@@ -271,11 +271,14 @@ def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
     if [
         id(block)
         for *_, block in sorted(moved, key=lambda row: list(digits.values()).index(row[0]))
-    ] != [id(block) for block in sections[kind]]:
+    ] != [id(block) for block in tables_of_kind[section_kind]]:
         return  # moving them would change the order of the tendons or motors
     comments: list[str] = []
-    if sections[kind]:
-        comments, sections[kind][0].before = sections[kind][0].before, []
+    if tables_of_kind[section_kind]:
+        comments, tables_of_kind[section_kind][0].before = (
+            tables_of_kind[section_kind][0].before,
+            [],
+        )
     for digit, short, block in moved:
         owner = digit.values()["name"]
         block.take(["name"])
@@ -289,10 +292,10 @@ def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
                 }
                 entry.text = entry.text.replace(f"{owner}_j", "j")
                 assert all(SHORT_JOINT_PATTERN.fullmatch(joint) for joint in entry.value)
-        digit.held[kind][short] = block
-    sections[kind].clear()
+        digit.held[section_kind][short] = block
+    tables_of_kind[section_kind].clear()
     if comments:
-        sections[kind].append(TomlTable([], comments))
+        tables_of_kind[section_kind].append(TomlTable([], comments))
 
 
 def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
@@ -328,25 +331,25 @@ def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
 
 
 def _kind_lines(
-    kind: str,
-    default: Sequence[TomlEntry],
-    templates: dict[str, TomlTable],
-    sections: Sequence[TomlTable],
+    section_kind: str,
+    default_entries: Sequence[TomlEntry],
+    table_of_template: dict[str, TomlTable],
+    section_tables: Sequence[TomlTable],
 ) -> list[str]:
     """Return the lines of the new file for one kind of section: default, templates and sections."""
-    lines = ["", *(sections[0].before if sections else [])]
-    if default:
-        lines += [f"[default.{kind}]", *(entry.line() for entry in default), ""]
-    for name, template in templates.items():
+    lines = ["", *(section_tables[0].before if section_tables else [])]
+    if default_entries:
+        lines += [f"[default.{section_kind}]", *(entry.line() for entry in default_entries), ""]
+    for name, template in table_of_template.items():
         lines += [
-            f"[{kind}_template.{name}]",
-            *_table_lines(template, f"{kind}_template.{name}"),
+            f"[{section_kind}_template.{name}]",
+            *_table_lines(template, f"{section_kind}_template.{name}"),
             "",
         ]
-    for i, block in enumerate(sections):
+    for i, block in enumerate(section_tables):
         if block.entries or any(block.held.values()):
-            header = f"[[{kind}]]" + _header_comment(block)
-            lines += [*(block.before if i else []), header, *_table_lines(block, kind), ""]
+            header = f"[[{section_kind}]]" + _header_comment(block)
+            lines += [*(block.before if i else []), header, *_table_lines(block, section_kind), ""]
     return lines
 
 
@@ -390,6 +393,6 @@ def _table_lines(block: TomlTable, header: str) -> list[str]:
     return lines + tables
 
 
-def _inline_table(table: dict[str, Any]) -> str:
+def _inline_table_text(table_values: dict[str, Any]) -> str:
     """Return the text of an inline table."""
-    return toml_text({"x": [{"x": table}]}).split("x = ", 1)[1].strip()
+    return toml_text({"x": [{"x": table_values}]}).split("x = ", 1)[1].strip()

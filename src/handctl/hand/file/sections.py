@@ -372,27 +372,27 @@ class Digit(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _without_springs(cls, given: Any) -> Any:
+    def _without_springs(cls, section_content: Any) -> Any:
         """Add return springs with stiffness 0 to a digit without springs.
 
         Antagonistic tendons open such a digit. A digit without revolute joints needs none of the
         keys of such joints.
         """
-        if not isinstance(given, dict):
-            return given
-        links = given.get("link_length_m")
-        types = given.get("joint_type")
+        if not isinstance(section_content, dict):
+            return section_content
+        links = section_content.get("link_length_m")
+        types = section_content.get("joint_type")
         count = len(links) if isinstance(links, list | tuple) else 0
         kinds = list(types) if isinstance(types, list | tuple) else ["revolute"] * count
         sliding = kinds.count(PRISMATIC)
         filled: dict[str, Any] = {}
         if kinds and "revolute" not in kinds:
             filled |= dict.fromkeys(REVOLUTE_KEYS, ())
-        elif not given.keys() & set(SPRING_KEYS):
+        elif not section_content.keys() & set(SPRING_KEYS):
             filled |= dict.fromkeys(SPRING_KEYS, (0.0,) * max(count - sliding, 0))
-        if sliding and not given.keys() & set(LINEAR_SPRINGS):
+        if sliding and not section_content.keys() & set(LINEAR_SPRINGS):
             filled |= dict.fromkeys(LINEAR_SPRINGS, (0.0,) * sliding)
-        return filled | given
+        return filled | section_content
 
     @property
     def is_prismatic(self) -> tuple[bool, ...]:
@@ -527,19 +527,22 @@ class Tendon(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _without_floor(cls, given: Any) -> Any:
+    def _without_floor(cls, section_content: Any) -> Any:
         """Add keys that a tendon may omit.
 
         A spool pair has a tension floor of 0, because the net tension of the pair has both signs. A
         tendon that moves prismatic joints only has no moment arms.
         """
-        if not isinstance(given, dict):
-            return given
-        if given.get("pretension_N") is not None and "tension_floor_N" not in given:
-            given = given | {"tension_floor_N": 0.0}
-        if given.get("excursion_ratio") and "moment_arm_m" not in given:
-            given = given | {"moment_arm_m": {}}
-        return given
+        if not isinstance(section_content, dict):
+            return section_content
+        if (
+            section_content.get("pretension_N") is not None
+            and "tension_floor_N" not in section_content
+        ):
+            section_content = section_content | {"tension_floor_N": 0.0}
+        if section_content.get("excursion_ratio") and "moment_arm_m" not in section_content:
+            section_content = section_content | {"moment_arm_m": {}}
+        return section_content
 
     @property
     def arms(self) -> dict[str, Any]:

@@ -171,28 +171,28 @@ class _TemplateResolver:
                 )
 
     def entry(
-        self, kind: str, own: Sequence[ValueLayer], name: str | None = None
+        self, section_kind: str, own_layers: Sequence[ValueLayer], name: str | None = None
     ) -> dict[str, Any]:
         """Return one digit, tendon or motor with all of its values.
 
         Args:
-            kind: kind of section.
-            own: layers of the section itself, without those of the default and the template.
+            section_kind: kind of section.
+            own_layers: layers of the section itself, without those of the default and the template.
             name: name of the section, or None if the layers contain the name.
         """
-        layers = [*self.shared(kind, own), *own]
+        layers = [*self.shared(section_kind, own_layers), *own_layers]
         values, origins = _merge_layers(layers, MERGE_DEPTH)
         values.pop("template", None)
         label = name or values.get("name")
         if name:
             values["name"] = name
-        path = f"{kind}[{label}]" if name else own[-1].path
+        path = f"{section_kind}[{label}]" if name else own_layers[-1].path
         self.origins |= {f"{path}.{key}": origin for key, origin in origins.items()}
-        if kind == "digit":
+        if section_kind == "digit":
             self._resolve_digit(layers, values, path)
         return values
 
-    def shared(self, kind: str, own: Sequence[ValueLayer]) -> Iterator[ValueLayer]:
+    def shared(self, section_kind: str, own_layers: Sequence[ValueLayer]) -> Iterator[ValueLayer]:
         """Yield the layers of the default for a kind of section, and of the template that the section names."""
         given = self.content.get("default")
         default: TableContent = given if isinstance(given, Mapping) else {}
@@ -201,15 +201,15 @@ class _TemplateResolver:
             # default would also be reported as missing.
             misspelt = (
                 key not in SECTION_KINDS
-                and kind not in default
-                and most_similar_key(key, [*SECTION_KINDS]) == kind
+                and section_kind not in default
+                and most_similar_key(key, [*SECTION_KINDS]) == section_kind
             )
-            if isinstance(values, Mapping) and (key == kind or misspelt):
+            if isinstance(values, Mapping) and (key == section_kind or misspelt):
                 yield ValueLayer(_without_entry_keys(values), f"default.{key}")
-        named = [layer for layer in own if "template" in layer.values]
+        named = [layer for layer in own_layers if "template" in layer.values]
         if not named:
             return
-        key = TEMPLATE_KEYS[kind]
+        key = TEMPLATE_KEYS[section_kind]
         name = named[-1].values["template"]
         templates = self.content.get(key)
         valid = [*templates] if isinstance(templates, Mapping) else []
@@ -227,11 +227,11 @@ class _TemplateResolver:
             yield ValueLayer(_without_entry_keys(templates[name]), f"{key}.{name}")
 
     def _resolve_digit(
-        self, layers: Sequence[ValueLayer], values: dict[str, Any], path: str
+        self, digit_layers: Sequence[ValueLayer], values: dict[str, Any], path: str
     ) -> None:
         """Take the tendons and motors out of a digit, and extend single numbers to lists with a value per link."""
         digit = values.get("name")
-        inner = {kind: _template_layers_by_name(layers, kind) for kind in DIGIT_KINDS}
+        inner = {kind: _template_layers_by_name(digit_layers, kind) for kind in DIGIT_KINDS}
         for kind in DIGIT_KINDS:
             held = values.get(kind)
             if not isinstance(held, Mapping):
@@ -241,7 +241,7 @@ class _TemplateResolver:
                 where = self.origins[f"{path}.{kind}.{name}"]
                 if isinstance(table, Mapping):
                     self.of_digits[kind].append(
-                        self._of_digit(kind, digit, name, inner[kind][name], inner["motor"])
+                        self._part_of_digit(kind, digit, name, inner[kind][name], inner["motor"])
                     )
                 else:
                     self.mistakes.append(FileMistake(toml_spelling(table), where, "a table"))
@@ -258,28 +258,33 @@ class _TemplateResolver:
                 origin = self.origins[f"{path}.{key}"]
                 self.origins |= {f"{path}.{key}[{i}]": origin for i in range(count)}
 
-    def _of_digit(
-        self, kind: str, digit: Any, name: str, own: list[ValueLayer], motors: TableContent
+    def _part_of_digit(
+        self,
+        section_kind: str,
+        digit: Any,
+        name: str,
+        own_layers: list[ValueLayer],
+        motors: TableContent,
     ) -> dict[str, Any]:
         """Return a tendon or motor that a digit contains, with the full names of itself, its motor and its joints.
 
         Args:
-            kind: kind of section.
+            section_kind: kind of section.
             digit: name of the digit.
             name: short name of the section.
-            own: layers of the section itself.
+            own_layers: layers of the section itself.
             motors: motors of the digit by short name.
         """
         full = f"{digit}_{name}"
-        values = self.entry(kind, own, full)
-        path = f"{kind}[{full}]"
-        self.origins[path] = own[0].path
-        for layer in own:
+        values = self.entry(section_kind, own_layers, full)
+        path = f"{section_kind}[{full}]"
+        self.origins[path] = own_layers[0].path
+        for layer in own_layers:
             if "name" in layer.values:
                 self.mistakes.append(
                     FileMistake("unknown key", f"{layer.path}.name", f"none: the name is {full}")
                 )
-        if kind == "tendon":
+        if section_kind == "tendon":
             if values.get("motor") in motors:
                 values["motor"] = f"{digit}_{values['motor']}"
             for key in ARM_KEYS:
@@ -310,12 +315,12 @@ class _TemplateResolver:
         }
 
 
-def _value_count(key: str, links: int, types: Any) -> int:
+def _value_count(key: str, link_count: int, joint_types: Any) -> int:
     """Return the number of values that a digit with the given joint types needs for a key."""
     if key not in KEYS_PER_JOINT_TYPE:
-        return links
-    sliding = list(types).count(PRISMATIC) if isinstance(types, list | tuple) else 0
-    return sliding if KEYS_PER_JOINT_TYPE[key] else max(links - sliding, 0)
+        return link_count
+    sliding = list(joint_types).count(PRISMATIC) if isinstance(joint_types, list | tuple) else 0
+    return sliding if KEYS_PER_JOINT_TYPE[key] else max(link_count - sliding, 0)
 
 
 def join_mistakes_of_default(
@@ -345,7 +350,7 @@ def join_mistakes_of_default(
 
 
 def _merge_layers(
-    layers: Sequence[ValueLayer], depth: int
+    value_layers: Sequence[ValueLayer], table_depth: int
 ) -> tuple[dict[str, Any], KeyPathOrigins]:
     """Merge several layers of values for a section.
 
@@ -357,17 +362,17 @@ def _merge_layers(
     """
     values: dict[str, Any] = {}
     origins: KeyPathOrigins = {}
-    for key in dict.fromkeys(key for layer in layers for key in layer.values):
+    for key in dict.fromkeys(key for layer in value_layers for key in layer.values):
         given = [
             ValueLayer(layer.values[key], f"{layer.path}.{key}")
-            for layer in layers
+            for layer in value_layers
             if key in layer.values
         ]
         value, path = given[-1]
         origins[key] = path
-        if isinstance(value, Mapping) and depth > 0:
+        if isinstance(value, Mapping) and table_depth > 0:
             value, inner = _merge_layers(
-                [layer for layer in given if isinstance(layer.values, Mapping)], depth - 1
+                [layer for layer in given if isinstance(layer.values, Mapping)], table_depth - 1
             )
             origins |= {f"{key}.{below}": origin for below, origin in inner.items()}
         values[key] = _copy_list(value)

@@ -25,7 +25,7 @@ def toml_text(content: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _value_lines(table: Mapping[str, Any], inline_tables: bool = False) -> list[str]:
+def _value_lines(table_content: Mapping[str, Any], inline_tables: bool = False) -> list[str]:
     """Return the lines of a table for all values that are written in one line."""
 
     def is_entry(value: Any) -> bool:
@@ -38,7 +38,7 @@ def _value_lines(table: Mapping[str, Any], inline_tables: bool = False) -> list[
 
     return [
         f"{key} = {_value_text(value)}"
-        for key, value in table.items()
+        for key, value in table_content.items()
         if value is not None and is_entry(value)
     ]
 

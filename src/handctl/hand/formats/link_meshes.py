@@ -85,12 +85,14 @@ def meshes_of_hand(hand: Hand) -> tuple[LinkMesh, ...]:
     return tuple(meshes)
 
 
-def _link_mesh(link: str, key: str, file: str, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
+def _link_mesh(
+    link_name: str, key: str, file_path: str, scale: Any, position: Any, rpy_deg: Any
+) -> LinkMesh:
     """Return the mesh of a link. Arguments that are None get default values."""
     scale = 1.0 if scale is None else scale
     scales = (scale, scale, scale) if isinstance(scale, float) else scale
     return LinkMesh(
-        link, key, file, scales, position or (0.0, 0.0, 0.0), rpy_deg or (0.0, 0.0, 0.0)
+        link_name, key, file_path, scales, position or (0.0, 0.0, 0.0), rpy_deg or (0.0, 0.0, 0.0)
     )
 
 
@@ -185,16 +187,16 @@ def mesh_sizes(hand: Hand, folder: Path) -> dict[str, int]:
     return {file: (folder / file).stat().st_size for file in files if (folder / file).is_file()}
 
 
-def read_meshes(files: Iterable[str], folder: Path) -> dict[str, bytes]:
+def read_meshes(mesh_files: Iterable[str], folder: Path) -> dict[str, bytes]:
     """Return the content of mesh files, by their paths in the hand file.
 
     Raises:
         ValueError: a file is missing or unreadable.
     """
-    return {file: _read_file(folder / file) for file in dict.fromkeys(files)}
+    return {file: _read_file(folder / file) for file in dict.fromkeys(mesh_files)}
 
 
-def exported_meshes(hand: Hand, folder: Path, output: Path) -> dict[str, LinkMesh]:
+def exported_meshes(hand: Hand, folder: Path, output_path: Path) -> dict[str, LinkMesh]:
     """Return the meshes of a hand by the name of the link.
 
     Their paths are relative to the folder of an exported file.
@@ -202,10 +204,10 @@ def exported_meshes(hand: Hand, folder: Path, output: Path) -> dict[str, LinkMes
     Args:
         hand: description of the hand.
         folder: folder of the hand file.
-        output: folder of the exported file.
+        output_path: folder of the exported file.
     """
     return {
-        mesh.link: replace(mesh, file=relative_path(folder / mesh.file, output))
+        mesh.link: replace(mesh, file=relative_path(folder / mesh.file, output_path))
         for mesh in meshes_of_hand(hand)
     }
 
@@ -215,22 +217,22 @@ def relative_path(path: Path, folder: Path) -> str:
     return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
 
 
-def with_meshes_from(content: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def with_meshes_from(hand_content: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Return the resolved content of a hand with absolute mesh paths, which do not depend on the hand file's place.
 
     Args:
-        content: content of the hand, from ``Hand.content``.
+        hand_content: content of the hand, from ``Hand.content``.
         folder: folder of the hand file.
     """
     place = folder.absolute()
-    mount, digits = dict(content["mount"]), []
+    mount, digits = dict(hand_content["mount"]), []
     if mount.get("palm_mesh"):
         mount["palm_mesh"] = str(place / mount["palm_mesh"])
-    for digit in content["digit"]:
+    for digit in hand_content["digit"]:
         files = digit.get("link_mesh")
         digits.append(
             digit | {"link_mesh": [str(place / file) if file else "" for file in files]}
             if files
             else digit
         )
-    return {**content, "mount": mount, "digit": digits}
+    return {**hand_content, "mount": mount, "digit": digits}

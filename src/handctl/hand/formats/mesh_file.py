@@ -21,18 +21,22 @@ MAX_TRIANGLES = 200_000
 """Largest number of triangles of a mesh. Source: MuJoCo refuses an STL with more."""
 
 
-def mesh_triangles(data: bytes, suffix: str) -> Array:
+def mesh_triangles(file_content: bytes, file_suffix: str) -> Array:
     """Return the corners of all triangles of a mesh (n, 3, 3), in the unit of the file.
 
     Args:
-        data: content of the file.
-        suffix: suffix of the file's name, ``.stl`` or ``.obj``.
+        file_content: content of the file.
+        file_suffix: suffix of the file's name, ``.stl`` or ``.obj``.
 
     Raises:
         ValueError: the content is not a mesh of this format, is empty, or is too large. The error
             message says which content is expected.
     """
-    triangles = _stl_triangles(data) if suffix.lower() == ".stl" else _obj_triangles(data)
+    triangles = (
+        _stl_triangles(file_content)
+        if file_suffix.lower() == ".stl"
+        else _obj_triangles(file_content)
+    )
     if not len(triangles):
         raise ValueError("no triangles; expected a mesh with at least one")
     if len(triangles) > MAX_TRIANGLES:
@@ -42,31 +46,37 @@ def mesh_triangles(data: bytes, suffix: str) -> Array:
     return triangles
 
 
-def _stl_triangles(data: bytes) -> Array:
+def _stl_triangles(file_content: bytes) -> Array:
     """Return the triangles of a mesh in the format binary STL."""
-    count = int.from_bytes(data[80:STL_HEADER], "little") if len(data) >= STL_HEADER else 0
+    count = (
+        int.from_bytes(file_content[80:STL_HEADER], "little")
+        if len(file_content) >= STL_HEADER
+        else 0
+    )
     size = STL_HEADER + count * STL_TRIANGLE.itemsize
-    if len(data) < STL_HEADER or len(data) != size:
-        if data.lstrip()[:5].lower() == b"solid":
+    if len(file_content) < STL_HEADER or len(file_content) != size:
+        if file_content.lstrip()[:5].lower() == b"solid":
             raise ValueError(
                 "an STL in text form; expected a binary STL, which MuJoCo reads as well"
             )
-        what = f"{len(data)} bytes" + (f" for {count} triangles" if len(data) >= STL_HEADER else "")
+        what = f"{len(file_content)} bytes" + (
+            f" for {count} triangles" if len(file_content) >= STL_HEADER else ""
+        )
         raise ValueError(
             f"{what}; expected a binary STL of {STL_HEADER} bytes and {STL_TRIANGLE.itemsize} a triangle"
         )
-    records = np.frombuffer(data, STL_TRIANGLE, count, STL_HEADER)
+    records = np.frombuffer(file_content, STL_TRIANGLE, count, STL_HEADER)
     return records["corners"].astype(np.float64)
 
 
-def _obj_triangles(data: bytes) -> Array:
+def _obj_triangles(file_content: bytes) -> Array:
     """Return the triangles of a mesh in the format OBJ.
 
     A face with more than three corners is divided into a fan of triangles.
     """
     vertices: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []
-    for number, line in enumerate(data.decode("utf-8", "replace").splitlines(), 1):
+    for number, line in enumerate(file_content.decode("utf-8", "replace").splitlines(), 1):
         words = line.split()
         try:
             if words[:1] == ["v"]:

@@ -31,7 +31,7 @@ HIDDEN_GROUP = "3"
 """Group of the collision shapes of links with a mesh. Viewers do not show this group."""
 
 
-def mjcf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
+def mjcf_text(hand: Hand, mesh_of_link: Mapping[str, LinkMesh] = NO_MESHES) -> str:
     """Return the text of the MJCF file of a hand.
 
     The bodies are named ``palm``, ``index_link1`` and so on, the joints ``index_j1`` and so on, and
@@ -39,7 +39,7 @@ def mjcf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
 
     Args:
         hand: description of the hand.
-        meshes: meshes by the name of the link, with paths relative to the MJCF file. They have
+        mesh_of_link: meshes by the name of the link, with paths relative to the MJCF file. They have
             neither mass nor contacts.
     """
     root = ET.Element("mujoco", model=hand.name)
@@ -57,12 +57,12 @@ def mjcf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
     _add_palm(palm, hand, None)
     _add_couplings(root, hand)
     _add_tendons(root, hand)
-    _add_meshes(root, meshes)
+    _add_meshes(root, mesh_of_link)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _add_palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
+def _add_palm(link_element: ET.Element, hand: Hand, carrier: str | None) -> None:
     """Add the digits that are mounted on a link, and a box behind these digits.
 
     The digits do not collide with this box.
@@ -70,19 +70,24 @@ def _add_palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
     centre, size = palm_box(hand, carrier)
     name = "palm" if carrier is None else f"{carrier}_palm"
     ET.SubElement(
-        link, "geom", name=name, type="box", size=numbers_text(size / 2), pos=numbers_text(centre)
+        link_element,
+        "geom",
+        name=name,
+        type="box",
+        size=numbers_text(size / 2),
+        pos=numbers_text(centre),
     )
     for digit in hand.digit:
         if digit.mount_on == carrier:
-            _add_digit(link, hand, digit)
+            _add_digit(link_element, hand, digit)
 
 
-def _add_digit(base: ET.Element, hand: Hand, digit: Digit) -> None:
+def _add_digit(base_element: ET.Element, hand: Hand, digit: Digit) -> None:
     """Add the links of a digit as nested bodies.
 
     Each link lies along the x axis of its frame, and its hinge is at the origin.
     """
-    parent = base
+    parent = base_element
     for i, joint in enumerate(digit.joints):
         position, rotation = link_placement(digit, i)
         # In MuJoCo, a quaternion begins with w.
@@ -102,12 +107,12 @@ def _add_digit(base: ET.Element, hand: Hand, digit: Digit) -> None:
         _add_palm(parent, hand, digit.name)
 
 
-def _add_joint(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
+def _add_joint(link_element: ET.Element, digit: Digit, i: int, joint: str) -> None:
     """Add the hinge or slide joint between link i and the link before it."""
     low, high = digit.joint_limits
     kind = {"type": "slide"} if digit.is_prismatic[i] else {}
     ET.SubElement(
-        link,
+        link_element,
         "joint",
         kind,
         name=joint,
@@ -124,14 +129,14 @@ def _add_joint(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
     )
 
 
-def _add_link_body(link: ET.Element, digit: Digit, i: int, length: float) -> None:
+def _add_link_body(link_element: ET.Element, digit: Digit, i: int, length: float) -> None:
     """Add the inertia and the collision shape of link i.
 
     The shape is a capsule, or a ball if the length [m] is 0.
     """
     moments = link_inertia(digit, i)
     ET.SubElement(
-        link,
+        link_element,
         "inertial",
         pos=numbers_text(centre_of_mass(digit, i)),
         mass=number_text(digit.link_mass_kg[i]),
@@ -140,23 +145,27 @@ def _add_link_body(link: ET.Element, digit: Digit, i: int, length: float) -> Non
     size = number_text(digit.link_radius_m)
     if length > 0.0:
         ET.SubElement(
-            link, "geom", type="capsule", fromto=numbers_text((0, 0, 0, length, 0, 0)), size=size
+            link_element,
+            "geom",
+            type="capsule",
+            fromto=numbers_text((0, 0, 0, length, 0, 0)),
+            size=size,
         )
     else:
-        ET.SubElement(link, "geom", type="sphere", size=size)
+        ET.SubElement(link_element, "geom", type="sphere", size=size)
 
 
-def _add_meshes(root: ET.Element, meshes: Mapping[str, LinkMesh]) -> None:
+def _add_meshes(model_root: ET.Element, mesh_of_link: Mapping[str, LinkMesh]) -> None:
     """Add the meshes as assets, and as geoms without mass and contacts.
 
     The collision shapes of links with a mesh are hidden.
     """
-    if not meshes:
+    if not mesh_of_link:
         return
     assets = ET.Element("asset")
-    root.insert(list(root).index(root.find("worldbody")), assets)  # type: ignore[arg-type]
-    bodies = {str(body.get("name")): body for body in root.iter("body")}
-    for link, mesh in meshes.items():
+    model_root.insert(list(model_root).index(model_root.find("worldbody")), assets)  # type: ignore[arg-type]
+    bodies = {str(body.get("name")): body for body in model_root.iter("body")}
+    for link, mesh in mesh_of_link.items():
         # MuJoCo computes an inertia for each mesh. The inertia of a shell can be computed even if
         # the surface has holes. But the inertia of a mesh has no effect in this model.
         ET.SubElement(
@@ -175,7 +184,7 @@ def _add_meshes(root: ET.Element, meshes: Mapping[str, LinkMesh]) -> None:
         ET.SubElement(bodies[link], "geom", place | free, type="mesh", mesh=link)
 
 
-def _add_couplings(root: ET.Element, hand: Hand) -> None:
+def _add_couplings(model_root: ET.Element, hand: Hand) -> None:
     """Add an equality constraint for each joint that follows another joint, see ``coupled_joints``."""
     rows = [
         (digit.joints[follower], digit.joints[leader], ratio)
@@ -184,7 +193,7 @@ def _add_couplings(root: ET.Element, hand: Hand) -> None:
     ]
     if not rows:
         return
-    equality = ET.SubElement(root, "equality")
+    equality = ET.SubElement(model_root, "equality")
     for follower, leader, ratio in rows:
         # The constraint is follower = 0 + ratio * leader. Both angles are measured from their zero
         # in the model.
@@ -192,14 +201,14 @@ def _add_couplings(root: ET.Element, hand: Hand) -> None:
         ET.SubElement(equality, "joint", joint1=follower, joint2=leader, polycoef=polynomial)
 
 
-def _add_tendons(root: ET.Element, hand: Hand) -> None:
+def _add_tendons(model_root: ET.Element, hand: Hand) -> None:
     """Add for each tendon a fixed tendon of MuJoCo with constant moment arms, and a motor.
 
     The motor of a single tendon only pulls, and the motor of a spool pair pulls both ways. If a
     moment arm depends on the joint angle, its mean is used.
     """
-    tendons = ET.SubElement(root, "tendon")
-    actuators = ET.SubElement(root, "actuator")
+    tendons = ET.SubElement(model_root, "tendon")
+    actuators = ET.SubElement(model_root, "actuator")
     for tendon, arms in zip(hand.tendon, hand.moment_arms, strict=True):
         fixed = ET.SubElement(tendons, "fixed", name=tendon.name)
         for joint in tendon.arms:

@@ -82,7 +82,7 @@ class ModelMesh:
             rotation=np.array(values["rotation"], dtype=float),
         )
 
-    def seen_from(self, rotation: Array, origin: Array) -> "ModelMesh":
+    def in_frame(self, frame_rotation: Array, frame_origin: Array) -> "ModelMesh":
         """Return the mesh as seen from another frame of the link.
 
         The rotation (3, 3) and the origin (3,) [m] of the other frame are given in the present
@@ -90,8 +90,8 @@ class ModelMesh:
         """
         return replace(
             self,
-            position=rotation.T @ (self.position - origin),
-            rotation=rotation.T @ self.rotation,
+            position=frame_rotation.T @ (self.position - frame_origin),
+            rotation=frame_rotation.T @ self.rotation,
         )
 
 
@@ -231,7 +231,7 @@ class _LinkChain:
 
 
 def digits_of_links(
-    links: Sequence[ModelLink], source: str
+    links: Sequence[ModelLink], source_name: str
 ) -> tuple[tuple[ModelDigit, ...], Array, Array]:
     """Return the digits of a tree of links and the frame of the palm.
 
@@ -244,7 +244,7 @@ def digits_of_links(
 
     Args:
         links: all links, where the parent of a link comes before the link.
-        source: name of the description, for error messages.
+        source_name: name of the description, for error messages.
 
     Returns:
         The digits, and the rotation (3, 3) and origin (3,) [m] of the palm frame in the root frame.
@@ -253,7 +253,7 @@ def digits_of_links(
         ConfigError: the description does not show where a digit ends.
     """
     chains = list(_link_chains(links))
-    frames = _link_frames(links, chains, source)
+    frames = _link_frames(links, chains, source_name)
     palm, origin = _palm_frame(links, chains, frames)
     digits = []
     for chain in chains:
@@ -279,7 +279,7 @@ def digits_of_links(
                     [turn.T @ link.inertia @ turn for turn, link in zip(own, bodies, strict=True)]
                 ),
                 meshes=tuple(
-                    link.mesh and link.mesh.seen_from(turn, np.zeros(3))
+                    link.mesh and link.mesh.in_frame(turn, np.zeros(3))
                     for turn, link in zip(own, bodies, strict=True)
                 ),
             )
@@ -310,7 +310,7 @@ def _link_chains(links: Sequence[ModelLink]) -> Iterator[_LinkChain]:
         count += 1
 
 
-def _digit_name(links: Sequence[ModelLink], used_names: set[str], count: int) -> str:
+def _digit_name(links: Sequence[ModelLink], used_names: set[str], digit_count: int) -> str:
     """Return a name for a digit that is not used yet.
 
     The name is the text with which the names of all joints or links of the digit begin. If these
@@ -331,31 +331,31 @@ def _digit_name(links: Sequence[ModelLink], used_names: set[str], count: int) ->
     return next(
         name
         for i in range(len(used_names) + 1)
-        if (name := f"digit_{count + 1 + i}") not in used_names
+        if (name := f"digit_{digit_count + 1 + i}") not in used_names
     )
 
 
 def _link_frames(
-    links: Sequence[ModelLink], chains: Sequence[_LinkChain], source: str
+    links: Sequence[ModelLink], chains: Sequence[_LinkChain], source_name: str
 ) -> dict[int, tuple[Array, float]]:
     """Return, for each link, the new frame (3, 3) relative to the frame in the description, and the length [m]."""
     frames = {}
     for chain in chains:
         for i, following in zip(chain.members, chain.members[1:], strict=False):
-            frames[i] = _link_frame(links[i], links[following].position, last=False)
+            frames[i] = _link_frame(links[i], links[following].position, is_last=False)
         last = chain.members[-1]
         frames[last] = _link_frame(
-            links[last], _link_end(links, last, f"{source}: digit {chain.name}"), last=True
+            links[last], _link_end(links, last, f"{source_name}: digit {chain.name}"), is_last=True
         )
     return frames
 
 
-def _link_frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
+def _link_frame(link: ModelLink, link_end: Array, is_last: bool) -> tuple[Array, float]:
     """Return a frame for a link whose x axis points to the end of the link, and the length of the link [m]."""
-    length = float(np.linalg.norm(end))
+    length = float(np.linalg.norm(link_end))
     if length < INTERSECTION_TOLERANCE_M:
         return np.eye(3), 0.0
-    x = end / length
+    x = link_end / length
     # A sliding link moves like a hinge whose axis is perpendicular to the sliding axis and to the
     # link.
     axis = np.cross(x, link.axis) if link.is_prismatic else link.axis
@@ -363,7 +363,7 @@ def _link_frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
     if (
         np.linalg.norm(x[1:]) < MAX_ANGLE_TO_LINK_RAD
         and x[0] > 0.0
-        and not (last and motion[1] < MIN_FLEXION_Y)
+        and not (is_last and motion[1] < MIN_FLEXION_Y)
     ):
         return np.eye(3), length
     z = axis - (axis @ x) * x
@@ -417,7 +417,7 @@ def _link_end(links: Sequence[ModelLink], i: int, where: str) -> Array:
 def _palm_frame(
     links: Sequence[ModelLink],
     chains: Sequence[_LinkChain],
-    frames: Mapping[int, tuple[Array, float]],
+    frame_of_link: Mapping[int, tuple[Array, float]],
 ) -> tuple[Array, Array]:
     """Return the rotation (3, 3) and the origin (3,) [m] of the palm frame in the root frame.
 
@@ -435,10 +435,10 @@ def _palm_frame(
     for chain, mount in zip(fingers, mounts, strict=True):
         last = chain.members[-1]
         position, rotation = places[last]
-        along = position + rotation @ frames[last][0][:, 0] * frames[last][1] - mount
+        along = position + rotation @ frame_of_link[last][0][:, 0] * frame_of_link[last][1] - mount
         pointing += along / np.linalg.norm(along) / len(fingers)
     last = fingers[0].members[-1]
-    closing = places[last][1] @ frames[last][0][:, 1]
+    closing = places[last][1] @ frame_of_link[last][0][:, 1]
     palm = np.eye(3)
     if pointing[0] < MIN_FORWARD_X * np.linalg.norm(pointing):
         palm = max(

@@ -39,7 +39,7 @@ PALM_MARGIN_M = 0.010
 """Extent of the box beyond the mounts of the outermost digits [m]."""
 
 
-def urdf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
+def urdf_text(hand: Hand, mesh_of_link: Mapping[str, LinkMesh] = NO_MESHES) -> str:
     """Return the text of the URDF file of a hand.
 
     The root link is named ``palm``, the links ``index_link1`` and so on, the joints ``index_j1``
@@ -47,16 +47,16 @@ def urdf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
 
     Args:
         hand: description of the hand.
-        meshes: meshes by the name of the link, with paths relative to the URDF file. They replace
+        mesh_of_link: meshes by the name of the link, with paths relative to the URDF file. They replace
             the visual shapes of these links.
     """
     robot = ET.Element("robot", name=hand.name)
-    if meshes:
+    if mesh_of_link:
         # Without this option, MuJoCo would remove the folders from the paths of meshes, and leave
         # the meshes out.
         extension = ET.SubElement(robot, "mujoco")
         ET.SubElement(extension, "compiler", strippath="false", discardvisual="false")
-    _add_palm(ET.SubElement(robot, "link", name="palm"), hand, None, meshes.get("palm"))
+    _add_palm(ET.SubElement(robot, "link", name="palm"), hand, None, mesh_of_link.get("palm"))
     for digit in hand.digit:
         for i in range(len(digit.link_length_m)):
             _add_joint(robot, hand, digit, i)
@@ -65,10 +65,10 @@ def urdf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
                 digit,
                 i,
                 shape_length(hand, digit, i),
-                meshes.get(f"{digit.name}_link{i + 1}"),
+                mesh_of_link.get(f"{digit.name}_link{i + 1}"),
             )
         if digit.name in hand.carrier_digits:
-            _add_palm(robot[-1], hand, digit.name, meshes.get(robot[-1].get("name", "")))
+            _add_palm(robot[-1], hand, digit.name, mesh_of_link.get(robot[-1].get("name", "")))
         _add_tip_frame(robot, digit)
     ET.indent(robot)
     return ET.tostring(robot, encoding="unicode") + "\n"
@@ -104,28 +104,30 @@ def shape_length(hand: Hand, digit: Digit, i: int) -> float:
     )
 
 
-def _add_palm(link: ET.Element, hand: Hand, carrier: str | None, mesh: LinkMesh | None) -> None:
+def _add_palm(
+    link_element: ET.Element, hand: Hand, carrier: str | None, mesh: LinkMesh | None
+) -> None:
     """Add a box behind all digits that a link carries.
 
     The box has no mass, because the palm does not move.
     """
     centre, size = palm_box(hand, carrier)
     if mesh and carrier is None:
-        _add_mesh(link, mesh)
+        _add_mesh(link_element, mesh)
     for element in _shape_elements(mesh):
-        part = ET.SubElement(link, element)
+        part = ET.SubElement(link_element, element)
         ET.SubElement(part, "origin", xyz=numbers_text(centre), rpy="0 0 0")
         ET.SubElement(ET.SubElement(part, "geometry"), "box", size=numbers_text(size))
 
 
-def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
+def _add_joint(robot_element: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     """Add the joint before link i.
 
     Its torque and speed limits follow from the tendons and motors.
     """
     name = digit.joints[i]
     kind = PRISMATIC if digit.is_prismatic[i] else "revolute"
-    joint = ET.SubElement(robot, "joint", name=name, type=kind)
+    joint = ET.SubElement(robot_element, "joint", name=name, type=kind)
     ET.SubElement(
         joint, "parent", link=hand.base_link(digit) if i == 0 else f"{digit.name}_link{i}"
     )
@@ -197,9 +199,9 @@ def _shape_elements(mesh: LinkMesh | None) -> tuple[str, ...]:
     return ("collision",) if mesh else ("visual", "collision")
 
 
-def _add_mesh(link: ET.Element, mesh: LinkMesh) -> None:
+def _add_mesh(link_element: ET.Element, mesh: LinkMesh) -> None:
     """Add a mesh as the visual shape of a link."""
-    visual = ET.SubElement(link, "visual")
+    visual = ET.SubElement(link_element, "visual")
     ET.SubElement(
         visual,
         "origin",
@@ -215,14 +217,14 @@ def _add_mesh(link: ET.Element, mesh: LinkMesh) -> None:
 
 
 def _add_link(
-    robot: ET.Element, digit: Digit, i: int, length: float, mesh: LinkMesh | None
+    robot_element: ET.Element, digit: Digit, i: int, length: float, mesh: LinkMesh | None
 ) -> None:
     """Add link i with its inertia.
 
     The shape is a cylinder of the given length [m] with a ball at the far end.
     """
     radius = digit.link_radius_m
-    link = ET.SubElement(robot, "link", name=f"{digit.name}_link{i + 1}")
+    link = ET.SubElement(robot_element, "link", name=f"{digit.name}_link{i + 1}")
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=numbers_text(centre_of_mass(digit, i)), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=number_text(digit.link_mass_kg[i]))
@@ -251,11 +253,11 @@ def _add_link(
         ET.SubElement(ET.SubElement(ball, "geometry"), "sphere", radius=number_text(radius))
 
 
-def _add_tip_frame(robot: ET.Element, digit: Digit) -> None:
+def _add_tip_frame(robot_element: ET.Element, digit: Digit) -> None:
     """Add a link without mass at the end of the digit's last link."""
     last = len(digit.link_length_m)
-    ET.SubElement(robot, "link", name=f"{digit.name}_tip")
-    joint = ET.SubElement(robot, "joint", name=f"{digit.name}_tip_joint", type="fixed")
+    ET.SubElement(robot_element, "link", name=f"{digit.name}_tip")
+    joint = ET.SubElement(robot_element, "joint", name=f"{digit.name}_tip_joint", type="fixed")
     ET.SubElement(joint, "parent", link=f"{digit.name}_link{last}")
     ET.SubElement(joint, "child", link=f"{digit.name}_tip")
     ET.SubElement(

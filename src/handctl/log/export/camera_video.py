@@ -120,16 +120,16 @@ def video_file_numbers(episode: int) -> dict[str, int]:
 
 
 def write_episode_video(
-    source: Path, target: Path, first_s: float, frames: int, fps: int
+    source_video: Path, target: Path, first_s: float, frame_count: int, fps: int
 ) -> EpisodeVideo:
     """Write the video of an episode for the dataset.
 
     Args:
-        source: video file that the camera recorded.
+        source_video: video file that the camera recorded.
         target: video file to write.
         first_s: time in the source video at which the episode begins [s]. If the time is negative,
             the source video begins after the start of the episode.
-        frames: number of frames of the episode.
+        frame_count: number of frames of the episode.
         fps: frame rate of the dataset [Hz].
 
     Raises:
@@ -138,7 +138,7 @@ def write_episode_video(
     target.parent.mkdir(parents=True, exist_ok=True)
     if first_s < -MAX_FRAME_GAP_S:
         late = f"the video begins {-first_s:.2f} s after the start of the episode"
-        raise LogError(late, str(source), "a video of the whole run")
+        raise LogError(late, str(source_video), "a video of the whole run")
     filters = [
         f"setpts=PTS-STARTPTS-({first_s:.9f}/TB)",
         f"fps=fps={fps}:start_time=0:round=up",
@@ -150,7 +150,7 @@ def write_episode_video(
         "-vf",
         ",".join(filters),
         "-frames:v",
-        str(frames),
+        str(frame_count),
         "-c:v",
         "libx264",
         "-g",
@@ -158,7 +158,7 @@ def write_episode_video(
         "-crf",
         "23",
     ]
-    _run_ffmpeg(source, *encode, "-pix_fmt", "yuv420p", str(target))
+    _run_ffmpeg(source_video, *encode, "-pix_fmt", "yuv420p", str(target))
     width, height, _ = next(_video_frames(target, "null"))
     scaled = f"scale=min({STATISTICS_WIDTH}\\,iw):-2"
     histogram = np.zeros((3, CHANNEL_LEVELS), np.int64)
@@ -168,38 +168,38 @@ def write_episode_video(
             np.bincount(channel, minlength=CHANNEL_LEVELS) for channel in pixels.reshape(-1, 3).T
         ]
         count += 1
-    if count < frames:
-        missing = (frames - count) / fps + MAX_FRAME_GAP_S
+    if count < frame_count:
+        missing = (frame_count - count) / fps + MAX_FRAME_GAP_S
         early = f"the video ends {missing:.2f} s before the end of the episode"
-        raise LogError(early, str(source), "a video of the whole run")
+        raise LogError(early, str(source_video), "a video of the whole run")
     return EpisodeVideo(height, width, count, histogram)
 
 
-def _run_ffmpeg(source: Path, *words: str) -> None:
+def _run_ffmpeg(source_video: Path, *arguments: str) -> None:
     """Run ffmpeg on a video file, with the given further arguments.
 
     Raises:
         LogError: ffmpeg reports an error.
     """
-    command = ["ffmpeg", "-nostdin", "-v", "error", "-y", "-i", str(source), *words]
+    command = ["ffmpeg", "-nostdin", "-v", "error", "-y", "-i", str(source_video), *arguments]
     ran = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     if ran.returncode != 0:
-        raise _unreadable_video_error(source, ran.stderr)
+        raise _unreadable_video_error(source_video, ran.stderr)
 
 
-def _unreadable_video_error(source: Path, stderr: str) -> LogError:
+def _unreadable_video_error(source_video: Path, stderr: str) -> LogError:
     """Return the error that is raised if ffmpeg cannot read a video."""
     reason = printable_text((stderr.strip().splitlines() or ["no reason"])[-1])
-    return LogError(f"ffmpeg: {reason}", str(source), "a video that ffmpeg reads")
+    return LogError(f"ffmpeg: {reason}", str(source_video), "a video that ffmpeg reads")
 
 
-def _video_frames(source: Path, filters: str) -> Any:
+def _video_frames(source: Path, filter_text: str) -> Any:
     """Yield the width, the height and the pixels (height * width * 3,) of every image of a video.
 
     Raises:
         LogError: the video contains no image.
     """
-    command = ["ffmpeg", "-nostdin", "-v", "error", "-i", str(source), "-vf", filters]
+    command = ["ffmpeg", "-nostdin", "-v", "error", "-i", str(source), "-vf", filter_text]
     command += ["-fps_mode", "passthrough", "-f", "image2pipe", "-c:v", "ppm", "-"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None

@@ -211,7 +211,7 @@ def _video_feature(videos: Sequence[EpisodeVideo], fps: int) -> dict[str, Any]:
     }
 
 
-def _check_same_dataset(first: RunLog, log: RunLog, same_names: bool, where: str) -> None:
+def _check_same_dataset(first: RunLog, log: RunLog, same_names: bool, log_name: str) -> None:
     """Check that a log has the same hand and the same control rate as the first log of the dataset.
 
     Raises:
@@ -220,12 +220,12 @@ def _check_same_dataset(first: RunLog, log: RunLog, same_names: bool, where: str
     hands = [printable_text(str(one.header.metadata.get("hand"))) for one in (first, log)]
     if hands[0] != hands[1] or not same_names:
         raise LogError(
-            f"a run of hand {hands[1]}", where, f"a run of hand {hands[0]}, as in the first log"
+            f"a run of hand {hands[1]}", log_name, f"a run of hand {hands[0]}, as in the first log"
         )
     if first.header.period_ns != log.header.period_ns:
         rates = [1e9 / one.header.period_ns for one in (first, log)]
         raise LogError(
-            f"a run at {rates[1]:g} Hz", where, f"a run at {rates[0]:g} Hz, as in the first log"
+            f"a run at {rates[1]:g} Hz", log_name, f"a run at {rates[0]:g} Hz, as in the first log"
         )
 
 
@@ -302,18 +302,18 @@ def _without_nan(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
 
 
 def _scalar_features(
-    episodes: Sequence[_Episode], number: int, tasks: list[str], fps: int
+    episodes: Sequence[_Episode], episode_index: int, tasks: list[str], fps: int
 ) -> dict[str, NDArray[Any]]:
     """Return the scalar features that LeRobot requires in every frame of an episode."""
-    before = sum(episode.frames for episode in episodes[:number])
-    frames = episodes[number].frames
+    before = sum(episode.frames for episode in episodes[:episode_index])
+    frames = episodes[episode_index].frames
     index = np.arange(frames)
     return {
         "timestamp": (index / fps).astype(np.float32),
         "frame_index": index,
-        "episode_index": np.full(frames, number, np.int64),
+        "episode_index": np.full(frames, episode_index, np.int64),
         "index": before + index,
-        "task_index": np.full(frames, tasks.index(episodes[number].task), np.int64),
+        "task_index": np.full(frames, tasks.index(episodes[episode_index].task), np.int64),
         "next.done": index == frames - 1,
     }
 
@@ -409,7 +409,7 @@ def _info_content(
     log: RunLog,
     fps: int,
     episodes: Sequence[_Episode],
-    tasks: int,
+    task_count: int,
     scalars: dict[str, NDArray[Any]],
 ) -> dict[str, Any]:
     """Return the content of `meta/info.json`."""
@@ -426,7 +426,7 @@ def _info_content(
         "robot_type": log.header.metadata.get("hand"),
         "total_episodes": len(episodes),
         "total_frames": sum(episode.frames for episode in episodes),
-        "total_tasks": tasks,
+        "total_tasks": task_count,
         "chunks_size": 1000,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,

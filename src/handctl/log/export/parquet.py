@@ -11,7 +11,7 @@ from pathlib import Path
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 
-from handctl.log.export.tables import (
+from handctl.log.export.csv_and_candump import (
     INTEGER_COLUMNS,
     TEXT_COLUMNS,
     column_names,

@@ -83,13 +83,13 @@ class ChunkDefinitions(NamedTuple):
 
 
 def iter_messages(
-    content: bytes, packed: int, channels: frozenset[int] | None = None
+    content: bytes, compressed_size: int, channels: frozenset[int] | None = None
 ) -> Iterator[MessageRows]:
     """Yield the messages of the given channels, or of all channels, in blocks.
 
     Args:
         content: the uncompressed chunk.
-        packed: size of the compressed chunk [bytes]. This size limits the number of blocks, so that
+        compressed_size: size of the compressed chunk [bytes]. This size limits the number of blocks, so that
             a small file cannot cause a lot of work.
         channels: ids of the channels to read. If it is None, all channels are read.
 
@@ -100,7 +100,7 @@ def iter_messages(
     raw = np.frombuffer(content, np.uint8)
     at = 0
     defined = 0
-    remaining = MIN_BLOCKS + packed // BYTES_PER_BLOCK
+    remaining = MIN_BLOCKS + compressed_size // BYTES_PER_BLOCK
     while at < len(content):
         remaining -= 1
         if remaining < 0:
@@ -113,7 +113,7 @@ def iter_messages(
         if code == MESSAGE_OPCODE:
             if size < _MESSAGE_DATA_OFFSET:
                 raise ValueError("a message that is too short")
-            count = _count_equal(content, at, size)
+            count = _count_similar_records(content, at, size)
             (channel,) = _CHANNEL_STRUCT.unpack_from(content, at + 9)
             if channels is None or channel in channels:
                 yield MessageRows(channel, at, raw[at : at + count * size].reshape(count, size))
@@ -126,19 +126,19 @@ def iter_messages(
         at += count * size
 
 
-def _count_equal(content: bytes, at: int, size: int) -> int:
+def _count_similar_records(content: bytes, offset: int, size: int) -> int:
     """Count the consecutive records with the same size and channel as the first record.
 
     Args:
         content: the uncompressed chunk.
-        at: offset of the first record in the chunk [bytes].
+        offset: offset of the first record in the chunk [bytes].
         size: size of a record [bytes].
     """
-    max_count = (len(content) - at) // size
+    max_count = (len(content) - offset) // size
     count = 1
     step = 16
-    head = content[at : at + _MESSAGE_HEAD_BYTES]
-    after = at + size
+    head = content[offset : offset + _MESSAGE_HEAD_BYTES]
+    after = offset + size
     while count < min(LINEAR_SEARCH_LIMIT, max_count):
         if content[after : after + _MESSAGE_HEAD_BYTES] != head:
             return count
@@ -148,7 +148,9 @@ def _count_equal(content: bytes, at: int, size: int) -> int:
     # comparisons. An `ndarray` with a stride reads only the first bytes of each record.
     while count < max_count:
         number = min(step, max_count - count)
-        heads = np.ndarray(number, _RECORD_HEADERS, content, at + count * size, (size,)).tobytes()
+        heads = np.ndarray(
+            number, _RECORD_HEADERS, content, offset + count * size, (size,)
+        ).tobytes()
         equal = number if heads == head * number else _count_equal_heads(heads, head, number)
         count += equal
         step *= 4
@@ -157,18 +159,18 @@ def _count_equal(content: bytes, at: int, size: int) -> int:
     return count
 
 
-def _count_equal_heads(heads: bytes, head: bytes, number: int) -> int:
-    """Count how many elements at the start of `heads` equal `head`.
+def _count_equal_heads(head_bytes: bytes, head: bytes, count_limit: int) -> int:
+    """Count how many elements at the start of `head_bytes` equal `head`.
 
-    At least one element of `heads` must differ from `head`.
+    At least one element of `head_bytes` must differ from `head`.
     """
     low = 0
-    while number - low > 1:
-        middle = (low + number) // 2
-        if heads[: middle * _MESSAGE_HEAD_BYTES] == head * middle:
+    while count_limit - low > 1:
+        middle = (low + count_limit) // 2
+        if head_bytes[: middle * _MESSAGE_HEAD_BYTES] == head * middle:
             low = middle
         else:
-            number = middle
+            count_limit = middle
     return low
 
 
@@ -194,18 +196,18 @@ def schemas_and_channels(content: bytes) -> ChunkDefinitions:
     return result
 
 
-def _read_text(body: bytes, at: int) -> tuple[str, int]:
+def _read_text(body: bytes, offset: int) -> tuple[str, int]:
     """Read a string of a record. Return the string and the offset after it."""
-    raw, at = _read_bytes(body, at)
-    return raw.decode(), at
+    raw, offset = _read_bytes(body, offset)
+    return raw.decode(), offset
 
 
-def _read_bytes(body: bytes, at: int) -> tuple[bytes, int]:
+def _read_bytes(body: bytes, offset: int) -> tuple[bytes, int]:
     """Read a byte array of a record. Return the array and the offset after it."""
-    (size,) = struct.unpack_from("<I", body, at)
-    if at + 4 + size > len(body):
+    (size,) = struct.unpack_from("<I", body, offset)
+    if offset + 4 + size > len(body):
         raise ValueError("a text extends beyond the end of its record")
-    return body[at + 4 : at + 4 + size], at + 4 + size
+    return body[offset + 4 : offset + 4 + size], offset + 4 + size
 
 
 def _decode_schema(body: bytes) -> tuple[int, str, str, bytes]:

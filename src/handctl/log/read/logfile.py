@@ -39,9 +39,9 @@ class LogErrorContext:
 
     __slots__ = ("where",)
 
-    def __init__(self, where: str) -> None:
+    def __init__(self, log_name: str) -> None:
         """Store the position in the file, for the message of an error."""
-        self.where = where
+        self.where = log_name
 
     def __enter__(self) -> None:
         """Enter the context for one piece of the file."""
@@ -150,14 +150,14 @@ class LogFile:
             start += len(data)
         return value
 
-    def chunk_content(self, chunk: ChunkLocation, checked: bool = True) -> bytes:
+    def chunk_content(self, chunk: ChunkLocation, is_checked: bool = True) -> bytes:
         """Return the uncompressed bytes of a chunk.
 
         The result never has more bytes than the chunk declares.
 
         Args:
             chunk: location of the chunk.
-            checked: True to check the checksum of the chunk.
+            is_checked: True to check the checksum of the chunk.
 
         Raises:
             LogError: the size or the checksum of the chunk differs from the declared one.
@@ -171,9 +171,9 @@ class LogFile:
                 raise ValueError(
                     f"chunk of {len(content)} bytes or more; declared are {chunk.size}"
                 )
-            if checked and chunk.crc and zlib.crc32(content) != chunk.crc:
+            if is_checked and chunk.crc and zlib.crc32(content) != chunk.crc:
                 raise ValueError("checksum of a chunk does not match")
-        if checked:
+        if is_checked:
             self._latest = (chunk, content)
         return content
 

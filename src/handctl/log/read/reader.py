@@ -27,14 +27,14 @@ from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.timeline import LoggedEvent, PhaseChange, TickGap
 from handctl.log.tick_batch import FIXED_DTYPE, column_count, columns_of_fields, row_fields
 from handctl.log.tick_record import TickRecord, message_layout, unpack_tick, unpack_ticks
-from handctl.log.topics.clock_pairs import CLOCK_PAIRS_TOPIC as CLOCK_TOPIC
-from handctl.log.topics.clock_pairs import ClockPair, decode_clock_pair
+from handctl.log.topics.clock_pair_topic import CLOCK_PAIRS_TOPIC as CLOCK_TOPIC
+from handctl.log.topics.clock_pair_topic import ClockPair, decode_clock_pair
 from handctl.log.topics.hash_chain import CHAIN_TOPIC as CHAIN_TOPIC
 from handctl.log.topics.hash_chain import HASH_SIZE
-from handctl.log.topics.snapshots import SNAPSHOT_TOPIC as SNAPSHOT_TOPIC
-from handctl.log.topics.snapshots import decode_snapshot
+from handctl.log.topics.snapshot_topic import SNAPSHOT_TOPIC as SNAPSHOT_TOPIC
+from handctl.log.topics.snapshot_topic import decode_snapshot
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
-from handctl.log.write.writer import LOG_SCHEMA_VERSION
+from handctl.log.write.log_writer import LOG_SCHEMA_VERSION
 from handctl.printing import printable_text
 
 Array = NDArray[np.float64]

@@ -108,7 +108,9 @@ class _FieldReader:
         return len(self._data) - self._at
 
 
-def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bool = False) -> None:
+def scan_records(
+    file: LogFile, scan: RecordScan, is_checked: bool = True, skip_chunks: bool = False
+) -> None:
     """Read the outermost records of a file, and add their content to a scan.
 
     If the file ends early, no error is raised. In this case, `scan` contains all complete records,
@@ -119,8 +121,8 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
         scan: empty scan to be filled, or an earlier scan of the same file, when the file was
             shorter. An earlier scan continues at ``scan.end``. If an error is raised, the scan
             contains the records before the damage.
-        checked: True to read the whole file and to check the checksum of the data section.
-        skip: True to skip damaged records if their ends are known. If it is False, a damaged record
+        is_checked: True to read the whole file and to check the checksum of the data section.
+        skip_chunks: True to skip damaged records if their ends are known. If it is False, a damaged record
             raises an error.
 
     Raises:
@@ -153,13 +155,13 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
             scan.end = end  # most records are message indexes, whose content the scan does not use
             continue
         if code == Opcode.DATA_END:
-            _check_end(file, scan, at, end, checked)
+            _check_end(file, scan, at, end, is_checked)
             return
         try:
             with LogErrorContext(file.position_text(at)):
                 unpacked += _add_record(file, scan, code, at, end)
         except LogError as error:
-            if not skip:
+            if not skip_chunks:
                 raise
             scan.problem = scan.problem or str(error)
             scan.skipped.append((at, end))
@@ -181,16 +183,16 @@ def scan_path(path: Path) -> RecordScan:
     file = LogFile(path)
     scan = RecordScan()
     try:
-        scan_records(file, scan, checked=False)
+        scan_records(file, scan, is_checked=False)
     finally:
         file.close()
     return scan
 
 
-def _check_limits(scan: RecordScan, unpacked: int) -> None:
+def _check_limits(scan: RecordScan, unpacked_bytes: int) -> None:
     """Raise an error if a file has too many records or too much uncompressed data."""
-    if unpacked > MAX_COMPRESSION_RATIO * scan.size + MAX_CHUNK_BYTES:
-        raise ValueError(f"chunks of more than {unpacked} bytes")
+    if unpacked_bytes > MAX_COMPRESSION_RATIO * scan.size + MAX_CHUNK_BYTES:
+        raise ValueError(f"chunks of more than {unpacked_bytes} bytes")
     if (
         max(scan.unknown, len(scan.attachments), len(scan.metadata), len(scan.skipped))
         > MAX_RECORDS
@@ -200,27 +202,27 @@ def _check_limits(scan: RecordScan, unpacked: int) -> None:
         raise ValueError(f"more than {MAX_ALL_ATTACHMENTS_BYTES} bytes of attachments")
 
 
-def _add_record(file: LogFile, scan: RecordScan, code: int, at: int, end: int) -> int:
+def _add_record(file: LogFile, scan: RecordScan, opcode: int, offset: int, end_offset: int) -> int:
     """Add one record of the file to a scan.
 
     Return the uncompressed size of a chunk, and 0 for other records.
     """
-    start = at + _RECORD_STRUCT.size
-    length = end - at - _RECORD_STRUCT.size
-    if length < _LENGTHS.get(code, 0):
+    start = offset + _RECORD_STRUCT.size
+    length = end_offset - offset - _RECORD_STRUCT.size
+    if length < _LENGTHS.get(opcode, 0):
         raise ValueError("a record that is too short")
-    if code == Opcode.CHUNK:
-        scan.chunks.append(_decode_chunk_head(file, at, end))
+    if opcode == Opcode.CHUNK:
+        scan.chunks.append(_decode_chunk_head(file, offset, end_offset))
         return scan.chunks[-1].size
-    if code == Opcode.ATTACHMENT:
+    if opcode == Opcode.ATTACHMENT:
         _decode_attachment(
             scan, file.read_range(start, _checked_size(length, MAX_ATTACHMENT_BYTES))
         )
-    elif code == Opcode.METADATA:
+    elif opcode == Opcode.METADATA:
         fields = _FieldReader(file.read_range(start, _checked_size(length, MAX_METADATA_BYTES)))
         name = fields.read_string()
         scan.metadata[name] = _text_map(fields)
-    elif code == Opcode.MESSAGE:
+    elif opcode == Opcode.MESSAGE:
         raise ValueError("a message outside a chunk")
     return 0
 
@@ -232,11 +234,11 @@ def _checked_size(size: int, limit: int) -> int:
     return size
 
 
-def _decode_chunk_head(file: LogFile, at: int, end: int) -> ChunkLocation:
+def _decode_chunk_head(file: LogFile, offset: int, end_offset: int) -> ChunkLocation:
     """Decode the first fields of a Chunk record, but do not read the data of the chunk."""
     # 80 bytes are enough for the fields of constant size (41 bytes), the name of the compression
     # (at most 8 bytes) and the compressed size (8 bytes).
-    head = file.read_range(at, min(end - at, 80))
+    head = file.read_range(offset, min(end_offset - offset, 80))
     first, last, size, crc, name = _CHUNK_STRUCT.unpack_from(head, _RECORD_STRUCT.size)
     _checked_size(size, MAX_CHUNK_BYTES)
     start = _RECORD_STRUCT.size + _CHUNK_STRUCT.size
@@ -244,10 +246,10 @@ def _decode_chunk_head(file: LogFile, at: int, end: int) -> ChunkLocation:
     if compression not in ("", "lz4", "zstd"):
         raise ValueError(f"unknown compression {compression!r}")
     (packed,) = struct.unpack_from("<Q", head, start + name)
-    data = at + start + name + 8
-    if data + _checked_size(packed, MAX_CHUNK_BYTES) != end:
+    data = offset + start + name + 8
+    if data + _checked_size(packed, MAX_CHUNK_BYTES) != end_offset:
         raise ValueError("the length of a chunk contradicts itself")
-    return ChunkLocation(at, end, data, first, last, size, crc, compression)
+    return ChunkLocation(offset, end_offset, data, first, last, size, crc, compression)
 
 
 def _decode_attachment(scan: RecordScan, data: bytes) -> None:
@@ -276,23 +278,30 @@ def _text_map(fields: _FieldReader) -> dict[str, str]:
     return values
 
 
-def _check_end(file: LogFile, scan: RecordScan, at: int, end: int, checked: bool) -> None:
+def _check_end(
+    file: LogFile, scan: RecordScan, offset: int, end_offset: int, is_checked: bool
+) -> None:
     """Compare the checksums of the data section and of the summary with the content of the file."""
-    (crc,) = struct.unpack("<I", file.read_range(at + _RECORD_STRUCT.size, 4))
-    if end != at + _RECORD_STRUCT.size + 4 or (checked and crc and crc != file.range_crc(0, at)):
+    (crc,) = struct.unpack("<I", file.read_range(offset + _RECORD_STRUCT.size, 4))
+    if end_offset != offset + _RECORD_STRUCT.size + 4 or (
+        is_checked and crc and crc != file.range_crc(0, offset)
+    ):
         raise LogError(
             "damaged log: checksum of the data does not match",
-            file.position_text(at),
+            file.position_text(offset),
             "an intact file",
         )
     scan.complete = True
     footer = file.size - len(MCAP_MAGIC) - 29
-    if footer < end or file.read_range(file.size - len(MCAP_MAGIC), len(MCAP_MAGIC)) != MCAP_MAGIC:
+    if (
+        footer < end_offset
+        or file.read_range(file.size - len(MCAP_MAGIC), len(MCAP_MAGIC)) != MCAP_MAGIC
+    ):
         scan.problem = scan.problem or "ends within its summary"
         return
     raw = file.read_range(footer, 29)
     (expected,) = struct.unpack_from("<I", raw, 25)
     if raw[0] != Opcode.FOOTER or (
-        expected and expected != zlib.crc32(raw[:25], file.range_crc(end, footer))
+        expected and expected != zlib.crc32(raw[:25], file.range_crc(end_offset, footer))
     ):
         scan.problem = scan.problem or "the summary is damaged; the data is intact"

@@ -16,7 +16,7 @@ from handctl.log.container import McapContainer, MessageBlock
 from handctl.log.read.chunk_reader import iter_messages, schemas_and_channels
 from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
-from handctl.output import atomic_path
+from handctl.output_files import atomic_path
 
 
 class RecoveryStatus(enum.IntEnum):
@@ -92,7 +92,7 @@ def scan_damaged(file: LogFile, scan: RecordScan) -> str:
     After the call, `scan` contains the intact records before and after a damaged record.
     """
     try:
-        scan_records(file, scan, skip=True)
+        scan_records(file, scan, skip_chunks=True)
     except LogError as error:
         if scan.end == 0:
             raise
@@ -101,7 +101,7 @@ def scan_damaged(file: LogFile, scan: RecordScan) -> str:
 
 
 def _copy_intact_parts(
-    file: LogFile, scan: RecordScan, problem: str, new: McapContainer
+    file: LogFile, scan: RecordScan, problem_text: str, new: McapContainer
 ) -> RecoveryReport:
     """Copy the undamaged parts of a file into the new file, and write the end of the new file."""
     for name, (media, time_ns, data) in scan.attachments.items():
@@ -117,11 +117,11 @@ def _copy_intact_parts(
             _copy_chunk(file, chunk, new)
             copied += 1
         except LogError as error:
-            problem = problem or str(error)
+            problem_text = problem_text or str(error)
             lost.append((chunk.offset, chunk.end))
     if not scan.complete and scan.end < file.size:
         lost.append((scan.end, file.size))
-    new.write_metadata("handctl.end", _end_record(scan, problem))
+    new.write_metadata("handctl.end", _end_record(scan, problem_text))
     new.finish()
     status = (
         RecoveryStatus.NOTHING
@@ -130,13 +130,13 @@ def _copy_intact_parts(
         if lost or not scan.complete
         else RecoveryStatus.WHOLE
     )
-    return RecoveryReport(status, copied, new.message_count, tuple(sorted(lost)), problem)
+    return RecoveryReport(status, copied, new.message_count, tuple(sorted(lost)), problem_text)
 
 
-def _end_record(scan: RecordScan, problem: str) -> dict[str, str]:
+def _end_record(scan: RecordScan, problem_text: str) -> dict[str, str]:
     """Return the end record of the new file. The record describes the defect of the old file."""
     end = scan.metadata.get("handctl.end", {"reason": "not closed"})
-    return end | {"recovered": problem} if problem else end
+    return end | {"recovered": problem_text} if problem_text else end
 
 
 def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: McapContainer) -> None:

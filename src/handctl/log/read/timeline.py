@@ -38,15 +38,15 @@ class PhaseChange(NamedTuple):
     name: str
 
 
-def phase_of_each(changes: Sequence[PhaseChange], k: NDArray[np.int64]) -> NDArray[np.str_]:
+def phase_of_each(phase_changes: Sequence[PhaseChange], k: NDArray[np.int64]) -> NDArray[np.str_]:
     """Return the name of the grasp phase in each tick (ticks,).
 
     Args:
-        changes: phase changes in order. The first change of the phase is at the first tick.
+        phase_changes: phase changes in order. The first change of the phase is at the first tick.
         k: (ticks,) tick numbers in rising order.
     """
-    starts = np.array([change.k for change in changes])
-    names = np.array([change.name for change in changes])
+    starts = np.array([change.k for change in phase_changes])
+    names = np.array([change.name for change in phase_changes])
     return np.asarray(names[np.searchsorted(starts, k, side="right") - 1])
 
 

@@ -15,7 +15,7 @@ from handctl.log.tick_batch import TickBatch
 from handctl.log.tick_record import TickRecord
 from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, variable_length_block
 from handctl.programs.requests import is_routine_request, request_text
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 LOG_LEVEL_NUMBERS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 """Number of each level of a log line in rcl_interfaces/Log."""
@@ -32,10 +32,10 @@ def _stamped_writer(t_ns: int) -> CdrWriter:
     return out
 
 
-def encode_rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
+def encode_rosout(t_ns: int, level_name: str, name: str, text: str) -> bytes:
     """Encode a line of the log as rcl_interfaces/Log."""
     out = _stamped_writer(t_ns)
-    out.put_number("B", LOG_LEVEL_NUMBERS.get(level, LOG_LEVEL_NUMBERS["error"]))
+    out.put_number("B", LOG_LEVEL_NUMBERS.get(level_name, LOG_LEVEL_NUMBERS["error"]))
     out.put_string(name)
     out.put_string(text)
     out.put_string("")
@@ -65,14 +65,16 @@ def _append_parameter(out: CdrWriter, name: str, value: str) -> None:
         out.put_length(0)
 
 
-def encode_parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, str]) -> bytes:
+def encode_parameter_event(
+    t_ns: int, new_gains: dict[str, str], changed_gains: dict[str, str]
+) -> bytes:
     """Encode gains that are new or have changed as rcl_interfaces/ParameterEvent.
 
     A gain whose text is a number is written as a double.
     """
     out = _stamped_writer(t_ns)
     out.put_string("/handctl")
-    for group in (new, changed):
+    for group in (new_gains, changed_gains):
         out.put_length(len(group))
         for name, value in group.items():
             _append_parameter(out, name, value)
@@ -89,10 +91,12 @@ def encode_labelled_number(t_ns: int, number: int, name: str) -> bytes:
     return out.finished_message()
 
 
-def _changed_indexes(values: list[tuple[int, str]], last: tuple[int, str] | None) -> list[int]:
+def _changed_indexes(
+    timed_values: list[tuple[int, str]], last_value: tuple[int, str] | None
+) -> list[int]:
     """Return the indices of all values that differ from the value before them."""
-    before = [last, *values[:-1]]
-    return [index for index, value in enumerate(values) if value != before[index]]
+    before = [last_value, *timed_values[:-1]]
+    return [index for index, value in enumerate(timed_values) if value != before[index]]
 
 
 class EventTopics:

@@ -55,29 +55,31 @@ def first_hash_of_run(header: RunHeader) -> bytes:
     )
 
 
-def tick_hash(before: bytes, message: bytes, numbers: bytes) -> bytes:
+def tick_hash(previous_hash: bytes, message: bytes, telemetry_bytes: bytes) -> bytes:
     """Compute the hash of a tick in the hash chain.
 
     Args:
-        before: hash of the previous tick. For the first tick of the run, it is the hash with which
+        previous_hash: hash of the previous tick. For the first tick of the run, it is the hash with which
             the chain begins.
         message: the Tick message.
-        numbers: packed telemetry of the tick.
+        telemetry_bytes: packed telemetry of the tick.
     """
-    return hashlib.blake2b(before + message + numbers, digest_size=HASH_SIZE).digest()
+    return hashlib.blake2b(
+        previous_hash + message + telemetry_bytes, digest_size=HASH_SIZE
+    ).digest()
 
 
-def tick_hashes(before: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator[bytes]:
+def tick_hashes(previous_hash: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator[bytes]:
     """Yield the chain hashes of consecutive ticks.
 
     Args:
-        before: hash of the tick before the first of these ticks. For the first tick, the hash with
+        previous_hash: hash of the tick before the first of these ticks. For the first tick, the hash with
             which the chain begins.
         ticks: the Tick message and the packed telemetry of each tick.
     """
     for message, numbers in ticks:
-        before = tick_hash(before, message, numbers)
-        yield before
+        previous_hash = tick_hash(previous_hash, message, numbers)
+        yield previous_hash
 
 
 def chain_message() -> MessageTemplate:

@@ -17,8 +17,8 @@ from handctl.log.topics.message_streams import (
     TopicRegistry,
     variable_length_block,
 )
-from handctl.log.topics.transforms import ROOT_FRAME
-from handctl.safety.action import SafetyAction
+from handctl.log.topics.transform_topics import ROOT_FRAME
+from handctl.safety.safety_action import SafetyAction
 
 TEMPERATURE_PERIOD_NS = 200_000_000
 """Interval between the temperature messages of a motor [ns]."""
@@ -159,21 +159,21 @@ class HealthTopics:
         self._last = state[-1], int(periods[-1])
         return np.flatnonzero(changed | (np.diff(periods, prepend=last_period) != 0))
 
-    def _count_frames(self, batch: TickBatch, start: int, end: int) -> None:
-        """Count the frames and io events of the ticks whose indices are from `start` to `end` - 1."""
+    def _count_frames(self, batch: TickBatch, first_tick: int, end_tick: int) -> None:
+        """Count the frames and io events of the ticks whose indices are from `first_tick` to `end_tick` - 1."""
         for direction, frames in enumerate((batch.received, batch.sent)):
-            first, last = np.searchsorted(frames.tick_indexes, (start, end))
+            first, last = np.searchsorted(frames.tick_indexes, (first_tick, end_tick))
             bus = np.bincount(frames.frames["bus"][first:last], minlength=len(self._frames))
             self._frames[:, direction] += bus[: len(self._frames)]
-        for index in range(start, end):
+        for index in range(first_tick, end_tick):
             tick = batch.ticks_with_events.get(index)
             for event in tick.tick_in.io_events if tick else ():
                 key = " ".join(filter(None, (event.kind, event.where)))
                 self._io_events[key] = self._io_events.get(key, 0) + event.number
 
-    def _statuses(self, batch: TickBatch, index: int) -> list[DiagnosticStatus]:
+    def _statuses(self, batch: TickBatch, tick_index: int) -> list[DiagnosticStatus]:
         """Return the status of controller, buses and motors at a tick."""
-        action = SafetyAction(int(batch.action[index]))
+        action = SafetyAction(int(batch.action[tick_index]))
         level = (
             OK_LEVEL
             if action == SafetyAction.PASS
@@ -181,16 +181,16 @@ class HealthTopics:
             if action < SafetyAction.RELAX
             else ERROR_LEVEL
         )
-        mode = HandMode(int(batch.mode[index])).name.lower()
+        mode = HandMode(int(batch.mode[tick_index])).name.lower()
         values = {
             "action": action.name.lower(),
-            "phase": batch.phases[index],
-            "cycle": str(int(batch.k[index])),
+            "phase": batch.phases[tick_index],
+            "cycle": str(int(batch.k[tick_index])),
         }
         controller = DiagnosticStatus(
             level, "handctl: controller", mode, "handctl", values | self._count_texts()
         )
-        return [controller, *self._bus_statuses(), *self._motor_statuses(batch.numbers[index])]
+        return [controller, *self._bus_statuses(), *self._motor_statuses(batch.numbers[tick_index])]
 
     def _count_texts(self) -> dict[str, str]:
         """Return the counts of io events as texts, by the name of the event."""

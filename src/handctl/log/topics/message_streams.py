@@ -119,25 +119,25 @@ class MessageStream:
         self,
         stamps: MessageStamps,
         values: dict[str, NDArray[np.generic]],
-        measured: TimeArray | None = None,
+        measured_ns: TimeArray | None = None,
     ) -> MessageBlock:
         """Encode messages of the channel, and return them as a block.
 
         Args:
             stamps: log times and sequence numbers of the messages.
             values: values of the variable fields by name, each (n, size of the field).
-            measured: (n,) times at which the values were measured [ns]. By default, they are equal
+            measured_ns: (n,) times at which the values were measured [ns]. By default, they are equal
                 to the log times.
         """
         number = len(stamps.log_times)
         # All messages begin as copies of the template. In a structured array, a single assignment
         # then writes one field of all messages.
         rows = np.frombuffer(bytearray(self._record * number), self._dtype)
-        measured = stamps.log_times if measured is None else measured
+        measured_ns = stamps.log_times if measured_ns is None else measured_ns
         rows["sequence"] = stamps.sequence
         rows["log"] = stamps.log_times
-        rows["publish"] = measured
-        times = ros_time(measured)
+        rows["publish"] = measured_ns
+        times = ros_time(measured_ns)
         for index in range(self._stamps):
             rows[f"stamp{index}"] = times
         for name, array in values.items():

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content, parse_toml
-from handctl.hand.moment_arms import arms_at
+from handctl.hand.moment_arms import moment_arms_at
 from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
@@ -247,7 +247,9 @@ class StateTopics:
         """
         torque = np.zeros((len(tension), self._arms.shape[1]))
         arms = (
-            self._arms if self._polynomials is None else arms_at(self._polynomials, self._limits, q)
+            self._arms
+            if self._polynomials is None
+            else moment_arms_at(self._polynomials, self._limits, q)
         )
         for tendon, joint in zip(*np.nonzero(self._arms), strict=True):
             torque[:, joint] += arms[..., tendon, joint] * tension[:, tendon]

@@ -7,8 +7,8 @@ from handctl.log.cdr import CdrWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
 from handctl.log.tick_batch import TickBatch
-from handctl.log.topics.can import CanTopics
-from handctl.log.topics.clock_pairs import ClockTopic
+from handctl.log.topics.can_frame_topics import CanTopics
+from handctl.log.topics.clock_pair_topic import ClockTopic
 from handctl.log.topics.event_topics import EventTopics
 from handctl.log.topics.hash_chain import ChainTopic
 from handctl.log.topics.health_topics import HealthTopics
@@ -18,10 +18,10 @@ from handctl.log.topics.message_streams import (
     stamps_at,
     variable_length_block,
 )
-from handctl.log.topics.snapshots import ControllerSnapshot, SnapshotTopic
+from handctl.log.topics.snapshot_topic import ControllerSnapshot, SnapshotTopic
 from handctl.log.topics.state_topics import StateTopics, names_message
-from handctl.log.topics.targets import TargetTopic
-from handctl.log.topics.transforms import TfTopics
+from handctl.log.topics.target_topic import TargetTopic
+from handctl.log.topics.transform_topics import TfTopics
 
 TICK_TOPIC = "/tick"
 VALUES_TOPIC = "/controller/values"

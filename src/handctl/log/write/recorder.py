@@ -277,12 +277,14 @@ class Recorder:
             *lines, self._line = (self._line + data).split(b"\n")
             self._messages += [json.loads(line) for line in lines]
 
-    def close(self, reason: str, facts: Mapping[str, str] | None = None) -> dict[str, object]:
+    def close(
+        self, end_reason: str, run_facts: Mapping[str, str] | None = None
+    ) -> dict[str, object]:
         """End the recording of the run, and wait until the log file is complete.
 
         Args:
-            reason: reason why the run ended. The log contains it.
-            facts: facts for the log that are known only at the end of the run, by the name of the
+            end_reason: reason why the run ended. The log contains it.
+            run_facts: facts for the log that are known only at the end of the run, by the name of the
                 fact.
 
         Returns:
@@ -290,7 +292,7 @@ class Recorder:
             the log, the summary also contains ticks, messages, lost and reason.
         """
         body = json.dumps(
-            {"reason": reason, "dropped": self.dropped, "facts": dict(facts or {})}
+            {"reason": end_reason, "dropped": self.dropped, "facts": dict(run_facts or {})}
         ).encode()
         if not self._ended and self._send(self._rest, CLOSE_TIMEOUT_S):
             self._send(record_bytes(END_RECORD_KIND, body), CLOSE_TIMEOUT_S)

@@ -27,8 +27,8 @@ from handctl.log.tick_record import (
     SNAPSHOT_RECORD_KIND,
     TICK_RECORD_KIND,
 )
-from handctl.log.write.syncer import DiskSyncer
-from handctl.log.write.writer import LogWriter
+from handctl.log.write.disk_syncer import DiskSyncer
+from handctl.log.write.log_writer import LogWriter
 
 READ_BYTES = 1 << 20
 """Largest number of bytes that one read takes from the pipe."""
@@ -83,21 +83,21 @@ class RecordSplitter:
         """
         self._rest = b""
 
-    def split(self, data: bytes) -> Iterator[tuple[int, bytes]]:
+    def split(self, pipe_bytes: bytes) -> Iterator[tuple[int, bytes]]:
         """Add bytes to the stream.
 
         For each record that is now complete, yield the kind and the body.
         """
-        data = self._rest + data
+        pipe_bytes = self._rest + pipe_bytes
         at = 0
-        while at + RECORD_FRAMING_STRUCT.size <= len(data):
-            length, kind = RECORD_FRAMING_STRUCT.unpack_from(data, at)
+        while at + RECORD_FRAMING_STRUCT.size <= len(pipe_bytes):
+            length, kind = RECORD_FRAMING_STRUCT.unpack_from(pipe_bytes, at)
             end = at + RECORD_FRAMING_STRUCT.size + length
-            if end > len(data):
+            if end > len(pipe_bytes):
                 break
-            yield kind, data[at + RECORD_FRAMING_STRUCT.size : end]
+            yield kind, pipe_bytes[at + RECORD_FRAMING_STRUCT.size : end]
             at = end
-        self._rest = data[at:]
+        self._rest = pipe_bytes[at:]
 
 
 class RecorderSession:
@@ -143,24 +143,24 @@ class RecorderSession:
         if self._writer:
             send_note({"summary": self._writer.finish(self._reason, self._dropped, self._facts)})
 
-    def _take_record(self, kind: int, body: bytes) -> None:
+    def _take_record(self, record_kind: int, body: bytes) -> None:
         """Process one record from the controller."""
-        if kind == TICK_RECORD_KIND and self._writer:
+        if record_kind == TICK_RECORD_KIND and self._writer:
             self._writer.add_tick(body)
-        elif kind == SNAPSHOT_RECORD_KIND and self._writer:
+        elif record_kind == SNAPSHOT_RECORD_KIND and self._writer:
             self._writer.add_snapshot(body)
-        elif kind == FILE_RECORD_KIND:
+        elif record_kind == FILE_RECORD_KIND:
             file = json.loads(body)
             self.path = Path(file["path"])
             self._floor = int(file["floor_bytes"])
-        elif kind == HEADER_RECORD_KIND:
+        elif record_kind == HEADER_RECORD_KIND:
             header = RunHeader.load(body)
             self._wall_flush = not header.deterministic
             self._writer = LogWriter(
                 self.path, header, report_event, self._floor, to_disk=DiskSyncer()
             )
             send_note({"ready": True})
-        elif kind == END_RECORD_KIND:
+        elif record_kind == END_RECORD_KIND:
             end = json.loads(body)
             self._reason = str(end["reason"])
             self._dropped = int(end["dropped"])

@@ -74,16 +74,16 @@ SIGNIFICANT_DIGITS = 6
 """Number of significant digits of the results in a file."""
 
 
-def rounded_results(results: Any) -> Any:
+def rounded_results(experiment_results: Any) -> Any:
     """Return the results with every float rounded to `SIGNIFICANT_DIGITS` significant digits."""
-    if isinstance(results, float):
-        return float(f"{results:.{SIGNIFICANT_DIGITS}g}")
-    if isinstance(results, Mapping):
-        return {key: rounded_results(value) for key, value in results.items()}
+    if isinstance(experiment_results, float):
+        return float(f"{experiment_results:.{SIGNIFICANT_DIGITS}g}")
+    if isinstance(experiment_results, Mapping):
+        return {key: rounded_results(value) for key, value in experiment_results.items()}
     return (
-        [rounded_results(value) for value in results]
-        if isinstance(results, list | tuple)
-        else results
+        [rounded_results(value) for value in experiment_results]
+        if isinstance(experiment_results, list | tuple)
+        else experiment_results
     )
 
 

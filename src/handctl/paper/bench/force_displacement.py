@@ -68,7 +68,7 @@ class TendonCurve:
     knee_sigma: float
 
 
-def blocked_hand(knees: tuple[float, ...]) -> Hand:
+def blocked_hand(knee_tensions: tuple[float, ...]) -> Hand:
     """Return the hand of the test bench, with all joints clamped.
 
     In this hand, the first tendons have the given tensions at the knee of their curves [N].
@@ -76,7 +76,7 @@ def blocked_hand(knees: tuple[float, ...]) -> Hand:
     content = copy.deepcopy(load_hand(HAND_NAME).content)
     for digit in content["digit"]:
         digit["joint_max_deg"] = [low + BLOCKED_JOINT_RANGE_DEG for low in digit["joint_min_deg"]]
-    for tendon, knee in zip(content["tendon"], knees, strict=False):
+    for tendon, knee in zip(content["tendon"], knee_tensions, strict=False):
         tendon["knee_N"] = knee
     return hand_from_content(content, f"{HAND_NAME}, blocked")
 
@@ -130,15 +130,15 @@ def _pull_task(tension: dict[str, float]) -> Task:
     return Task.model_validate({"schema": 1, "name": "force and displacement", "phase": phases})
 
 
-def curve_of_tendon(measured: Mapping[str, Any], noise: float) -> TendonCurve:
+def curve_of_tendon(measured_curve: Mapping[str, Any], noise_N: float) -> TendonCurve:
     """Return the force-displacement curve of a measurement, with the stiffness and the knee of the curve.
 
     Args:
-        measured: result of `measure_tendons` for one tendon.
-        noise: standard deviation of the load cell [N].
+        measured_curve: result of `measure_tendons` for one tendon.
+        noise_N: standard deviation of the load cell [N].
     """
-    travel = np.array(measured["travel_m"])
-    force = np.array(measured["force_N"])
+    travel = np.array(measured_curve["travel_m"])
+    force = np.array(measured_curve["force_N"])
     finite = np.isfinite(travel) & np.isfinite(force)
     travel = travel[finite]
     force = force[finite]
@@ -149,19 +149,19 @@ def curve_of_tendon(measured: Mapping[str, Any], noise: float) -> TendonCurve:
     residual = float(np.sqrt(np.mean((force - slope * displacement) ** 2)))
     knee, sigma = (
         (None, 0.0)
-        if residual <= MAX_NOISE_RESIDUAL * noise
+        if residual <= MAX_NOISE_RESIDUAL * noise_N
         else _fit_knee(displacement, force, float(slope))
     )
     return TendonCurve(
-        float(measured["knee_N"]), 1000.0 * displacement, force, float(slope), knee, sigma
+        float(measured_curve["knee_N"]), 1000.0 * displacement, force, float(slope), knee, sigma
     )
 
 
-def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, float]:
+def _fit_knee(displacement: Array, force: Array, initial_slope: float) -> tuple[float, float]:
     """Fit a curve with a knee by least squares, and return the tension at the knee and its standard deviation [N]."""
 
-    def knee_curve(x: Array, knee: float, ratio: float, width: float) -> Array:
-        tendon = TendonElasticity(slope, ratio * slope, knee, width, 0.0)
+    def knee_curve(x: Array, knee: float, stiffness_ratio: float, width: float) -> Array:
+        tendon = TendonElasticity(initial_slope, stiffness_ratio * initial_slope, knee, width, 0.0)
         return np.array([tendon.elastic_tension(value) for value in x.tolist()])
 
     bounds = ([100.0, 0.05, 1e-5], [300.0, 0.95, 2e-3])
@@ -173,17 +173,19 @@ def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, f
     return float(parameters[0]), float(np.sqrt(covariance[0, 0]))
 
 
-def curves_of_tendons(measured: Mapping[str, Any]) -> list[TendonCurve]:
+def curves_of_tendons(measured_results: Mapping[str, Any]) -> list[TendonCurve]:
     """Return the force-displacement curves of all tendons that `measure_tendons` pulled."""
     noise = load_hand(HAND_NAME).sensor_node.tension_noise_N
-    return [curve_of_tendon(tendon, noise) for tendon in measured["ropes"]]
+    return [curve_of_tendon(tendon, noise) for tendon in measured_results["ropes"]]
 
 
-def knee_items(measured: Mapping[str, Any]) -> list[ErrataItem]:
+def knee_items(measured_results: Mapping[str, Any]) -> list[ErrataItem]:
     """Return items that compare the measured knees of the curves with the knees that the paper states."""
     rows = []
     verdict = verdict_of_contradiction([str(knee) for knee in src.KNEE_TENSIONS_N], None)
-    for place, tendon in zip(("Sec. 5", "Abstract"), curves_of_tendons(measured), strict=True):
+    for place, tendon in zip(
+        ("Sec. 5", "Abstract"), curves_of_tendons(measured_results), strict=True
+    ):
         knee_nominal = tendon.knee_nominal
         top = float(tendon.force.max())
         measured_text = (

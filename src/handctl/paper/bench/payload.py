@@ -108,14 +108,14 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     }
 
 
-def _tension_for_normals(stairs: Array, target_normals: Array) -> dict[str, float]:
+def _tension_for_normals(normals_per_step: Array, target_normals: Array) -> dict[str, float]:
     """Return the tension of each digit at which the fingers press with the given normal forces [N].
 
     The tensions are interpolated between the steps of the search (steps, digits).
     """
     names = src.paper_hand().digit_names
     tension = {
-        name: float(np.interp(target_normals[i], stairs[:, i], TENSION_STEPS_N))
+        name: float(np.interp(target_normals[i], normals_per_step[:, i], TENSION_STEPS_N))
         for i, name in enumerate(names)
     }
     tension["thumb"] = float(np.mean([tension[name] for name in names if name != "thumb"]))
@@ -123,19 +123,19 @@ def _tension_for_normals(stairs: Array, target_normals: Array) -> dict[str, floa
 
 
 def load_until_slip(
-    folder: Path, diameter_mm: float, axis: str, grip: Mapping[str, Any]
+    folder: Path, diameter_mm: float, load_axis: str, grip_result: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Grip the cylinder, load it with a force until it slips, and return the result as plain values."""
-    tension = grip["tension_N"]
+    tension = grip_result["tension_N"]
     hold = _hold_phase("load", tension, GRIP_SETTLING_S + LOAD_DURATION_S)
-    start = grip["began_s"] + GRIP_SETTLING_S
-    recording, truth = _grip_cylinder(folder, diameter_mm, axis, start, [hold])
+    start = grip_result["began_s"] + GRIP_SETTLING_S
+    recording, truth = _grip_cylinder(folder, diameter_mm, load_axis, start, [hold])
     first = int(np.searchsorted(truth.t_ns, round(start * 1e9)))
     end = int(np.searchsorted(truth.t_ns, _phase_end_ns(recording, "load")))
     normals = _mean_normals(truth, int(truth.t_ns[first]))
     slip, ended = _find_slip(truth, first, end)
     # Along the axis z, the weight of the object acts in the same direction as the load.
-    weight = CYLINDER_MASS_KG * float(src.GRAVITY_M_PER_S2) if axis == "z" else 0.0
+    weight = CYLINDER_MASS_KG * float(src.GRAVITY_M_PER_S2) if load_axis == "z" else 0.0
     load = float(truth.column_at("load", truth.t_ns[slip : slip + 1])[0]) + weight
     # The axis x points out of the palm. So the palm carries the sum of the digits' contact forces
     # along x.
@@ -148,26 +148,30 @@ def load_until_slip(
         _object_positions(truth, times) - _object_positions(truth, times)[0], axis=1
     )
     return {
-        "diameter_mm": diameter_mm, "axis": axis, "tension_N": dict(tension),
+        "diameter_mm": diameter_mm, "axis": load_axis, "tension_N": dict(tension),
         "normal_N": dict(zip(tension, normals, strict=True)), "palm_N": max(0.0, palm), "load_N": load, "ended": ended,
         "payload_kg": load / float(src.GRAVITY_M_PER_S2),
         "trace_N": (truth.column_at("load", times) + weight).tolist(), "trace_mm": (1000.0 * moved).tolist(),
     }  # fmt: skip
 
 
-def _hold_phase(name: str, tension: Mapping[str, float], duration: float) -> dict[str, Any]:
+def _hold_phase(name: str, tension: Mapping[str, float], duration_s: float) -> dict[str, Any]:
     """Return a task phase in which the digits hold given tensions."""
     return {
         "kind": "hold",
         "name": name,
         "tension_N": dict(tension),
         "rate_N_per_s": 60.0,
-        "duration_s": duration,
+        "duration_s": duration_s,
     }
 
 
 def _grip_cylinder(
-    folder: Path, diameter_mm: float, axis: str, start: float, holds: Sequence[Mapping[str, Any]]
+    folder: Path,
+    diameter_mm: float,
+    load_axis: str,
+    load_start_s: float,
+    hold_phases: Sequence[Mapping[str, Any]],
 ) -> tuple[BenchRecording, TruthRecord]:
     """Close the hand on a cylinder, and hold the cylinder."""
     scene = folder / "payload.toml"
@@ -175,7 +179,7 @@ def _grip_cylinder(
     diameter = diameter_mm / 1000.0
     text = SCENE_TEXT.format(
         diameter=diameter, mass=CYLINDER_MASS_KG, friction=float(src.FRICTION_COEFFICIENT), x=diameter / 2 + 0.002,
-        direction=list(LOAD_DIRECTIONS[axis]), start=start, rate=LOAD_RATE_N_PER_S)  # fmt: skip
+        direction=list(LOAD_DIRECTIONS[load_axis]), start=load_start_s, rate=LOAD_RATE_N_PER_S)  # fmt: skip
     scene.write_text(text, encoding="utf-8")
     open_hand = {"index": 20.0, "middle": 20.0, "ring": 20.0, "thumb": 4.0}
     phases = (
@@ -187,15 +191,15 @@ def _grip_cylinder(
             "speed_deg_s": 60.0,
             "contact_tension_N": 14.0,
         },
-        *holds,
+        *hold_phases,
     )
     task = Task.model_validate({"schema": 1, "name": "payload", "phase": phases})
     return run_bench_task(HAND_NAME, str(scene), task, truth), read_truth(truth)
 
 
-def _phase_end_ns(recording: BenchRecording, phase: str) -> int:
+def _phase_end_ns(recording: BenchRecording, phase_name: str) -> int:
     """Return the time of the last tick of a phase [ns]."""
-    return recording.t_ns[int(np.flatnonzero(recording.in_phase(phase))[-1])]
+    return recording.t_ns[int(np.flatnonzero(recording.in_phase(phase_name))[-1])]
 
 
 def _mean_normals(truth: TruthRecord, until_ns: int) -> list[float]:
@@ -208,14 +212,14 @@ def _mean_normals(truth: TruthRecord, until_ns: int) -> list[float]:
     ]
 
 
-def _object_positions(truth: TruthRecord, times: Any) -> Array:
+def _object_positions(truth: TruthRecord, t_ns: Any) -> Array:
     """Return the positions of the object at given times (times, 3) [m]."""
-    return truth.columns_at([f"object/{axis}" for axis in "xyz"], times)
+    return truth.columns_at([f"object/{axis}" for axis in "xyz"], t_ns)
 
 
-def _find_slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
+def _find_slip(truth: TruthRecord, first_row: int, end_row: int) -> tuple[int, str]:
     """Return the row of the ground truth at which the object slips, and the name of the criterion for the slip."""
-    positions = _object_positions(truth, truth.t_ns[first:end])
+    positions = _object_positions(truth, truth.t_ns[first_row:end_row])
     window = round(SPEED_WINDOW_S * 1000)
     moved = np.linalg.norm(positions - positions[0], axis=1)
     speed = np.linalg.norm(positions[window:] - positions[:-window], axis=1) / SPEED_WINDOW_S
@@ -226,25 +230,25 @@ def _find_slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
     # A speed is assigned to the end of the time window over which it is measured.
     slips = [(int(rows[0]), ended) for ended, rows in crossings.items() if len(rows)]
     row, ended = min(slips, default=(len(moved) - 1, "held"))
-    return first + row, ended
+    return first_row + row, ended
 
 
-def friction_bound_kg(result: Mapping[str, Any]) -> float:
+def friction_bound_kg(payload_result: Mapping[str, Any]) -> float:
     """Return the largest mass that the hand can hold according to Coulomb friction [kg].
 
     The mass follows from the measured normal forces of the digits and the palm on the object.
     """
-    normal = sum(result["normal_N"].values()) + result["palm_N"]
+    normal = sum(payload_result["normal_N"].values()) + payload_result["palm_N"]
     return float(src.FRICTION_COEFFICIENT) * float(normal) / float(src.GRAVITY_M_PER_S2)
 
 
-def payload_items(results: Sequence[Mapping[str, Any]]) -> list[ErrataItem]:
+def payload_items(payload_results: Sequence[Mapping[str, Any]]) -> list[ErrataItem]:
     """Return one item of the errata for each load case.
 
     A load case is a combination of a diameter and an axis.
     """
     rows = []
-    for result in results:
+    for result in payload_results:
         axis = result["axis"]
         payload = float(result["payload_kg"])
         fingers = [force for name, force in result["normal_N"].items() if name != "thumb"]
@@ -266,7 +270,7 @@ def payload_items(results: Sequence[Mapping[str, Any]]) -> list[ErrataItem]:
     return rows
 
 
-def payload_table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:
+def payload_table(payload_results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:
     """Return a table that compares measured payloads with the formula of the paper and with the limits of friction.
 
     The first row contains the titles of the columns.
@@ -284,7 +288,7 @@ def payload_table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...]
         "Coulomb's bound",
     )
     rows = []
-    for result in results:
+    for result in payload_results:
         normal = result["normal_N"]
         fingers = sum(force for name, force in normal.items() if name != "thumb")
         bound_mark = "≥ " if result["ended"] == "held" else ""

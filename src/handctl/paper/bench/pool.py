@@ -18,11 +18,11 @@ ReportFunction = Callable[[ExperimentJob, bool], None]
 
 
 @contextmanager
-def worker_pool(size: int, report: ReportFunction) -> Iterator[JobRunner]:
+def worker_pool(worker_count: int, report: ReportFunction) -> Iterator[JobRunner]:
     """Start worker processes. The processes end with the context, even after an error.
 
     Args:
-        size: number of processes.
+        worker_count: number of processes.
         report: function that is called at the start and at the end of each job.
     """
     command = [sys.executable, "-m", WORKER_MODULE]
@@ -36,7 +36,7 @@ def worker_pool(size: int, report: ReportFunction) -> Iterator[JobRunner]:
             text=True,
             start_new_session=True,
         )
-        for _ in range(size)
+        for _ in range(worker_count)
     ]
     try:
         yield lambda jobs: _distribute_jobs(children, jobs, report)
@@ -48,7 +48,7 @@ def worker_pool(size: int, report: ReportFunction) -> Iterator[JobRunner]:
 
 
 def _distribute_jobs(
-    children: Sequence[WorkerProcess], jobs: Sequence[ExperimentJob], report: ReportFunction
+    workers: Sequence[WorkerProcess], jobs: Sequence[ExperimentJob], report: ReportFunction
 ) -> list[ExperimentResult]:
     """Distribute jobs among workers, and return the results in the order of the jobs.
 
@@ -58,7 +58,7 @@ def _distribute_jobs(
     waiting = iter(enumerate(jobs))
     busy: dict[WorkerProcess, int] = {}
     with selectors.DefaultSelector() as answers:
-        for child in children:
+        for child in workers:
             answers.register(_checked_pipe(child.stdout), selectors.EVENT_READ, child)
             _send_next_job(child, waiting, busy, report)
         while busy:
@@ -72,16 +72,16 @@ def _distribute_jobs(
 
 
 def _send_next_job(
-    child: WorkerProcess,
-    waiting: Iterator[tuple[int, ExperimentJob]],
-    busy: dict[WorkerProcess, int],
+    worker: WorkerProcess,
+    waiting_jobs: Iterator[tuple[int, ExperimentJob]],
+    job_of_worker: dict[WorkerProcess, int],
     report: ReportFunction,
 ) -> None:
     """Send the next job to a worker, if there is another job."""
-    for index, job in waiting:
-        busy[child] = index
+    for index, job in waiting_jobs:
+        job_of_worker[worker] = index
         report(job, False)
-        pipe = _checked_pipe(child.stdin)
+        pipe = _checked_pipe(worker.stdin)
         pipe.write(json.dumps(job) + "\n")
         pipe.flush()
         return
@@ -107,7 +107,7 @@ def _read_result(child: WorkerProcess) -> ExperimentResult:
     return result
 
 
-def _checked_pipe(pipe: IO[str] | None) -> IO[str]:
+def _checked_pipe(worker_pipe: IO[str] | None) -> IO[str]:
     """Return a pipe, if it exists."""
-    assert pipe is not None
-    return pipe
+    assert worker_pipe is not None
+    return worker_pipe

@@ -121,17 +121,20 @@ def _palm_faces() -> list[Array]:
     return faces
 
 
-def _capsule_faces(start: Array, end: Array, radius: float) -> list[Array]:
+def _capsule_faces(start_point: Array, end_point: Array, radius: float) -> list[Array]:
     """Return the faces of a bar whose far end is round."""
-    along = (end - start) / np.linalg.norm(end - start)
+    along = (end_point - start_point) / np.linalg.norm(end_point - start_point)
     side = np.cross(along, (0.0, 0.0, 1.0))
     side /= np.linalg.norm(side)
     up = np.cross(along, side)
     quarter = np.linspace(0.0, np.pi / 2, FACES_ALONG)
     # The first rings of corners are along the straight part of the bar. The other rings are around
     # the round end.
-    rings = [(start + (end - start) * fraction, radius) for fraction in np.linspace(0.0, 0.9, 5)]
-    rings += [(end + along * radius * np.sin(a), radius * np.cos(a)) for a in quarter]
+    rings = [
+        (start_point + (end_point - start_point) * fraction, radius)
+        for fraction in np.linspace(0.0, 0.9, 5)
+    ]
+    rings += [(end_point + along * radius * np.sin(a), radius * np.cos(a)) for a in quarter]
     turn = np.linspace(0.0, 2.0 * np.pi, FACES_AROUND + 1)
     circle = np.outer(np.cos(turn), side) + np.outer(np.sin(turn), up)
     shells = [centre + size * circle for centre, size in rings]
@@ -142,14 +145,14 @@ def _capsule_faces(start: Array, end: Array, radius: float) -> list[Array]:
     ]
 
 
-def _shaded_colour(face: Array, colour: str) -> tuple[float, float, float]:
+def _shaded_colour(face_corners: Array, colour: str) -> tuple[float, float, float]:
     """Return the colour of a face under a fixed light.
 
     Both sides of a face have the same colour.
     """
     from matplotlib.colors import to_rgb
 
-    normal = np.cross(face[2] - face[0], face[3] - face[1])
+    normal = np.cross(face_corners[2] - face_corners[0], face_corners[3] - face_corners[1])
     length = float(np.linalg.norm(normal))
     # The brightness of a face is at least 0.55, which is the ambient light. The rest of the
     # brightness depends on the angle between the face and the light.

@@ -54,22 +54,27 @@ def draw_model_figure(figure: Any) -> None:
     )
 
 
-def _draw_ray(axes: Any, start: Any, angle: float, length: float, colour: str) -> None:
+def _draw_ray(axes: Any, start_point: Any, angle: float, length: float, colour: str) -> None:
     """Draw the dashed line from which a joint angle is measured."""
-    end = start + length * np.array([np.cos(angle), np.sin(angle)])
-    axes.plot(*np.column_stack((start, end)), "--", color=colour, linewidth=1.0, zorder=2)
+    end = start_point + length * np.array([np.cos(angle), np.sin(angle)])
+    axes.plot(*np.column_stack((start_point, end)), "--", color=colour, linewidth=1.0, zorder=2)
 
 
 def _draw_arc(
-    axes: Any, centre: Any, between: tuple[float, float], radius: float, colour: str, label: str
+    axes: Any,
+    centre: Any,
+    angle_limits: tuple[float, float],
+    radius: float,
+    colour: str,
+    label: str,
 ) -> None:
     """Draw the arc of an angle, and the name of the angle next to the middle of the arc."""
-    angles = np.linspace(*between, 40)
+    angles = np.linspace(*angle_limits, 40)
     axes.plot(
         *(centre[:, None] + radius * np.array([np.cos(angles), np.sin(angles)])),
         color=colour,
         zorder=3,
     )
-    at = between[0] + 0.45 * (between[1] - between[0])
+    at = angle_limits[0] + 0.45 * (angle_limits[1] - angle_limits[0])
     axes.text(*(centre + (radius + 1.8) * np.array([np.cos(at), np.sin(at)])), label, color=colour, ha="center",
               va="center", fontsize=10, zorder=6)  # fmt: skip

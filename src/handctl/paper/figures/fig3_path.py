@@ -35,7 +35,9 @@ def draw_path_figure(figure: Any) -> None:
 def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
     """Draw a digit in some poses, the curve of its tip, and the area that the tip could reach."""
     model = kinematics.paper_digit(name)
-    _draw_area(axes, kinematics.reachable_tips(name, SAMPLE_COUNTS[name]), x, HEIGHT_RANGE_MM)
+    _draw_reachable_area(
+        axes, kinematics.reachable_tips(name, SAMPLE_COUNTS[name]), x, HEIGHT_RANGE_MM
+    )
     low, high = coordinate_limits(model)
     full_path = kinematics.fingertip_path(name, np.linspace(low, high, 400))
     axes.plot(*full_path.T, color=BLUE, linewidth=2.2, label="tip, θ₁ = θ₂ = θ₃ = θ", zorder=4)
@@ -74,12 +76,16 @@ def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> Non
     axes.set(xlabel="X [mm]", title=title, xlim=x, ylim=HEIGHT_RANGE_MM, aspect="equal")
 
 
-def _draw_area(axes: Any, tips: Array, x: tuple[float, float], y: tuple[float, float]) -> None:
+def _draw_reachable_area(
+    axes: Any, tip_positions: Array, x_limits: tuple[float, float], y_limits: tuple[float, float]
+) -> None:
     """Fill the cells that contain a sampled position of the fingertip, and also the gaps between these cells."""
-    bins = [np.arange(low, high + AREA_CELL_MM, AREA_CELL_MM) for low, high in (x, y)]
+    bins = [np.arange(low, high + AREA_CELL_MM, AREA_CELL_MM) for low, high in (x_limits, y_limits)]
     # Otherwise, empty cells between two samples would look like positions that the tip cannot
     # reach.
-    hit = binary_closing(np.histogram2d(tips[:, 0], tips[:, 1], bins=bins)[0] > 0, iterations=3)
+    hit = binary_closing(
+        np.histogram2d(tip_positions[:, 0], tip_positions[:, 1], bins=bins)[0] > 0, iterations=3
+    )
     smooth = gaussian_filter(hit.astype(float), 1.5).T
     middles = [(edges[:-1] + edges[1:]) / 2.0 for edges in bins]
     axes.contourf(*middles, smooth, levels=[0.5, 1.5], colors=["#cfe3f3"], zorder=1)

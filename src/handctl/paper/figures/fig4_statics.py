@@ -59,18 +59,23 @@ def _draw_digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
             )
         axes.text(position, -7.8, f"joint {i + 1}", ha="center", fontsize=8.5, color=GREY)
     axes.text(0.3 * constant, constant + 1.2, tension, color="#a87400", fontsize=9)
-    _draw_outline(axes, [*positions, levers[0]])
+    _draw_digit_outline(axes, [*positions, levers[0]])
     axes.set(xlabel="along the digit [mm]", title=title, xlim=(-4, levers[0] + 6), ylim=(-17, 64))
 
 
-def _draw_outline(axes: Any, nodes: list[float]) -> None:
+def _draw_digit_outline(axes: Any, joint_xs: list[float]) -> None:
     """Draw the digit below the axis, with the force at the tip of the digit."""
     axes.plot(
-        nodes, [-12.5] * len(nodes), color=GREY, linewidth=6, solid_capstyle="round", alpha=0.45
+        joint_xs,
+        [-12.5] * len(joint_xs),
+        color=GREY,
+        linewidth=6,
+        solid_capstyle="round",
+        alpha=0.45,
     )
     axes.plot(
-        nodes[:-1],
-        [-12.5] * (len(nodes) - 1),
+        joint_xs[:-1],
+        [-12.5] * (len(joint_xs) - 1),
         "o",
         color="white",
         markeredgecolor=GREY,
@@ -78,9 +83,9 @@ def _draw_outline(axes: Any, nodes: list[float]) -> None:
     )
     axes.annotate(
         "",
-        (nodes[-1], -12.0),
-        (nodes[-1], -1.5),
+        (joint_xs[-1], -12.0),
+        (joint_xs[-1], -1.5),
         arrowprops={"arrowstyle": "-|>", "color": "black", "linewidth": 1.4},
     )
-    axes.text(nodes[-1] + 1.0, -6.5, "F", weight="bold")
+    axes.text(joint_xs[-1] + 1.0, -6.5, "F", weight="bold")
     axes.axhline(0.0, color=GREY, linewidth=0.8)

@@ -70,14 +70,14 @@ def draw_torque_figure(figure: Any) -> None:
     figure.legend(handles, labels, loc="outside upper center", ncols=6, fontsize=9)
 
 
-def _add_tension_axis(axes: Any, lever: float, labelled: bool) -> None:
+def _add_tension_axis(axes: Any, lever_m: float, is_labelled: bool) -> None:
     """Add an axis that shows the torque as a tension of the tendon."""
     # The torques are converted from mN m to N m. Division by the lever then gives tensions in N.
-    factor = 1e-3 / lever
+    factor = 1e-3 / lever_m
     side = axes.secondary_yaxis(
         "right", functions=(lambda torque: torque * factor, lambda force: force / factor)
     )
-    if labelled:
+    if is_labelled:
         side.set_ylabel("tension [N]")
     else:
         side.set_yticklabels([])

@@ -20,7 +20,7 @@ DrawFunction = Callable[[Any], None]
 
 
 def figure_contents(
-    results: Mapping[str, Any] | None,
+    experiment_results: Mapping[str, Any] | None,
 ) -> dict[str, tuple[tuple[float, float], DrawFunction]]:
     """Return the size [inch] and the drawing function of each figure, by the name of the figure.
 
@@ -34,9 +34,9 @@ def figure_contents(
         "fig7-torques": (fig7_torques.TORQUES_FIGURE_SIZE_IN, fig7_torques.draw_torque_figure),
         "fig7-eq10": (fig7_torques.EQ10_FIGURE_SIZE_IN, fig7_torques.draw_eq10_figure),
     }
-    if results is not None:
-        bench = curves_of_tendons(results["force_displacement"])
-        loads = results["payload"]
+    if experiment_results is not None:
+        bench = curves_of_tendons(experiment_results["force_displacement"])
+        loads = experiment_results["payload"]
         drawn |= {
             "fig5-force-displacement": (
                 measured_figures.FORCE_FIGURE_SIZE_IN,
@@ -50,12 +50,12 @@ def figure_contents(
     return drawn
 
 
-def draw_all_figures(folder: Path, results: Mapping[str, Any] | None) -> dict[str, Path]:
+def draw_all_figures(folder: Path, experiment_results: Mapping[str, Any] | None) -> dict[str, Path]:
     """Draw every figure as PNG and SVG.
 
     Args:
         folder: folder to write to, created if it does not exist.
-        results: results of `experiments.run_experiments`. If they are None, the figures about
+        experiment_results: results of `experiments.run_experiments`. If they are None, the figures about
             measurements are left out.
 
     Returns:
@@ -64,5 +64,5 @@ def draw_all_figures(folder: Path, results: Mapping[str, Any] | None) -> dict[st
     folder.mkdir(parents=True, exist_ok=True)
     return {
         name: write_figure(folder, name, size, content)
-        for name, (size, content) in figure_contents(results).items()
+        for name, (size, content) in figure_contents(experiment_results).items()
     }

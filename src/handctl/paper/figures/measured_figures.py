@@ -89,27 +89,33 @@ def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
     stress.set_ylabel(f"stress in the {wire:.4f} mm wire [MPa]")
 
 
-def draw_payloads(figure: Any, results: Sequence[Mapping[str, Any]]) -> None:
+def draw_payloads(figure: Any, payload_results: Sequence[Mapping[str, Any]]) -> None:
     """Draw the payload for each axis and diameter as a bar.
 
     Draw the motion of the object as a curve over the increasing load.
     """
     grid = figure.add_gridspec(2, len(payload.LOAD_DIRECTIONS), height_ratios=(1.25, 1.0))
-    _draw_bars(figure.add_subplot(grid[0, :]), results)
+    _draw_payload_bars(figure.add_subplot(grid[0, :]), payload_results)
     first = None
     for column, axis in enumerate(payload.LOAD_DIRECTIONS):
         axes = figure.add_subplot(grid[1, column], sharey=first)
         first = first or axes
-        _draw_traces(axes, axis, [result for result in results if result["axis"] == axis])
+        _draw_load_traces(
+            axes, axis, [result for result in payload_results if result["axis"] == axis]
+        )
         if column == 0:
             axes.set(ylabel="load [kg]")
 
 
-def _draw_bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
+def _draw_payload_bars(axes: Any, payload_results: Sequence[Mapping[str, Any]]) -> None:
     """Draw the payload of each load case as a bar."""
     width = 0.26
     for k, diameter in enumerate(payload.DIAMETERS_MM):
-        rows = {result["axis"]: result for result in results if result["diameter_mm"] == diameter}
+        rows = {
+            result["axis"]: result
+            for result in payload_results
+            if result["diameter_mm"] == diameter
+        }
         positions = np.arange(len(payload.LOAD_DIRECTIONS)) + (k - 1) * width
         heights = [rows[axis]["payload_kg"] for axis in payload.LOAD_DIRECTIONS]
         bars = axes.bar(
@@ -154,10 +160,12 @@ def _draw_lines(axes: Any) -> None:
         axes.text(edge + 0.03, value, text, color=colour, fontsize=8.5, va="center")
 
 
-def _draw_traces(axes: Any, axis: str, results: Sequence[Mapping[str, Any]]) -> None:
+def _draw_load_traces(
+    axes: Any, load_axis: str, payload_results: Sequence[Mapping[str, Any]]
+) -> None:
     """Draw how far the object has moved, over the load along an axis."""
     gravity = float(src.GRAVITY_M_PER_S2)
-    for result, colour in zip(results, AXIS_COLOURS, strict=True):
+    for result, colour in zip(payload_results, AXIS_COLOURS, strict=True):
         axes.plot(
             result["trace_mm"], np.array(result["trace_N"]) / gravity, color=colour, linewidth=1.3
         )
@@ -176,4 +184,4 @@ def _draw_traces(axes: Any, axis: str, results: Sequence[Mapping[str, Any]]) -> 
         )
     axes.axhline(float(src.PAYLOAD_KG), color=RED, linewidth=1.0, linestyle="--")
     axes.set(xlim=(0, 3.0), ylim=(0, 2.4), xlabel="object has moved [mm]")
-    axes.set_title(f"along {axis}", fontsize=9.5)
+    axes.set_title(f"along {load_axis}", fontsize=9.5)

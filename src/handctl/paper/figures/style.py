@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from handctl.output import save_figure
+from handctl.output_files import save_figure
 from handctl.paper.page import FIGURE_FILE_PREFIX
 
 BLUE = "#3b6fb6"
@@ -34,15 +34,15 @@ FIGURE_DPI = 160
 
 
 def write_figure(
-    folder: Path, name: str, size: tuple[float, float], content: Callable[[Any], None]
+    folder: Path, name: str, size_inch: tuple[float, float], draw_content: Callable[[Any], None]
 ) -> Path:
     """Draw a figure, and write it as a PNG file and an SVG file.
 
     Args:
         folder: folder for both files.
         name: name of the figure, as in `page.FIGURE_CAPTIONS`.
-        size: width and height of the figure [inch].
-        content: function that draws on the figure.
+        size_inch: width and height of the figure [inch].
+        draw_content: function that draws on the figure.
 
     Returns:
         The path of the SVG file.
@@ -52,9 +52,9 @@ def write_figure(
     from matplotlib.figure import Figure
 
     with matplotlib.rc_context(PLOT_SETTINGS):
-        figure = Figure(figsize=size, layout="constrained")
+        figure = Figure(figsize=size_inch, layout="constrained")
         FigureCanvasAgg(figure)
-        content(figure)
+        draw_content(figure)
         save_figure(figure, folder / f"{FIGURE_FILE_PREFIX}{name}.png", FIGURE_DPI)
         path = folder / f"{FIGURE_FILE_PREFIX}{name}.svg"
         save_figure(figure, path)

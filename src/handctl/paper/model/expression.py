@@ -44,7 +44,7 @@ class Expression:
         names = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
         return frozenset(names - FUNCTION_BY_NAME.keys() - {"pi"})
 
-    def evaluate(self, values: Mapping[str, Any]) -> Any:
+    def evaluate(self, values_by_symbol: Mapping[str, Any]) -> Any:
         """Return the value of the formula for given values of its names.
 
         If the values are arrays, the formula is evaluated element by element.
@@ -52,15 +52,15 @@ class Expression:
         Raises:
             KeyError: no value is given for a name.
         """
-        return _value_of(self.tree, values)
+        return _value_of_node(self.tree, values_by_symbol)
 
-    def dimension(self, dimensions: Mapping[str, Dimension]) -> Dimension:
+    def dimension(self, dimension_of_symbol: Mapping[str, Dimension]) -> Dimension:
         """Return the physical dimension of the formula.
 
         Raises:
             DimensionError: the formula has no consistent dimension.
         """
-        return _dimension_of(self.tree, dimensions)
+        return _dimension_of_node(self.tree, dimension_of_symbol)
 
     def as_typeset_text(self) -> str:
         """Return the formula as text with mathematical symbols and without multiplication signs, for example θ̇₁²."""
@@ -71,22 +71,24 @@ FUNCTION_BY_NAME: dict[str, Callable[[Any], Any]] = {"sin": np.sin, "cos": np.co
 """Functions that a formula may use."""
 
 
-def _value_of(node: ast.expr, values: Mapping[str, Any]) -> Any:
+def _value_of_node(formula_node: ast.expr, values_by_symbol: Mapping[str, Any]) -> Any:
     """Return the value of a node of the syntax tree."""
-    match node:
+    match formula_node:
         case ast.Constant(value=int() | float() as number):
             return number
         case ast.Name(id="pi"):
             return math.pi
         case ast.Name(id=name):
-            return values[name]
+            return values_by_symbol[name]
         case ast.UnaryOp(op=ast.USub(), operand=inner):
-            return -_value_of(inner, values)
+            return -_value_of_node(inner, values_by_symbol)
         case ast.BinOp(left=left, op=op, right=right):
-            return _OPERATION_BY_NODE[type(op)](_value_of(left, values), _value_of(right, values))
+            return _OPERATION_BY_NODE[type(op)](
+                _value_of_node(left, values_by_symbol), _value_of_node(right, values_by_symbol)
+            )
         case ast.Call(func=ast.Name(id=name), args=[inner]):
-            return FUNCTION_BY_NAME[name](_value_of(inner, values))
-    raise ValueError(f"not a formula: {ast.unparse(node)}")
+            return FUNCTION_BY_NAME[name](_value_of_node(inner, values_by_symbol))
+    raise ValueError(f"not a formula: {ast.unparse(formula_node)}")
 
 
 _OPERATION_BY_NODE: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
@@ -98,44 +100,53 @@ _OPERATION_BY_NODE: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
 }
 
 
-def _dimension_of(node: ast.expr, dimensions: Mapping[str, Dimension]) -> Dimension:
+def _dimension_of_node(
+    formula_node: ast.expr, dimension_of_symbol: Mapping[str, Dimension]
+) -> Dimension:
     """Return the physical dimension of a node of the syntax tree."""
-    match node:
+    match formula_node:
         case ast.Constant() | ast.Name(id="pi"):
             return DIMENSIONLESS
         case ast.Name(id=name):
-            return dimensions[name]
+            return dimension_of_symbol[name]
         case ast.UnaryOp(operand=inner):
-            return _dimension_of(inner, dimensions)
+            return _dimension_of_node(inner, dimension_of_symbol)
         case ast.Call(args=[inner]):
-            if _dimension_of(inner, dimensions) != DIMENSIONLESS:
-                raise DimensionError(f"{ast.unparse(node)}: not an angle")
+            if _dimension_of_node(inner, dimension_of_symbol) != DIMENSIONLESS:
+                raise DimensionError(f"{ast.unparse(formula_node)}: not an angle")
             return DIMENSIONLESS
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)):
             # For a power, the exponents of the units are multiplied by the exponent of the power.
-            kg, m, s = _dimension_of(left, dimensions)
+            kg, m, s = _dimension_of_node(left, dimension_of_symbol)
             return (kg * power, m * power, s * power)
         case ast.BinOp(left=left, op=op, right=right):
             return _combined_dimension(
-                node, op, _dimension_of(left, dimensions), _dimension_of(right, dimensions)
+                formula_node,
+                op,
+                _dimension_of_node(left, dimension_of_symbol),
+                _dimension_of_node(right, dimension_of_symbol),
             )
-    raise ValueError(f"not a formula: {ast.unparse(node)}")
+    raise ValueError(f"not a formula: {ast.unparse(formula_node)}")
 
 
 def _combined_dimension(
-    node: ast.expr, op: ast.operator, first: Dimension, second: Dimension
+    formula_node: ast.expr, op: ast.operator, left_dimension: Dimension, right_dimension: Dimension
 ) -> Dimension:
     """Return the physical dimension of a sum, product or quotient."""
     if isinstance(op, ast.Add | ast.Sub):
-        if first != second:
+        if left_dimension != right_dimension:
             raise DimensionError(
-                f"{ast.unparse(node)}: {dimension_text(first)} and {dimension_text(second)}"
+                f"{ast.unparse(formula_node)}: {dimension_text(left_dimension)} and {dimension_text(right_dimension)}"
             )
-        return first
+        return left_dimension
     # For a product, the exponents of the units are added. For a quotient, the exponents of the
     # units are subtracted.
     sign = -1 if isinstance(op, ast.Div) else 1
-    return (first[0] + sign * second[0], first[1] + sign * second[1], first[2] + sign * second[2])
+    return (
+        left_dimension[0] + sign * right_dimension[0],
+        left_dimension[1] + sign * right_dimension[1],
+        left_dimension[2] + sign * right_dimension[2],
+    )
 
 
 def dimension_text(dimension: Dimension) -> str:
@@ -156,68 +167,70 @@ _PRODUCT_PRECEDENCE = 2
 _POWER_PRECEDENCE = 3
 
 
-def _pretty_text(node: ast.expr) -> tuple[str, int]:
+def _pretty_text(formula_node: ast.expr) -> tuple[str, int]:
     """Return a node of the syntax tree as text, and the precedence of the operator in this node."""
-    match node:
+    match formula_node:
         case ast.Constant(value=value):
             return f"{value:g}" if isinstance(value, int | float) else str(value), _POWER_PRECEDENCE
         case ast.Name(id=name):
             return pretty_name(name), _POWER_PRECEDENCE
         case ast.UnaryOp(operand=inner):
-            return "−" + _in_brackets(inner, _PRODUCT_PRECEDENCE), _SUM_PRECEDENCE
+            return "−" + _text_in_brackets(inner, _PRODUCT_PRECEDENCE), _SUM_PRECEDENCE
         case ast.Call(func=ast.Name(id=name), args=[inner]):
             text, strength = _pretty_text(inner)
             return (
                 f"{name} {text}" if strength == _POWER_PRECEDENCE else f"{name}({text})"
             ), _PRODUCT_PRECEDENCE
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=power)):
-            return _in_brackets(left, _POWER_PRECEDENCE) + str(power).translate(
+            return _text_in_brackets(left, _POWER_PRECEDENCE) + str(power).translate(
                 _SUPERSCRIPT_TABLE
             ), _POWER_PRECEDENCE
         # If the first factor of a product has a minus sign, this sign is written before the whole
         # product.
-        case ast.BinOp(op=ast.Mult() | ast.Div()) if (positive := _without_minus(node)) is not node:
+        case ast.BinOp(op=ast.Mult() | ast.Div()) if (
+            positive := _node_without_minus(formula_node)
+        ) is not formula_node:
             return "−" + _pretty_text(positive)[0], _SUM_PRECEDENCE
         case ast.BinOp(left=left, op=ast.Div(), right=right):
             return (
-                f"{_in_brackets(left, _PRODUCT_PRECEDENCE)}/{_in_brackets(right, _POWER_PRECEDENCE)}",
+                f"{_text_in_brackets(left, _PRODUCT_PRECEDENCE)}/{_text_in_brackets(right, _POWER_PRECEDENCE)}",
                 _PRODUCT_PRECEDENCE,
             )
         case ast.BinOp(left=left, op=ast.Mult(), right=right):
             return (
-                f"{_in_brackets(left, _PRODUCT_PRECEDENCE)} {_in_brackets(right, _PRODUCT_PRECEDENCE)}",
+                f"{_text_in_brackets(left, _PRODUCT_PRECEDENCE)} {_text_in_brackets(right, _PRODUCT_PRECEDENCE)}",
                 _PRODUCT_PRECEDENCE,
             )
         case ast.BinOp(left=left, op=op, right=right):
             sign = "+" if isinstance(op, ast.Add) else "−"
             precedence = _SUM_PRECEDENCE if sign == "+" else _PRODUCT_PRECEDENCE
             return (
-                f"{_in_brackets(left, _SUM_PRECEDENCE)} {sign} {_in_brackets(right, precedence)}",
+                f"{_text_in_brackets(left, _SUM_PRECEDENCE)} {sign} {_text_in_brackets(right, precedence)}",
                 _SUM_PRECEDENCE,
             )
-    raise ValueError(f"not a formula: {ast.unparse(node)}")
+    raise ValueError(f"not a formula: {ast.unparse(formula_node)}")
 
 
-def _without_minus(node: ast.expr) -> ast.expr:
+def _node_without_minus(formula_node: ast.expr) -> ast.expr:
     """Return a product without the minus sign that its first factor may have.
 
     If there is no minus sign, the node is returned unchanged.
     """
-    match node:
+    match formula_node:
         case ast.UnaryOp(op=ast.USub(), operand=inner):
             return inner
         case ast.BinOp(left=left, op=ast.Mult() | ast.Div() as op, right=right):
-            first = _without_minus(left)
-            return node if first is left else ast.BinOp(first, op, right)
-    return node
+            first = _node_without_minus(left)
+            return formula_node if first is left else ast.BinOp(first, op, right)
+    return formula_node
 
 
-def _in_brackets(node: ast.expr, min_strength: int) -> str:
+def _text_in_brackets(formula_node: ast.expr, min_strength: int) -> str:
     """Return a node of the syntax tree as text.
 
     If its precedence is lower than required, add brackets.
     """
-    text, strength = _pretty_text(node)
+    text, strength = _pretty_text(formula_node)
     return text if strength >= min_strength else f"({text})"
 
 

@@ -76,9 +76,9 @@ def finger_states(digit: DigitModel) -> StateSamples:
     return {**states, "g": 9.81}
 
 
-def relative_deviation(value: Any, correct: Any) -> float:
+def relative_deviation(printed_value: Any, correct_value: Any) -> float:
     """Return the largest difference between values and correct values, divided by the largest correct value."""
-    return float(np.max(np.abs(value - correct)) / np.max(np.abs(correct)))
+    return float(np.max(np.abs(printed_value - correct_value)) / np.max(np.abs(correct_value)))
 
 
 def lagrange_torques(states: StateSamples) -> list[Array]:
@@ -242,12 +242,12 @@ def _check_joint_torque(
     )  # fmt: skip
 
 
-def _agreement_text(off: float) -> str:
+def _agreement_text(deviation: float) -> str:
     """Return a text that says how closely two values agree.
 
     Decimal digits that may differ between machines are left out.
     """
-    return "to rounding" if off < RELATIVE_TOLERANCE else f"to {off:.1g}"
+    return "to rounding" if deviation < RELATIVE_TOLERANCE else f"to {deviation:.1g}"
 
 
 def paper_finger() -> DigitModel:

@@ -44,9 +44,9 @@ class ClosingTorques:
     torque_by_cause: dict[str, Array]
     lever_m: float
 
-    def peak_tension(self, part: str) -> float:
+    def peak_tension(self, cause: str) -> float:
         """Return the largest tension that is necessary because of one cause of the torque [N]."""
-        return float(np.abs(self.torque_by_cause[part]).max()) / self.lever_m
+        return float(np.abs(self.torque_by_cause[cause]).max()) / self.lever_m
 
 
 def upright_digit(name: str) -> DigitModel:
@@ -57,16 +57,16 @@ def upright_digit(name: str) -> DigitModel:
     )
 
 
-def closing_torques(name: str, duration: float) -> ClosingTorques:
+def closing_torques(name: str, duration_s: float) -> ClosingTorques:
     """Return the torques for closing a digit from straight to 60 degrees per joint.
 
     Args:
         name: name of the digit.
-        duration: duration of the motion [s].
+        duration_s: duration of the motion [s].
     """
     digit = upright_digit(name)
-    times = np.linspace(0.0, duration, SAMPLE_COUNT)
-    path = MinimumJerk(np.zeros(1), np.radians([CLOSED_JOINT_ANGLE_DEG]), duration)
+    times = np.linspace(0.0, duration_s, SAMPLE_COUNT)
+    path = MinimumJerk(np.zeros(1), np.radians([CLOSED_JOINT_ANGLE_DEG]), duration_s)
     # The digit has a single coordinate. Therefore the joint torques are projected on the coupling
     # of the joints.
     rotor = float(reflected_inertia(digit)[0, 0])
@@ -84,15 +84,15 @@ def closing_torques(name: str, duration: float) -> ClosingTorques:
     columns = np.array(rows).T
     lever = float(digit.reduced_moment_arms[0, 0])
     return ClosingTorques(
-        name, duration, times, dict(zip(TORQUE_PARTS, columns, strict=True)), lever
+        name, duration_s, times, dict(zip(TORQUE_PARTS, columns, strict=True)), lever
     )
 
 
-def first_torque(duration: float) -> tuple[Array, Array, Array]:
+def first_torque(duration_s: float) -> tuple[Array, Array, Array]:
     """Return the times [s], and the torque T_1 of a closing finger by Eq. 10, as printed and as corrected [N m]."""
     digit = upright_digit("index")
-    times = np.linspace(0.0, duration, SAMPLE_COUNT)
-    path = MinimumJerk(np.zeros(1), np.radians([CLOSED_JOINT_ANGLE_DEG]), duration)
+    times = np.linspace(0.0, duration_s, SAMPLE_COUNT)
+    path = MinimumJerk(np.zeros(1), np.radians([CLOSED_JOINT_ANGLE_DEG]), duration_s)
     moves = np.array([[value[0] for value in path.motion_at(float(t))] for t in times])
     states = dict(finger_states(digit))
     for order in range(3):

@@ -99,12 +99,13 @@ def _check_number_of_fingers() -> ErrataItem:
                 COUNT_TAG)  # fmt: skip
 
 
-def _depends_on(term: Sequence[EquationTerm], name: str) -> bool:
+def _depends_on_rate(energy_terms: Sequence[EquationTerm], name: str) -> bool:
     """Return True if the energy of the given terms depends on the named rate."""
     states = random_states()
     moved = {**states, name: states[name] + 1.0}
     change = sum(
-        np.abs(each.correct.evaluate(moved) - each.correct.evaluate(states)) for each in term
+        np.abs(each.correct.evaluate(moved) - each.correct.evaluate(states))
+        for each in energy_terms
     )
     return bool(np.max(change) > RELATIVE_TOLERANCE)
 
@@ -113,7 +114,7 @@ def _check_phalanges() -> ErrataItem:
     """Check whether the energy of each link is independent of the other links, as in separate fingers."""
     # In a single finger, the energy of link 2 depends on the rate of link 1, and the energy of link
     # 3 on the rate of link 2.
-    apart = not _depends_on(equations.KINETIC_TERMS_2, "dth1") and not _depends_on(
+    apart = not _depends_on_rate(equations.KINETIC_TERMS_2, "dth1") and not _depends_on_rate(
         equations.KINETIC_TERMS_3, "dth2"
     )
     return ErrataItem(

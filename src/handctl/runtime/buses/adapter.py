@@ -37,14 +37,14 @@ class UsbAdapter(NamedTuple):
         return 0.0 < self.usb_speed_mbit_s <= FULL_SPEED_MBIT_S
 
 
-def read_adapter(name: str, network: Path = NETWORK_FOLDER) -> UsbAdapter | None:
+def read_adapter(name: str, network_folder: Path = NETWORK_FOLDER) -> UsbAdapter | None:
     """Return the adapter of a network interface, or None if the interface is virtual or missing.
 
     Args:
         name: name of the interface.
-        network: folder in which Linux lists the network interfaces.
+        network_folder: folder in which Linux lists the network interfaces.
     """
-    device = network / name / "device"
+    device = network_folder / name / "device"
     if not device.exists():
         return None
     driver = device / "driver"

@@ -5,7 +5,7 @@ from typing import Protocol
 
 from handctl.drives.frame import FDF, Frame
 from handctl.drives.frame_records import Frames
-from handctl.runtime.buses.events import BusEvent
+from handctl.runtime.buses.bus_events import BusEvent
 
 TimeConversion = Callable[[int], int]
 """Function that converts a CLOCK_MONOTONIC time [ns] to the run's time [ns].

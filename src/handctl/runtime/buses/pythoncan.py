@@ -14,8 +14,8 @@ import can
 from handctl.drives.frame import BRS, ERROR_FLAG, ESI, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.drives.frame_records import Frames, frames_as_records
 from handctl.errors import BusError
+from handctl.runtime.buses.bus_events import BusEvent, BusEvents
 from handctl.runtime.buses.contract import TimeConversion, check_payload_size
-from handctl.runtime.buses.events import BusEvent, BusEvents
 
 MAX_FRAMES_PER_DRAIN = 4096
 """Largest number of frames in one ``drain``.

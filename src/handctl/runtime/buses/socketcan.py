@@ -16,12 +16,12 @@ import numpy as np
 from handctl.drives.frame import ERROR_FLAG, FDF, Frame
 from handctl.drives.frame_records import Frames, frames_as_records, join_frames
 from handctl.errors import BusError
-from handctl.runtime.buses import mmsg
-from handctl.runtime.buses.canfd import ALL_FLAGS, CANFD_FRAME_BYTES, FrameStructs
+from handctl.runtime.buses import datagram_batches
+from handctl.runtime.buses.bus_events import BusEvent, BusEvents
+from handctl.runtime.buses.canfd_structs import ALL_FLAGS, CANFD_FRAME_BYTES, FrameStructs
 from handctl.runtime.buses.clock_offset import ClockOffset
 from handctl.runtime.buses.contract import TimeConversion
-from handctl.runtime.buses.events import BusEvent, BusEvents
-from handctl.runtime.buses.interface import interface_names, set_up_text, wrong_rate_text
+from handctl.runtime.buses.interface_setup import interface_names, set_up_text, wrong_rate_text
 
 MAX_FRAMES_PER_CALL = 128
 """Largest number of frames in one system call."""
@@ -84,8 +84,12 @@ class SocketCanBus:
         self._index = index
         self._stamp = stamp
         self._events = BusEvents(name)
-        self._in = mmsg.DatagramSlots(MAX_FRAMES_PER_CALL, CANFD_FRAME_BYTES, control=True)
-        self._out = mmsg.DatagramSlots(MAX_FRAMES_PER_CALL, CANFD_FRAME_BYTES, control=False)
+        self._in = datagram_batches.DatagramSlots(
+            MAX_FRAMES_PER_CALL, CANFD_FRAME_BYTES, has_control_data=True
+        )
+        self._out = datagram_batches.DatagramSlots(
+            MAX_FRAMES_PER_CALL, CANFD_FRAME_BYTES, has_control_data=False
+        )
         self._structs = FrameStructs(self._in.data)
         self._out_structs = FrameStructs(self._out.data)
         self._dropped = 0
@@ -97,7 +101,7 @@ class SocketCanBus:
         parts: list[Frames] = []
         for _ in range(MAX_READS_PER_DRAIN):
             try:
-                count = mmsg.receive_datagrams(self._socket.fileno(), self._in)
+                count = datagram_batches.receive_datagrams(self._socket.fileno(), self._in)
             except OSError as error:
                 self._events.count_failure(error.errno, "enodev")
                 break
@@ -153,7 +157,7 @@ class SocketCanBus:
         frames.records["t_ns"] = times
         return frames
 
-    def _take_each(self, datagrams: list[mmsg.Datagram], now: int) -> Frames:
+    def _take_each(self, datagrams: list[datagram_batches.Datagram], now_ns: int) -> Frames:
         """Convert datagrams of any kind, one after the other, and return their frames.
 
         Error frames and lost frames are counted as events instead.
@@ -176,9 +180,9 @@ class SocketCanBus:
                 continue
             frames.records["flags"][i] = frame.flags | FDF if size == CANFD_FRAME_BYTES else 0
             t_ns = realtime + offset
-            if not earliest <= t_ns <= now:
+            if not earliest <= t_ns <= now_ns:
                 # The time stamp is missing, or the wall clock has been set in the meantime.
-                t_ns = now
+                t_ns = now_ns
             stamps.append(stamp(t_ns))
             self._latest = max(self._latest, t_ns)
         records = frames.records[is_data]
@@ -196,7 +200,9 @@ class SocketCanBus:
                 else frames
             )
             self._out.set_lengths(self._out_structs.write(batch))
-            sent, code = mmsg.send_datagrams(self._socket.fileno(), self._out, 0, len(batch))
+            sent, code = datagram_batches.send_datagrams(
+                self._socket.fileno(), self._out, 0, len(batch)
+            )
             accepted += sent
             if code:
                 self._events.count_failure(code, "enobufs", len(frames) - accepted)
@@ -216,16 +222,18 @@ class SocketCanBus:
         self._socket.close()
 
 
-def _set_socket_options(link: socket.socket) -> None:
+def _set_socket_options(can_socket: socket.socket) -> None:
     """Set the buffer sizes of a socket, and switch on its time stamps of reception and its counter of lost frames."""
-    link.setblocking(False)
-    link.setsockopt(socket.SOL_SOCKET, mmsg.SO_TIMESTAMPNS, 1)
-    link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RXQ_OVFL, 1)
-    link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+    can_socket.setblocking(False)
+    can_socket.setsockopt(socket.SOL_SOCKET, datagram_batches.SO_TIMESTAMPNS, 1)
+    can_socket.setsockopt(socket.SOL_SOCKET, datagram_batches.SO_RXQ_OVFL, 1)
+    can_socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
     try:  # only root may request a buffer that is larger than net.core.rmem_max
-        link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES)
+        can_socket.setsockopt(
+            socket.SOL_SOCKET, datagram_batches.SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES
+        )
     except PermissionError:
-        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+        can_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
 
 
 def open_socketcan(
@@ -272,24 +280,28 @@ def open_socketcan(
     return SocketCanBus(link, name, index, stamp)
 
 
-def _interface_problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
+def _interface_problem(can_socket: socket.socket, channel: str, fd_mode: bool) -> str:
     """Return a message if an existing interface cannot be used.
 
     If the interface can be used, the message is empty.
     """
-    if not _read_interface_number(link, channel, SIOCGIFFLAGS) & IFF_UP:
+    if not _read_interface_number(can_socket, channel, SIOCGIFFLAGS) & IFF_UP:
         return "the interface is down"
-    if fd_mode and _read_interface_number(link, channel, SIOCGIFMTU) < CANFD_FRAME_BYTES:
+    if fd_mode and _read_interface_number(can_socket, channel, SIOCGIFMTU) < CANFD_FRAME_BYTES:
         return "the interface is not in CAN FD mode"
-    if 0 < (length := _read_interface_number(link, channel, SIOCGIFTXQLEN)) < MIN_QUEUE_FRAMES:
+    if (
+        0
+        < (length := _read_interface_number(can_socket, channel, SIOCGIFTXQLEN))
+        < MIN_QUEUE_FRAMES
+    ):
         return f"its transmit queue holds {length} frames, less than a tick may send at once"
     return ""
 
 
-def _read_interface_number(link: socket.socket, channel: str, request: int) -> int:
+def _read_interface_number(can_socket: socket.socket, channel: str, request: int) -> int:
     """Ask the kernel for a number about an interface, in the network namespace of the socket."""
     # Layout of struct ifreq: name 16 bytes | flags 16 bits, or MTU 32 bits, or queue length 32 bits
     # | padding
-    answer = fcntl.ioctl(link, request, struct.pack("=16sI20x", channel.encode(), 0))
+    answer = fcntl.ioctl(can_socket, request, struct.pack("=16sI20x", channel.encode(), 0))
     (number,) = struct.unpack_from("=H" if request == SIOCGIFFLAGS else "=i", answer, 16)
     return int(number)

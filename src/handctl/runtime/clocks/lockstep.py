@@ -17,8 +17,8 @@ from handctl.drives.frame import ERROR_FLAG, Frame
 from handctl.drives.frame_records import Frames, RecordArray, frames_as_records, join_frames
 from handctl.errors import ConfigError
 from handctl.extras import missing_extra
-from handctl.runtime.buses.canfd import without_errors
-from handctl.runtime.buses.events import BusEvents
+from handctl.runtime.buses.bus_events import BusEvents
+from handctl.runtime.buses.canfd_structs import without_errors
 
 SIMULATED_HAND_ENTRY = "firmware_sim.lockstep_hand:LockstepHand"
 """Name ``module:Class`` of the simulator in the handctl repository."""

@@ -16,8 +16,8 @@ from handctl.drives.frame import Frame
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.drives.signals import SignalQuantity, SignalTable
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.clocks.real import TickClock
-from handctl.runtime.diagnostics.scan import collect_frames
+from handctl.runtime.clocks.real_clock import TickClock
+from handctl.runtime.diagnostics.bus_scan import collect_frames
 
 LISTEN_DURATION_S = 0.5
 """Time for which this host listens for another host, before it sends the first frame [s]."""

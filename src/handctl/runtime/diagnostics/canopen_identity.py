@@ -71,9 +71,9 @@ def identify_nodes(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, C
         logger.setLevel(before)
 
 
-def _read_identity(network: canopen.Network, number: int) -> CanopenIdentity:
+def _read_identity(network: canopen.Network, node_id: int) -> CanopenIdentity:
     """Read the identity of one node."""
-    node = network.add_node(number, canopen.ObjectDictionary())  # type: ignore[no-untyped-call]
+    node = network.add_node(node_id, canopen.ObjectDictionary())  # type: ignore[no-untyped-call]
     node.sdo.RESPONSE_TIMEOUT = ANSWER_TIMEOUT_S
     numbers: dict[str, int] = {}
     texts: dict[str, str] = {}
@@ -86,12 +86,12 @@ def _read_identity(network: canopen.Network, number: int) -> CanopenIdentity:
     return CanopenIdentity(numbers, texts)
 
 
-def _upload_object(node: canopen.RemoteNode, index: int, sub: int) -> bytes:
+def _upload_object(node: canopen.RemoteNode, index: int, subindex: int) -> bytes:
     """Return the content of an object.
 
     If the drive refuses the request or does not answer, the content is empty.
     """
     try:
-        return bytes(node.sdo.upload(index, sub))
+        return bytes(node.sdo.upload(index, subindex))
     except SdoError:
         return b""

@@ -147,13 +147,13 @@ def _check_configures(device: DeviceUnderTest) -> str:
     return "settings read back"
 
 
-def _failure_of(device: DeviceUnderTest, checked: DriveProperty, seen: str) -> Exception:
+def _failure_of(device: DeviceUnderTest, checked: DriveProperty, observed_text: str) -> Exception:
     """Return the exception for a drive that does not show a property.
 
     If handctl cannot check this property on the drive, the drive has not failed.
     """
     reason = device.rig.drive.unchecked_properties.get(checked)
-    return CheckNotPossible(f"{reason}; {seen}") if reason else CheckFailed(seen)
+    return CheckNotPossible(f"{reason}; {observed_text}") if reason else CheckFailed(observed_text)
 
 
 def _enable_drive(rig: DriveRig) -> None:
@@ -233,17 +233,17 @@ def _check_ignores_torque(device: DeviceUnderTest) -> str:
     start_ns = rig.t_ns
     for i in range(COUNTED_TICKS):
         torque = device.torque_limit_N_m * (i + 1) / COUNTED_TICKS
-        rig.run_tick(DriveTarget.POLL, extra=rig.drive.torque_frames(torque))
+        rig.run_tick(DriveTarget.POLL, extra_frames=rig.drive.torque_frames(torque))
         reported.append(rig.state.torque - reported_before)
         moved = rig.state.position - start
         if abs(moved) > MIN_MOTION_RAD + coasting * (rig.t_ns - start_ns) * 1e-9:
-            rig.run_tick(DriveTarget.POLL, extra=rig.drive.torque_frames(0.0))
+            rig.run_tick(DriveTarget.POLL, extra_frames=rig.drive.torque_frames(0.0))
             raise CheckFailed(
                 f"follows torque commands while disabled: {torque:+.3f} N m turned it by {moved:+.3f} rad"
             )
     # A drive may store the last command, and follow it when it is enabled later. Therefore the last
     # command is a torque of zero.
-    rig.run_tick(DriveTarget.POLL, extra=rig.drive.torque_frames(0.0))
+    rig.run_tick(DriveTarget.POLL, extra_frames=rig.drive.torque_frames(0.0))
     mean = sum(reported[len(reported) // 2 :]) / (len(reported) - len(reported) // 2)
     if abs(mean) > REPORTED_FRACTION * device.torque_limit_N_m:
         raise CheckFailed(f"reports {mean:+.3f} N m at torque commands while disabled")
@@ -277,7 +277,7 @@ def _check_feedback(device: DeviceUnderTest) -> str:
     return seen
 
 
-def _rotation_check(sign: int) -> RequirementCheck:
+def _rotation_check(motion_sign: int) -> RequirementCheck:
     """Return a check whether a torque of the given sign turns the shaft in the direction of this torque."""
 
     def check_rotation(device: DeviceUnderTest) -> str:
@@ -285,12 +285,12 @@ def _rotation_check(sign: int) -> RequirementCheck:
         _enable_drive(rig)
         if not brake_shaft(rig, device.torque_limit_N_m):
             raise CheckNotPossible(f"the shaft turns by itself, {rig.velocity_rad_s:.2g} rad/s")
-        step = apply_torque_step(rig, sign, device.torque_limit_N_m)
+        step = apply_torque_step(rig, motion_sign, device.torque_limit_N_m)
         if not step.enabled:
             raise CheckFailed(rig.state.error_text or "was no longer enabled")
         if step.moved_rad < -MIN_MOTION_RAD:
             raise CheckFailed(
-                f"{step.commanded_torque_N_m:+.3f} N m turned it by {sign * step.moved_rad:+.3f} rad, the wrong way"
+                f"{step.commanded_torque_N_m:+.3f} N m turned it by {motion_sign * step.moved_rad:+.3f} rad, the wrong way"
             )
         if step.moved_rad > MIN_MOTION_RAD:
             brake_shaft(rig, device.torque_limit_N_m)
@@ -300,21 +300,21 @@ def _rotation_check(sign: int) -> RequirementCheck:
                 else f"{step.reported_torque_N_m:+.3f} N m"
             )
             return f"at {step.commanded_torque_N_m:+.3f} N m; the drive reports {reported}"
-        raise _explain_no_motion(device, sign, step.reported_torque_N_m)
+        raise _explain_no_motion(device, motion_sign, step.reported_torque_N_m)
 
     return check_rotation
 
 
-def _explain_no_motion(device: DeviceUnderTest, sign: int, torque: float) -> Exception:
+def _explain_no_motion(device: DeviceUnderTest, motion_sign: int, torque: float) -> Exception:
     """Explain why a shaft did not turn at the torque limit.
 
     The explanation depends on the torque that the drive has reported [N m].
     """
-    reported = sign * torque
-    limit = f"{sign * device.torque_limit_N_m:+.3f} N m"
+    reported = motion_sign * torque
+    limit = f"{motion_sign * device.torque_limit_N_m:+.3f} N m"
     if math.isfinite(reported) and reported < 0.3 * device.torque_limit_N_m:
         return CheckFailed(
-            f"{limit} did not turn it, and the drive reports {sign * reported:+.3f} N m"
+            f"{limit} did not turn it, and the drive reports {motion_sign * reported:+.3f} N m"
         )
     return CheckNotPossible(f"did not turn at {limit}: held, or friction is larger")
 
@@ -394,7 +394,7 @@ def _check_readable(device: DeviceUnderTest) -> str:
     )
 
 
-def release_drive(rig: DriveRig, watchdog_s: float, restoring: Drive | None = None) -> bool:
+def release_drive(rig: DriveRig, watchdog_s: float, restoring_drive: Drive | None = None) -> bool:
     """Disable the drive, clear the errors of the drive, and send the frames that end a run.
 
     Return True if the drive reports that it is disabled.
@@ -405,13 +405,13 @@ def release_drive(rig: DriveRig, watchdog_s: float, restoring: Drive | None = No
     Args:
         rig: test rig with a drive in any state.
         watchdog_s: timeout of the drive's watchdog [s].
-        restoring: description of the drive with the settings to restore. If it is None, the drive
+        restoring_drive: description of the drive with the settings to restore. If it is None, the drive
             keeps its present settings.
     """
     if not rig.confirm_off(watchdog_s):
         return False
-    if restoring is not None:
-        rig.replace_drive(restoring)
+    if restoring_drive is not None:
+        rig.replace_drive(restoring_drive)
     rig.clear_faults()
     rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 3.0)
     rig.send_release()

@@ -206,7 +206,7 @@ class _JogExecution:
             t_s, goal.target, speed, HOST_LIMIT_FRACTION * goal.limits.acceleration
         )
 
-    def _ramped_command(self, target: float) -> float:
+    def _ramped_command(self, target_value: float) -> float:
         """Return the next command of a ramp to a target velocity or torque.
 
         The step from the last command depends on the time since then, which contains missed ticks.
@@ -216,7 +216,7 @@ class _JogExecution:
         if goal.mode == DriveMode.VELOCITY:
             rate = HOST_LIMIT_FRACTION * goal.limits.acceleration
         step = rate * (self._rig.t_ns - self._command_t_ns) * 1e-9
-        return self._command + min(step, max(-step, target - self._command))
+        return self._command + min(step, max(-step, target_value - self._command))
 
     def _run_tick(self, command: float) -> str:
         """Send a command, and check the drive's answer against the limits.

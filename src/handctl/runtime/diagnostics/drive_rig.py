@@ -13,7 +13,7 @@ from handctl.drives.contract import (
 )
 from handctl.drives.frame import Frame
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.clocks.real import TickClock
+from handctl.runtime.clocks.real_clock import TickClock
 
 PERIOD_NS = 5_000_000
 """Period of a tick [ns]."""
@@ -94,7 +94,7 @@ class DriveRig:
         return (last - first) / (max(last_ns - first_ns, VELOCITY_TICKS * PERIOD_NS) * 1e-9)
 
     def run_tick(
-        self, target: DriveTarget, command: float | None = None, extra: Sequence[Frame] = ()
+        self, target: DriveTarget, command: float | None = None, extra_frames: Sequence[Frame] = ()
     ) -> DriveState:
         """Run one tick, and return the state of the drive after it.
 
@@ -104,7 +104,7 @@ class DriveRig:
             target: requested state of the drive.
             command: command to the enabled drive, in the unit of ``Drive.command_limit``. If it is
                 None, ``idle_command`` computes the command.
-            extra: further frames to send in this tick.
+            extra_frames: further frames to send in this tick.
         """
         self.missed_ticks = self._clock.wait(self.k) // PERIOD_NS
         self.k += self.missed_ticks
@@ -113,7 +113,7 @@ class DriveRig:
         if command is None:
             command = self.idle_command(self.state)
         self.state, frames = self.drive.advance(self.state, self.t_ns, target, command)
-        self._bus.send((*frames, *extra))
+        self._bus.send((*frames, *extra_frames))
         self.drive_events += self._bus.take_events()
         self._positions = [
             *self._positions[1:],
@@ -123,15 +123,15 @@ class DriveRig:
         return self.state
 
     def run_until(
-        self, target: DriveTarget, reached: Callable[[DriveState], bool], for_s: float
+        self, target: DriveTarget, is_reached: Callable[[DriveState], bool], for_s: float
     ) -> bool:
-        """Run ticks with the idle command until ``reached`` returns True for the state of the drive.
+        """Run ticks with the idle command until ``is_reached`` returns True for the state of the drive.
 
         Returns False if this does not happen within the time ``for_s`` [s]. Only executed ticks count
         as time. Otherwise a late host would leave the drive too few ticks for its answers.
         """
         return any(
-            reached(self.run_tick(target)) for _ in range(math.ceil(for_s * 1e9 / PERIOD_NS))
+            is_reached(self.run_tick(target)) for _ in range(math.ceil(for_s * 1e9 / PERIOD_NS))
         )
 
     def run_for(self, target: DriveTarget, for_s: float) -> None:
@@ -153,15 +153,15 @@ class DriveRig:
     def clear_faults(self) -> None:
         """Clear the latched faults of the drive."""
         self.state, frames = self.drive.clear(self.state)
-        self.run_tick(DriveTarget.POLL, extra=frames)
+        self.run_tick(DriveTarget.POLL, extra_frames=frames)
 
     def cut_torque(self) -> None:
         """Run a tick that sends only the frames that remove the torque of the drive."""
-        self.run_tick(DriveTarget.LISTEN, extra=self.drive.cut_frames())
+        self.run_tick(DriveTarget.LISTEN, extra_frames=self.drive.cut_frames())
 
     def send_release(self) -> None:
         """Run a tick that sends only the frames for the regular end of a run."""
-        self.run_tick(DriveTarget.LISTEN, extra=self.drive.release_frames(self.state))
+        self.run_tick(DriveTarget.LISTEN, extra_frames=self.drive.release_frames(self.state))
 
     def bring_to_ready(self) -> bool:
         """Bring the drive into the phase READY from any other phase.

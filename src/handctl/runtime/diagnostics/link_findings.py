@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from handctl.runtime.buses.adapter import UsbAdapter
-from handctl.runtime.buses.interface import RESTART_MS, TX_QUEUE_FRAMES, set_up_text
-from handctl.runtime.buses.link import CanLinkState
+from handctl.runtime.buses.interface_setup import RESTART_MS, TX_QUEUE_FRAMES, set_up_text
+from handctl.runtime.buses.link_state import CanLinkState
 from handctl.runtime.buses.socketcan import MIN_QUEUE_FRAMES
 
 # Rules for udev. With such a rule, the setting is made again after each restart of the machine.
@@ -54,7 +54,7 @@ def missing_interface_finding(name: str, bitrate: int, data_bitrate: int | None)
         return LinkFinding(
             f"{name} does not exist",
             False,
-            set_up_text(name, bitrate, data_bitrate, exists=False),
+            set_up_text(name, bitrate, data_bitrate, interface_exists=False),
             fatal=True,
         )
     fix = (
@@ -77,7 +77,7 @@ def interface_findings(
         data_bitrate: bit rate of the data phase in the hand file [bit/s], or None for a classical
             bus.
     """
-    set_up = set_up_text(name, bitrate, data_bitrate, exists=True)
+    set_up = set_up_text(name, bitrate, data_bitrate, interface_exists=True)
     result = [
         LinkFinding(
             f"{name} is {'up' if link.is_up else 'down'}", link.is_up, set_up, fatal=not link.is_up
@@ -110,17 +110,17 @@ def interface_findings(
 
 
 def adapter_findings(
-    name: str, adapter: UsbAdapter | None, kind: str, others: Sequence[str]
+    name: str, adapter: UsbAdapter | None, link_kind: str, other_interfaces: Sequence[str]
 ) -> list[LinkFinding]:
     """Return the findings about the adapter of an interface.
 
     Args:
         name: name of the interface.
         adapter: CAN adapter of the interface, or None for a virtual interface.
-        kind: kind of the interface, such as ``slcan``.
-        others: names of the other CAN interfaces with a USB adapter.
+        link_kind: kind of the interface, such as ``slcan``.
+        other_interfaces: names of the other CAN interfaces with a USB adapter.
     """
-    if kind == "slcan":
+    if link_kind == "slcan":
         what = "a serial line (slcan): no error counters, no bit rate to compare"
         return [LinkFinding(what, False, "flash candleLight firmware for the driver gs_usb")]
     if adapter is None:
@@ -137,7 +137,7 @@ def adapter_findings(
         rows.append(
             LinkFinding(what, False, "use a hat with MCP2518FD (driver mcp251xfd), or 250 kbit/s")
         )
-    if adapter.serial and others:
+    if adapter.serial and other_interfaces:
         rule = UDEV_SERIAL_RULE.format(name, adapter.serial)
         rows.append(
             LinkFinding(
@@ -148,10 +148,14 @@ def adapter_findings(
     return rows
 
 
-def _rate_finding(what: str, has: int | None, required: int, fix: str) -> LinkFinding:
+def _rate_finding(
+    rate_name: str, present_rate: int | None, required_rate: int, fix_command: str
+) -> LinkFinding:
     """Compare a bit rate of an interface with the required bit rate [bit/s], and return the finding."""
     return LinkFinding(
-        f"{what} {has or 'not set'}, the hand needs {required}", has == required, fix
+        f"{rate_name} {present_rate or 'not set'}, the hand needs {required_rate}",
+        present_rate == required_rate,
+        fix_command,
     )
 
 

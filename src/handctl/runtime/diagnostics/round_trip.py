@@ -48,17 +48,19 @@ class RoundTrip(NamedTuple):
         return self.double_answers > self.requests / 2
 
 
-def measure_round_trips(bus: Bus, node: DiscoveredNode, times: int = REQUEST_COUNT) -> RoundTrip:
+def measure_round_trips(
+    bus: Bus, node: DiscoveredNode, repetitions: int = REQUEST_COUNT
+) -> RoundTrip:
     """Measure the round-trip time of a node.
 
     Each request is sent after the answer to the previous request has arrived.
     """
-    trips = [_measure_round_trip(bus, node) for _ in range(times)]
+    trips = [_measure_round_trip(bus, node) for _ in range(repetitions)]
     took = sorted(first for first, _ in trips if first is not None)
     twice = sum(more for _, more in trips)
     if not took:
-        return RoundTrip(0, times, math.nan, math.nan, math.nan, twice)
-    return RoundTrip(len(took), times, took[0], took[len(took) // 2], took[-1], twice)
+        return RoundTrip(0, repetitions, math.nan, math.nan, math.nan, twice)
+    return RoundTrip(len(took), repetitions, took[0], took[len(took) // 2], took[-1], twice)
 
 
 def _measure_round_trip(bus: Bus, node: DiscoveredNode) -> tuple[float | None, bool]:

@@ -48,14 +48,14 @@ class TorqueStep(NamedTuple):
     enabled: bool
 
 
-def apply_torque_step(rig: DriveRig, sign: int, torque_limit: float) -> TorqueStep:
+def apply_torque_step(rig: DriveRig, motion_sign: int, torque_limit: float) -> TorqueStep:
     """Raise the torque until the shaft has moved by MIN_MOTION_RAD, or until the torque reaches its limit.
 
     Then let the shaft coast.
 
     Args:
         rig: rig with an enabled drive.
-        sign: sign of the torque.
+        motion_sign: sign of the torque.
         torque_limit: largest torque [N m].
     """
     start = rig.state.position
@@ -66,13 +66,13 @@ def apply_torque_step(rig: DriveRig, sign: int, torque_limit: float) -> TorqueSt
     start_ns = rig.t_ns
     for i in range(ticks):
         last_torque = torque
-        torque = sign * torque_limit * (i + 1) / ticks
+        torque = motion_sign * torque_limit * (i + 1) / ticks
         rig.run_tick(DriveTarget.ENABLE, torque)
         # During the ticks that the host has missed, the drive keeps its last torque.
         impulse += (last_torque * rig.missed_ticks + torque) * PERIOD_S
         if rig.state.phase != DrivePhase.ENABLED:
             return TorqueStep(moved, torque, rig.state.torque, False)
-        travel = sign * (rig.state.position - start)
+        travel = motion_sign * (rig.state.position - start)
         coasted = abs(coasting) * (rig.t_ns - start_ns) * 1e-9
         moved = (
             math.copysign(max(0.0, abs(travel) - coasted), travel)

@@ -1,6 +1,5 @@
 """Rows B01 to B18 of the fault catalogue: faults of the bus."""
 
-from handctl.safety.action import RelaxMethod, SafetyAction
 from handctl.safety.faults.fault import (
     CHECKED_BEFORE_ARMING,
     CHECKED_BY_FAULT_TABLE,
@@ -14,6 +13,7 @@ from handctl.safety.faults.fault import (
     declare_fault,
     declare_row,
 )
+from handctl.safety.safety_action import RelaxMethod, SafetyAction
 from handctl.safety.safety_limits import LOAD_CELLS, MIN_SILENT_TICKS, SILENT_S
 
 LOSS_WINDOW_TICKS = 100

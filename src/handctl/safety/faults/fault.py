@@ -16,7 +16,7 @@ is used as in ``evidence[N07, motor]``. The declaration of a fault may instead h
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from handctl.safety.action import RelaxMethod, SafetyAction
+from handctl.safety.safety_action import RelaxMethod, SafetyAction
 
 ENDED_BY_OPERATOR = "by the operator"
 ENDED_BY_ITSELF = "by itself"

@@ -1,6 +1,5 @@
 """Rows H01 to H15 and I01 to I11 of the fault catalogue: faults of the host, and of files and inputs."""
 
-from handctl.safety.action import RelaxMethod, SafetyAction
 from handctl.safety.faults.fault import (
     CHECKED_BEFORE_ARMING,
     CHECKED_BY_DRIVE,
@@ -13,6 +12,7 @@ from handctl.safety.faults.fault import (
     declare_fault,
     declare_row,
 )
+from handctl.safety.safety_action import RelaxMethod, SafetyAction
 from handctl.safety.safety_limits import MIN_STALLED_TICKS, STALLED_S
 
 LATE_FRACTION = 0.25

@@ -3,7 +3,6 @@
 The inventory before arming checks the rows N03 and N12.
 """
 
-from handctl.safety.action import RelaxMethod, SafetyAction
 from handctl.safety.faults.bus import MALFORMED_WINDOW_TICKS, SILENCE_REASON
 from handctl.safety.faults.fault import (
     CHECKED_BEFORE_ARMING,
@@ -20,6 +19,7 @@ from handctl.safety.faults.fault import (
     declare_fault,
     declare_row,
 )
+from handctl.safety.safety_action import RelaxMethod, SafetyAction
 from handctl.safety.safety_limits import MIN_SILENT_TICKS, SILENT_S
 
 STUCK_S = 0.1

@@ -3,7 +3,6 @@
 Commissioning checks the row T07.
 """
 
-from handctl.safety.action import RelaxMethod, SafetyAction
 from handctl.safety.faults.fault import (
     CHECKED_BEFORE_ARMING,
     CHECKED_BY_FAULT_TABLE,
@@ -15,6 +14,7 @@ from handctl.safety.faults.fault import (
     declare_fault,
     declare_row,
 )
+from handctl.safety.safety_action import RelaxMethod, SafetyAction
 
 TAUT_N = 2.5
 SLACK_N = 2.0

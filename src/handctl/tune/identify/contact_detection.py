@@ -90,22 +90,22 @@ class ResidualRamp(NamedTuple):
 
 
 def steepest_ramp(
-    jacobian: Array, residual: Array, first: int, angle: Array, units: Sequence[Array]
+    jacobian: Array, residual: Array, first_sample: int, angle: Array, unit_vectors: Sequence[Array]
 ) -> ResidualRamp | None:
     """Return the ramp with the largest score. Return None if the fit has no sweep.
 
     Args:
         jacobian: (rows, parameters) Jacobian of the fit. The rows of outliers are zero.
         residual: (rows,) measured minus expected values, in standard deviations.
-        first: row at which the sweep begins.
+        first_sample: row at which the sweep begins.
         angle: (m,) mean joint angle in each bin of the sweep [rad].
-        units: for every kind of ramp, the residuals (m k,) that a tension of 1 N or a torque of 1 N
+        unit_vectors: for every kind of ramp, the residuals (m k,) that a tension of 1 N or a torque of 1 N
             m causes, with k rows per bin.
     """
-    if not len(angle) or not units:
+    if not len(angle) or not unit_vectors:
         return None
-    count = len(units[0])
-    rows = slice(first, first + count)
+    count = len(unit_vectors[0])
+    rows = slice(first_sample, first_sample + count)
     used = jacobian[rows].any(axis=1)
     if not used.any():
         return None
@@ -120,7 +120,7 @@ def steepest_ramp(
         shape = (
             np.repeat(np.maximum(0.0, angle - start) / (high - start), count // len(angle)) * used
         )
-        for unit in units:
+        for unit in unit_vectors:
             column = np.zeros(len(residual))
             column[rows] = shape * unit
             # Only the part of the ramp outside of this span counts for the score.
@@ -130,7 +130,7 @@ def steepest_ramp(
                 score = float(orthogonal @ residual) / size**0.5
                 best = max(best, (score, start, score / size**0.5), key=lambda ramp: abs(ramp[0]))
     mean_square = float(np.mean(residual[rows][used] ** 2))
-    contact_score = CONTACT_SCORE if len(units) == 1 else MULTI_TENDON_CONTACT_SCORE
+    contact_score = CONTACT_SCORE if len(unit_vectors) == 1 else MULTI_TENDON_CONTACT_SCORE
     return ResidualRamp(
         best[0],
         best[1],
@@ -144,7 +144,7 @@ def steepest_ramp(
 
 
 def are_joints_moving(
-    joint_count: int, preload: float, half_width: float, travel: float, full: float
+    joint_count: int, preload: float, half_width: float, travel: float, full_travel: float
 ) -> bool:
     """Return True if the preload and the travel of a digit with one tendon show that all joints of the digit move.
 
@@ -153,9 +153,9 @@ def are_joints_moving(
         preload: identified preload of the springs, divided by the preload in the hand file.
         half_width: half of the width of this ratio's confidence interval.
         travel: largest excursion of the tendon [m].
-        full: excursion of the tendon with all joints at their closed ends [m].
+        full_travel: excursion of the tendon with all joints at their closed ends [m].
     """
     # The ratio of the preloads is 1 if all n joints move, and (n - 1) / n if one joint is blocked.
     # The limit lies halfway between these two values.
     stiff = 1.0 - 0.5 / joint_count
-    return preload + half_width >= stiff or travel > full * (joint_count - 1) / joint_count
+    return preload + half_width >= stiff or travel > full_travel * (joint_count - 1) / joint_count

@@ -190,7 +190,7 @@ def lift_off_tension(hand: Hand, digit: str) -> float:
     """Return the tension at which the first joint of a digit leaves its open stop [N], without friction and weight."""
     digit_file = hand.digit_named(digit)
     model = DigitModel.from_hand(hand, digit)
-    arms = abs(model.arms_at(model.joint_min)).sum(axis=0)
+    arms = abs(model.moment_arms_at(model.joint_min)).sum(axis=0)
     preload = zip(
         digit_file.spring_stiffness_N_m_per_rad,
         digit_file.spring_preload_rad,

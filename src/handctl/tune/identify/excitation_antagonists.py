@@ -15,7 +15,7 @@ import numpy as np
 from handctl.core.control_law.tendon_redundancy import redundancy_of_hand
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
-from handctl.hand.hand_tree import HandTree
+from handctl.hand.link_tree import HandLinkTree
 from handctl.programs.excitation import ExciteStep
 
 LOWEST_SWEEP_ANGLE_DEG = 0.0
@@ -185,30 +185,32 @@ def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
     return np.where(sideways, near, low), np.where(sideways, far, high)
 
 
-def _sign_patterns(count: int) -> list[Array]:
+def _sign_patterns(coordinate_count: int) -> list[Array]:
     """Return patterns for the motion of the coordinates.
 
-    Each pattern has one factor for each coordinate (count,).
+    Each pattern has one factor for each coordinate (coordinate_count,).
 
     In the first pattern, all coordinates move together. In each other pattern, one coordinate moves
     against all others.
     """
-    patterns = [np.ones(count)]
-    if count > 1:
+    patterns = [np.ones(coordinate_count)]
+    if coordinate_count > 1:
         # With two coordinates, a single pattern of this kind is sufficient, because each coordinate
         # moves against the other.
         patterns += [
-            np.where(np.arange(count) == i, -COUNTER_MOTION_FRACTION, 1.0)
-            for i in range(count if count > 2 else 1)
+            np.where(np.arange(coordinate_count) == i, -COUNTER_MOTION_FRACTION, 1.0)
+            for i in range(coordinate_count if coordinate_count > 2 else 1)
         ]
     return patterns
 
 
-def _swing_amplitudes(hand: Hand, digit: DigitModel, middle: Array, half: Array) -> Array:
+def _swing_amplitudes(
+    hand: Hand, digit: DigitModel, middle_angles: Array, half_ranges: Array
+) -> Array:
     """Return the amplitudes (n_c,) of an oscillation that the motors can produce [rad]."""
-    tree = HandTree.from_hand(hand)
+    tree = HandLinkTree.from_hand(hand)
     q = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
-    q[digit.joints] = digit.coupling @ middle
+    q[digit.joints] = digit.coupling @ middle_angles
     moved = tree.mass_matrix(q)[digit.joints, digit.joints]
     arms = digit.reduced_moment_arms
     inertia = np.abs(digit.coupling.T @ moved @ digit.coupling).sum(axis=1)
@@ -219,7 +221,7 @@ def _swing_amplitudes(hand: Hand, digit: DigitModel, middle: Array, half: Array)
         [motor.torque_max_N_m / motor.spool_radius_m for motor in motors]
     )
     largest = float((available / (force * (2.0 * math.pi * SWING_HIGH_HZ) ** 2)).min())
-    return np.minimum(np.minimum(math.radians(SWING_AMPLITUDE_DEG), 0.7 * half), largest)
+    return np.minimum(np.minimum(math.radians(SWING_AMPLITUDE_DEG), 0.7 * half_ranges), largest)
 
 
 def _tension_limits(hand: Hand, digit: DigitModel) -> tuple[Array, Array]:

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import inverse_dynamics
 from handctl.tune.identify.contact_detection import ResidualRamp, steepest_ramp
-from handctl.tune.identify.fit import (
+from handctl.tune.identify.fit_load import MAX_FRICTION_EXPONENT
+from handctl.tune.identify.fit_tendon import (
     DEFAULT_PRIOR_DEVIATION,
     MAX_SCALED_PARAMETER,
     MIN_SCALED_PARAMETER,
@@ -28,7 +29,6 @@ from handctl.tune.identify.fit import (
     TendonFit,
     merge_solution,
 )
-from handctl.tune.identify.fit_load import MAX_FRICTION_EXPONENT
 from handctl.tune.identify.least_squares import FitSolution, solve_least_squares
 from handctl.tune.identify.tendon_data import Array, TendonData, average_samples
 
@@ -137,7 +137,7 @@ class TorqueBalance:
             offset: (tendons,) offsets of the load cells [N].
         """
         torque = np.zeros_like(self.q)
-        present = self.digit.arms_at(self.q)
+        present = self.digit.moment_arms_at(self.q)
         for j, arms in enumerate(self.digit.moment_arms):
             angle = np.full(len(self.t), self.digit.wrap[j])
             for i, mean_arm in enumerate(arms.tolist()):
@@ -198,7 +198,8 @@ def _joint_rates(
     dq = np.einsum("mjn,mn->mj", to_rates, speed)
     bend = np.einsum(
         "mnj,mj->mn",
-        digit.arms_at(q + DIFFERENCE_STEP_S * dq) - digit.arms_at(q - DIFFERENCE_STEP_S * dq),
+        digit.moment_arms_at(q + DIFFERENCE_STEP_S * dq)
+        - digit.moment_arms_at(q - DIFFERENCE_STEP_S * dq),
         dq,
     )
     return dq, np.einsum("mjn,mn->mj", to_rates, acceleration - bend / (2.0 * DIFFERENCE_STEP_S))
@@ -241,7 +242,7 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
 
 
 def fits_with_digit(
-    fits: Sequence[TendonFit], solution: FitSolution, balance: TorqueBalance
+    tendon_fits: Sequence[TendonFit], solution: FitSolution, balance: TorqueBalance
 ) -> list[TendonFit]:
     """Return the fits of the tendons of a digit, with the parameters from the fit of the whole digit added.
 
@@ -249,9 +250,9 @@ def fits_with_digit(
     tendons share.
     """
     rows = len(balance.t) * balance.q.shape[1]
-    fits = [replace(fit, ramp=_unexplained_ramp(solution, balance)) for fit in fits]
+    tendon_fits = [replace(fit, ramp=_unexplained_ramp(solution, balance)) for fit in tendon_fits]
     merged = []
-    for j, fit in enumerate(fits):
+    for j, fit in enumerate(tendon_fits):
         shared = SHARED_PARAMETERS if j == 0 else ()
         places = [len(SHARED_PARAMETERS) + j, *range(len(shared))]
         merged.append(merge_solution(fit, solution, rows, ("capstan", *shared), places))
@@ -274,16 +275,16 @@ def _friction_scales(digit: DigitModel) -> Array:
     return np.where(digit.friction > 0.0, digit.friction, 1e-3)
 
 
-def _spaced_indices(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]:
-    """Return some of the indices, which are at least `spacing` apart, so that their averages share no readings."""
+def _spaced_indices(indices: NDArray[np.intp], min_spacing: int) -> NDArray[np.intp]:
+    """Return some of the indices, which are at least `min_spacing` apart, so that their averages share no readings."""
     selected: list[int] = []
     for index in indices.tolist():
-        if not selected or index - selected[-1] >= spacing:
+        if not selected or index - selected[-1] >= min_spacing:
             selected.append(index)
     return np.array(selected, dtype=np.intp)
 
 
-def _tendon_rates(data: TendonData, reach: int) -> tuple[Array, Array]:
+def _tendon_rates(data: TendonData, half_window: int) -> tuple[Array, Array]:
     """Return the speed [m/s] and the acceleration [m/s^2] of a tendon.
 
     At the start and the end of the data, both are NaN.
@@ -291,7 +292,7 @@ def _tendon_rates(data: TendonData, reach: int) -> tuple[Array, Array]:
     The differences extend over twice the time over which signals are averaged.
     """
     x = data.travel
-    step = 2 * reach
+    step = 2 * half_window
     speed = np.full(len(x), np.nan)
     acceleration = np.full(len(x), np.nan)
     after = x[2 * step :]

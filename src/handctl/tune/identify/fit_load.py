@@ -21,7 +21,7 @@ import numpy as np
 
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import gravity_torque, mass_matrix
-from handctl.hand.moment_arms import arms_at, excursions_at
+from handctl.hand.moment_arms import excursions_at, moment_arms_at
 from handctl.tune.identify.tendon_data import Array, Mask, TendonData
 
 BIN_DURATION_S = 0.01
@@ -99,12 +99,12 @@ class SignalBins:
 
 
 def average_in_bins(
-    data: TendonData, mask: Mask, moving: bool, bin_s: float = BIN_DURATION_S
+    data: TendonData, sample_mask: Mask, is_moving: bool, bin_s: float = BIN_DURATION_S
 ) -> SignalBins:
     """Return averages of those readings that a mask selects, over bins of equal duration.
 
     A bin is used if the mask is True for all readings in it, and if no reading is missing. If
-    `moving` is True, the tendon must also move in a single direction during the bin.
+    `is_moving` is True, the tendon must also move in a single direction during the bin.
     """
     count = max(1, round(bin_s / data.period))
     n = len(data.t) // count
@@ -114,10 +114,10 @@ def average_in_bins(
     def values_in_bins(values: Array) -> Array:
         return values[: n * count].reshape(n, count)
 
-    complete = values_in_bins(mask.astype(float)).all(axis=1) & np.isfinite(
+    complete = values_in_bins(sample_mask.astype(float)).all(axis=1) & np.isfinite(
         values_in_bins(data.tension + data.travel)
     ).all(axis=1)
-    if moving:
+    if is_moving:
         speeds = values_in_bins(speed)
         complete &= np.abs(speeds).min(axis=1) > MIN_SPEED_M_S
         # All signs in a bin are equal if the absolute value of their sum is the number of readings.
@@ -136,18 +136,20 @@ def average_in_bins(
     )
 
 
-def _central_rates(travel: Array, period: float, reach: int) -> tuple[Array, Array]:
-    """Return the speed and the acceleration for a series of travels, from differences over `reach` periods.
+def _central_rates(travel: Array, period: float, half_window: int) -> tuple[Array, Array]:
+    """Return the speed and the acceleration for a series of travels, from differences over `half_window` periods.
 
     Both are zero at the two ends of the data.
     """
     speed = np.zeros_like(travel)
     acceleration = np.zeros_like(travel)
-    after = travel[2 * reach :]
-    before = travel[: -2 * reach]
-    centre = travel[reach:-reach]
-    speed[reach:-reach] = (after - before) / (2 * reach * period)
-    acceleration[reach:-reach] = (after - 2.0 * centre + before) / (reach * period) ** 2
+    after = travel[2 * half_window :]
+    before = travel[: -2 * half_window]
+    centre = travel[half_window:-half_window]
+    speed[half_window:-half_window] = (after - before) / (2 * half_window * period)
+    acceleration[half_window:-half_window] = (after - 2.0 * centre + before) / (
+        half_window * period
+    ) ** 2
     return np.nan_to_num(speed), np.nan_to_num(acceleration)
 
 
@@ -213,8 +215,8 @@ class DigitLoad:
         polynomial = self.varying.arm_polynomials[:1, i : i + 1]
         limits = self.varying.joint_limits[:, i : i + 1]
         angle = q[:, None]
-        here = arms_at(polynomial, limits, angle)[:, 0, 0]
-        ahead = arms_at(polynomial, limits, angle + DIFFERENCE_STEP_RAD)[:, 0, 0]
+        here = moment_arms_at(polynomial, limits, angle)[:, 0, 0]
+        ahead = moment_arms_at(polynomial, limits, angle + DIFFERENCE_STEP_RAD)[:, 0, 0]
         return (
             here,
             (ahead - here) / DIFFERENCE_STEP_RAD,

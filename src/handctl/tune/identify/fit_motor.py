@@ -112,7 +112,7 @@ class WindowWeights(NamedTuple):
         return values @ self.mean, -values @ self.first, values @ self.second
 
 
-def motor_windows(data: TendonData, spool: float) -> MotorWindows:
+def motor_windows(data: TendonData, spool_radius: float) -> MotorWindows:
     """Return the signals of a tendon and its motor, averaged with time windows.
 
     A window is left out if the tendon in it is too slow or changes its direction, or if a reading
@@ -128,7 +128,7 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
     _, speed, acceleration = weights.derivatives(travel)
     quick = quick_speed(data.travel, period)
     complete = data.acting[rows].all(axis=1) & np.isfinite(travel + data.tension[rows]).all(axis=1)
-    moving = np.abs(quick[rows]).min(axis=1) > MIN_SPEED_RAD_S * spool
+    moving = np.abs(quick[rows]).min(axis=1) > MIN_SPEED_RAD_S * spool_radius
     # All signs in a window are equal if the absolute value of their sum is the number of readings.
     selected = complete & moving & (np.abs(np.sign(quick[rows]).sum(axis=1)) == len(samples))
     taps = np.arange(-half - 2, half + 3)
@@ -145,13 +145,15 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
     )
 
 
-def quick_speed(travel: Array, period: float, reach: int = 3) -> Array:
+def quick_speed(travel: Array, period: float, half_window: int = 3) -> Array:
     """Return the speed for a series of travels, from differences over a few control periods [m/s].
 
     At both ends of the data, the speed is zero.
     """
     speed = np.full(len(travel), np.nan)
-    speed[reach:-reach] = (travel[2 * reach :] - travel[: -2 * reach]) / (2 * reach * period)
+    speed[half_window:-half_window] = (travel[2 * half_window :] - travel[: -2 * half_window]) / (
+        2 * half_window * period
+    )
     return np.asarray(np.nan_to_num(speed))
 
 

@@ -24,9 +24,11 @@ from numpy.typing import NDArray
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
-from handctl.hand.hand_tree import HandTree
+from handctl.hand.link_tree import HandLinkTree
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
-from handctl.tune.identify.fit import (
+from handctl.tune.identify.fit_load import SignalBins
+from handctl.tune.identify.fit_motor import MotorWindows, WindowWeights, motor_windows, quick_speed
+from handctl.tune.identify.fit_tendon import (
     DEFAULT_PRIOR_DEVIATION,
     MAX_SCALED_PARAMETER,
     MIN_SCALED_PARAMETER,
@@ -37,8 +39,6 @@ from handctl.tune.identify.fit import (
     parameter_scales,
     with_model_error,
 )
-from handctl.tune.identify.fit_load import SignalBins
-from handctl.tune.identify.fit_motor import MotorWindows, WindowWeights, motor_windows, quick_speed
 from handctl.tune.identify.fit_travel import SENSOR_SKEW_S, tendon_excursions
 from handctl.tune.identify.least_squares import (
     MIN_DEGREES_OF_FREEDOM,
@@ -125,7 +125,11 @@ class PairWindows:
 
     @staticmethod
     def from_data(
-        hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonData], rest: Array
+        hand: Hand,
+        digit: DigitModel,
+        tendon: int,
+        tendons_data: Sequence[TendonData],
+        rest_angles: Array,
     ) -> "PairWindows":
         """Return the signals of a spool pair, averaged with time windows.
 
@@ -133,28 +137,33 @@ class PairWindows:
             hand: description of the hand.
             digit: model of the digit.
             tendon: index of the pair among the pairs of the digit.
-            data: data of all pairs of the digit, in their order.
-            rest: (J,) angles of all joints [rad]. The joints of the other digits keep these angles.
+            tendons_data: data of all pairs of the digit, in their order.
+            rest_angles: (J,) angles of all joints [rad]. The joints of the other digits keep these angles.
 
         Raises:
             LogError: the pair hardly moves.
         """
-        own = data[tendon]
+        own = tendons_data[tendon]
         spool = hand.motor_of(own.tendon).spool_radius_m
         windows = motor_windows(replace(own, tension=np.zeros_like(own.travel)), spool)
         weights = WindowWeights.from_period(own.period)
         rows = np.rint((windows.t - own.t[0]) / own.period).astype(int)[:, None] + weights.samples
         stretched = own.stop[rows]
         clear = np.asarray(stretched.all(axis=1) | ~stretched.any(axis=1))
-        means = np.array([weights.derivatives(pair.travel[rows]) for pair in data])
+        means = np.array([weights.derivatives(pair.travel[rows]) for pair in tendons_data])
         clear &= np.isfinite(means).all(axis=(0, 1))
         windows, rows = select_windows(windows, clear), rows[clear]
         if len(windows.t) < 20:
             raise LogError(f"{own.tendon} hardly moves", "the log", "a run in which it moves")
-        q, dq, ddq = _joint_motion(digit, means[:, :, clear], data, rest[digit.joints])
-        tree = HandTree.from_hand(hand)
+        q, dq, ddq = _joint_motion(
+            digit, means[:, :, clear], tendons_data, rest_angles[digit.joints]
+        )
+        tree = HandLinkTree.from_hand(hand)
         rigid = np.array(
-            [_torque_of_digit(tree, digit, rest, *row) for row in zip(q, dq, ddq, strict=True)]
+            [
+                _torque_of_digit(tree, digit, rest_angles, *row)
+                for row in zip(q, dq, ddq, strict=True)
+            ]
         )
         to_tension = digit.torque_to_tension[tendon]
         passed = (digit.moment_arms[tendon] != 0.0) & ~digit.is_prismatic
@@ -173,14 +182,14 @@ class PairWindows:
         )
 
 
-def select_windows(windows: MotorWindows, selected: NDArray[np.bool_]) -> MotorWindows:
+def select_windows(windows: MotorWindows, selection_mask: NDArray[np.bool_]) -> MotorWindows:
     """Return the selected windows of a motor."""
     each = ("t", "tension", "acceleration", "speed", "sign", "commands")
-    return replace(windows, **{name: getattr(windows, name)[selected] for name in each})
+    return replace(windows, **{name: getattr(windows, name)[selection_mask] for name in each})
 
 
 def _joint_motion(
-    digit: DigitModel, means: Array, data: Sequence[TendonData], rest: Array
+    digit: DigitModel, means: Array, tendons_data: Sequence[TendonData], rest_angles: Array
 ) -> tuple[Array, Array, Array]:
     """Return angles, rates and accelerations (m, joints) of a digit, computed from the motion of its pairs (n_t, 3, m).
 
@@ -189,30 +198,34 @@ def _joint_motion(
     """
     travel, speed, acceleration = (means[:, i].T for i in range(3))
     back = digit.excursion_to_joints.T
-    angles = np.column_stack([pair.travel for pair in data]) @ back
+    angles = np.column_stack([pair.travel for pair in tendons_data]) @ back
     offset = (
-        np.nanmean(data[0].joints - angles, axis=0)
-        if np.isfinite(data[0].joints).any()
-        else rest - angles[0]
+        np.nanmean(tendons_data[0].joints - angles, axis=0)
+        if np.isfinite(tendons_data[0].joints).any()
+        else rest_angles - angles[0]
     )
     return travel @ back + offset, speed @ back, acceleration @ back
 
 
 def _torque_of_digit(
-    tree: HandTree, digit: DigitModel, rest: Array, q: Array, dq: Array, ddq: Array
+    tree: HandLinkTree, digit: DigitModel, rest_angles: Array, q: Array, dq: Array, ddq: Array
 ) -> Array:
     """Return the torques (joints,) that are necessary because of the inertia and the weight of a digit's links [N m].
 
     The links of digits that this digit carries are included.
     """
-    motion = np.zeros((3, len(rest)))
-    motion[0] = rest
+    motion = np.zeros((3, len(rest_angles)))
+    motion[0] = rest_angles
     motion[:, digit.joints] = q, dq, ddq
     return np.asarray(tree.inverse_dynamics(*motion)[digit.joints])
 
 
 def _stretch_readings(
-    digit: DigitModel, tendon: int, data: TendonData, rows: NDArray[np.intp], weights: WindowWeights
+    digit: DigitModel,
+    tendon: int,
+    data: TendonData,
+    window_rows: NDArray[np.intp],
+    weights: WindowWeights,
 ) -> tuple[Array, Array, Array]:
     """Return the travel and the excursion (m,) in windows, at the times at which the joint encoders were read [m].
 
@@ -224,37 +237,43 @@ def _stretch_readings(
     """
     read: NDArray[np.bool_] = np.asarray(np.isfinite(data.joints).all(axis=1))
     excursion = np.where(read, tendon_excursions(digit, tendon, np.nan_to_num(data.joints)), 0.0)
-    weight = weights.mean * read[rows]
+    weight = weights.mean * read[window_rows]
     total = np.maximum(weight.sum(axis=1), 1e-12)
-    travel = (data.travel[rows] * weight).sum(axis=1) / total
-    count = read[rows].sum(axis=1)
-    stretched = data.stop[rows].all(axis=1)
-    travel = np.where(stretched, data.travel[rows] @ weights.mean, travel)
-    known = np.where(count >= MIN_READINGS, (excursion[rows] * weight).sum(axis=1) / total, np.nan)
+    travel = (data.travel[window_rows] * weight).sum(axis=1) / total
+    count = read[window_rows].sum(axis=1)
+    stretched = data.stop[window_rows].all(axis=1)
+    travel = np.where(stretched, data.travel[window_rows] @ weights.mean, travel)
+    known = np.where(
+        count >= MIN_READINGS, (excursion[window_rows] * weight).sum(axis=1) / total, np.nan
+    )
     # It is an effective number, because the window gives different weights to the readings.
     return travel, known, total**2 / np.maximum((weight**2).sum(axis=1), 1e-12)
 
 
-def tension_of_pair(net: Array, pretension: float, passed: Array) -> Array:
+def tension_of_pair(net_tension: Array, pretension: float, pulley_ratios: Array) -> Array:
     """Return the net tension at the spool (m,) that is necessary for a given net tension at a joint [N].
 
     Args:
-        net: net tension at the joint (m,) [N].
+        net_tension: net tension at the joint (m,) [N].
         pretension: pretension of both tendons [N].
-        passed: tension of the first tendon behind the pulleys, divided by the tension of this
+        pulley_ratios: tension of the first tendon behind the pulleys, divided by the tension of this
             tendon at the spool.
 
     The formula is the same as in `core.estimation.spool_pair`, but for arrays.
     """
-    both_taut = 2.0 * (net + pretension * (1.0 / passed - passed)) / (passed + 1.0 / passed)
-    single = np.where(both_taut > 0.0, net / passed, net * passed)
+    both_taut = (
+        2.0
+        * (net_tension + pretension * (1.0 / pulley_ratios - pulley_ratios))
+        / (pulley_ratios + 1.0 / pulley_ratios)
+    )
+    single = np.where(both_taut > 0.0, net_tension / pulley_ratios, net_tension * pulley_ratios)
     return np.where(np.abs(both_taut) < 2.0 * pretension, both_taut, single)
 
 
-def stretch_of_pair(net: Array, stiffness: float, pretension: float) -> Array:
+def stretch_of_pair(net_tension: Array, stiffness: float, pretension: float) -> Array:
     """Return the length (m,) [m] by which the spool of a pair is ahead of its joints, at a net tension (m,) [N]."""
-    single = np.sign(net) * (np.abs(net) - pretension) / stiffness
-    return np.where(np.abs(net) < 2.0 * pretension, 0.5 * net / stiffness, single)
+    single = np.sign(net_tension) * (np.abs(net_tension) - pretension) / stiffness
+    return np.where(np.abs(net_tension) < 2.0 * pretension, 0.5 * net_tension / stiffness, single)
 
 
 @dataclass(frozen=True, slots=True)
@@ -383,21 +402,23 @@ class PairProblem:
         return replace(self, motor_noise=max(size, MIN_NOISE_N))
 
 
-def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonData]) -> TendonFit:
+def fit_pair(
+    hand: Hand, digit: DigitModel, tendon: int, pair_data: Sequence[TendonData]
+) -> TendonFit:
     """Fit the parameters of a spool pair.
 
     Args:
         hand: description of the hand.
         digit: model of the digit.
         tendon: index of the pair among the pairs of the digit.
-        data: data of all pairs of the digit, in their order.
+        pair_data: data of all pairs of the digit, in their order.
 
     Raises:
         LogError: the pair hardly moves.
     """
-    own = data[tendon]
+    own = pair_data[tendon]
     rest = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
-    windows = PairWindows.from_data(hand, digit, tendon, data, rest)
+    windows = PairWindows.from_data(hand, digit, tendon, pair_data, rest)
     reading = hand.sensor_node.joint_noise_rad * float(np.linalg.norm(digit.moment_arms[tendon]))
     motor = hand.motor_of(own.tendon)
     scales = parameter_scales(hand, own.tendon)
@@ -430,7 +451,7 @@ def _start_parameters(windows: PairWindows) -> Array:
     return first
 
 
-def _start_candidates(first: Array) -> list[Array]:
+def _start_candidates(first_candidate: Array) -> list[Array]:
     """Return several start points of the fit, with different pretensions.
 
     If the pretension at the start is too small, the solver may find a wrong solution: a pair in
@@ -439,7 +460,7 @@ def _start_candidates(first: Array) -> list[Array]:
     """
     starts = []
     for factor in PRETENSION_START_FACTORS:
-        start = first.copy()
+        start = first_candidate.copy()
         start[PAIR_PARAMETERS.index("pretension")] *= factor
         starts.append(start)
     return starts

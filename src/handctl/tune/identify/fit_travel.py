@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from handctl.hand.digit import DigitModel
-from handctl.tune.identify.fit import (
+from handctl.tune.identify.fit_tendon import (
     DEFAULT_PRIOR_DEVIATION,
     MAX_SCALED_PARAMETER,
     MIN_SCALED_PARAMETER,
@@ -56,14 +56,14 @@ def tendon_excursions(digit: DigitModel, tendon: int, q: Array) -> Array:
     return np.array([digit.excursion_at(row)[tendon] for row in q])
 
 
-def with_arms(digit: DigitModel, factors: Array) -> DigitModel:
+def model_with_arms(digit: DigitModel, arm_factors: Array) -> DigitModel:
     """Return a copy of a digit in which the moment arms of each tendon are multiplied by a factor (n_t,)."""
-    arms = digit.moment_arms * factors[:, None]
+    arms = digit.moment_arms * arm_factors[:, None]
     to_coordinates = np.linalg.pinv(arms @ digit.coupling)
     return replace(
         digit,
         moment_arms=arms,
-        arm_polynomials=digit.arm_polynomials * factors[:, None, None],
+        arm_polynomials=digit.arm_polynomials * arm_factors[:, None, None],
         reduced_moment_arms=arms @ digit.coupling,
         excursion_to_joints=digit.coupling @ to_coordinates,
         torque_to_tension=to_coordinates.T @ digit.coupling.T,

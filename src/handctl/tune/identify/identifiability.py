@@ -12,7 +12,12 @@ from scipy.signal import coherence
 
 from handctl.core.identified_parameters import PARAMETER_UNITS
 from handctl.hand.description import Hand
-from handctl.tune.identify.fit import MAX_HALF_WIDTH, PARAMETER_NAMES, SCALE_DELAY_S, TendonFit
+from handctl.tune.identify.fit_tendon import (
+    MAX_HALF_WIDTH,
+    PARAMETER_NAMES,
+    SCALE_DELAY_S,
+    TendonFit,
+)
 from handctl.tune.identify.tendon_data import Array, TendonData
 
 MAX_CORRELATION = 0.95
@@ -119,13 +124,13 @@ def _lacks_encoders(hand: Hand, digit: str) -> bool:
     return sprung and several and not bool(np.all(hand.tendons_with_encoders[tendons]))
 
 
-def _is_narrow(name: str, value: float, width: float) -> bool:
+def _is_narrow(name: str, half_width: float, width: float) -> bool:
     """Return True if the confidence interval of a parameter is narrow enough.
 
     The width of the interval is compared with the value of the parameter. For the parameter
     `delay`, it is compared with a millisecond.
     """
-    scale = SCALE_DELAY_S if name == "delay" else abs(value)
+    scale = SCALE_DELAY_S if name == "delay" else abs(half_width)
     return bool(width < MAX_HALF_WIDTH * scale)
 
 

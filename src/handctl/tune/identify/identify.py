@@ -15,10 +15,15 @@ from handctl.hand.digit import DigitModel
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
 from handctl.tune.identify.contact_detection import are_joints_moving
-from handctl.tune.identify.fit import PARAMETER_NAMES, TendonFit, TendonFitProblem, fit_tendon
 from handctl.tune.identify.fit_digit import TorqueBalance, fit_digit, fits_with_digit
 from handctl.tune.identify.fit_pair import fit_pair
-from handctl.tune.identify.fit_travel import fit_travel, with_arms
+from handctl.tune.identify.fit_tendon import (
+    PARAMETER_NAMES,
+    TendonFit,
+    TendonFitProblem,
+    fit_tendon,
+)
+from handctl.tune.identify.fit_travel import fit_travel, model_with_arms
 from handctl.tune.identify.identifiability import (
     Identifiability,
     assess_identifiability,
@@ -329,24 +334,26 @@ def blocked_digits(log: RunLog) -> dict[str, str]:
 
 
 def _digit_fits(
-    hand: Hand, name: str, fitted: list[tuple[TendonData, TendonFit]]
+    hand: Hand, name: str, data_and_fits: list[tuple[TendonData, TendonFit]]
 ) -> tuple[TorqueBalance | None, list[TendonFit]]:
     """Return the fits of the tendons of a digit.
 
     If the digit has several tendons, springs and friction come from the fit of the whole digit. The
     first value is the data of the fit of the digit. None if there is no such fit.
     """
-    fits = [fit for _, fit in fitted]
+    fits = [fit for _, fit in data_and_fits]
     digit = DigitModel.from_hand(hand, name)
     if (
         hand.is_pair[digit.tendons].any()
-        or len(fitted) < 2
-        or len(fitted) < len(digit.tendon_names)
+        or len(data_and_fits) < 2
+        or len(data_and_fits) < len(digit.tendon_names)
     ):
         return None, fits
     if not any(digit.spring_stiffness):
-        digit = with_arms(digit, np.array([fit.parameter_values["moment_arm"] for fit in fits]))
-    balance = TorqueBalance.from_fits(digit, [data for data, _ in fitted], fits)
+        digit = model_with_arms(
+            digit, np.array([fit.parameter_values["moment_arm"] for fit in fits])
+        )
+    balance = TorqueBalance.from_fits(digit, [data for data, _ in data_and_fits], fits)
     return balance, fits if balance is None else fits_with_digit(fits, fit_digit(balance), balance)
 
 
@@ -376,21 +383,21 @@ COLUMN_WIDTHS = (18, 10, 19, 9, 9)
 """Width of each column of a result table, except the last [characters]."""
 
 
-def result_table(results: dict[str, TendonResult], verbose: bool = False) -> list[str]:
+def result_table(result_of_tendon: dict[str, TendonResult], is_verbose: bool = False) -> list[str]:
     """Return lines about each parameter, for a terminal.
 
     A line contains the confidence interval and the value in the hand file, or the reason why there
     is no value.
 
     Args:
-        results: results by the name of the tendon.
-        verbose: True to add lines about combinations of parameters and joint intervals.
+        result_of_tendon: results by the name of the tendon.
+        is_verbose: True to add lines about combinations of parameters and joint intervals.
     """
     lines = [
         "coherence: fraction of the motion of a tendon that the motor force explains, 0 to 1; "
         f"below {MIN_COHERENCE:g}, values of inertia, viscous friction and delay are not worth using"
     ]
-    for name, result in results.items():
+    for name, result in result_of_tendon.items():
         lines.append(
             f"{name}: coherence {result.coherence:.2f}, load cell {result.fit.problem.cell_noise_N:.2f} N rms"
         )
@@ -402,7 +409,7 @@ def result_table(results: dict[str, TendonResult], verbose: bool = False) -> lis
             if key in result.identified_names:
                 lines.append(_identified_row(result, key))
         lines += [_table_row(key, "-", "", "", "", reason) for key, reason in reasons.items()]
-        if verbose:
+        if is_verbose:
             lines += _combination_lines(result)
     return lines
 

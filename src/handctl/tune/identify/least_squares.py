@@ -58,46 +58,51 @@ class FitSolution:
 
 
 def solve_least_squares(
-    residuals: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array], times: Array
+    residual_function: Callable[[Array], Array],
+    start_parameters: Array,
+    parameter_bounds: tuple[Array, Array],
+    sample_times: Array,
 ) -> FitSolution:
     """Solve a least-squares problem in two rounds.
 
     A first, robust round finds the outliers, and the second round leaves them out.
 
     Args:
-        residuals: function from parameters (n,) to residuals in standard deviations. The rows of
+        residual_function: function from parameters (n,) to residuals in standard deviations. The rows of
             data come first, then the priors.
-        start: (n,) parameters at which the solver starts.
-        bounds: lower and upper bounds of the parameters.
-        times: time of every row with measured data [s].
+        start_parameters: (n,) parameters at which the solver starts.
+        parameter_bounds: lower and upper bounds of the parameters.
+        sample_times: time of every row with measured data [s].
     """
-    run = partial(least_squares, x_scale="jac", bounds=bounds, max_nfev=MAX_SOLVER_STEPS)
+    run = partial(least_squares, x_scale="jac", bounds=parameter_bounds, max_nfev=MAX_SOLVER_STEPS)
     # In the first round, a soft L1 loss limits the effect of outliers.
-    first = run(residuals, start, loss="soft_l1", f_scale=OUTLIER_RESIDUAL)
+    first = run(residual_function, start_parameters, loss="soft_l1", f_scale=OUTLIER_RESIDUAL)
     weight = np.ones_like(first.fun)
-    weight[: len(times)] = np.abs(first.fun[: len(times)]) < 2.0 * OUTLIER_RESIDUAL
+    weight[: len(sample_times)] = np.abs(first.fun[: len(sample_times)]) < 2.0 * OUTLIER_RESIDUAL
 
     def weighted_residuals(z: Array) -> Array:
-        return residuals(z) * weight
+        return residual_function(z) * weight
 
     result = run(weighted_residuals, first.x)
     jacobian = np.asarray(result.jac)
-    covariance, freedom = _parameter_covariance(jacobian, result.fun, times)
+    covariance, freedom = _parameter_covariance(jacobian, result.fun, sample_times)
     return FitSolution(result.x, covariance, jacobian, result.fun, freedom)
 
 
-def _block_rows(times: Array) -> Iterator[NDArray[np.intp]]:
+def _block_rows(sample_times: Array) -> Iterator[NDArray[np.intp]]:
     """Yield, for each block of time, the indices of its rows.
 
     A long block is divided into parts of `MAX_BLOCK_ROWS` rows.
     """
-    order = np.floor((times - times.min()) / NOISE_BLOCK_S).astype(int)
+    order = np.floor((sample_times - sample_times.min()) / NOISE_BLOCK_S).astype(int)
     for block in np.unique(order):
         rows = np.flatnonzero(order == block)
         yield from np.array_split(rows, -(-len(rows) // MAX_BLOCK_ROWS))
 
 
-def _parameter_covariance(jacobian: Array, residual: Array, times: Array) -> tuple[Array, Array]:
+def _parameter_covariance(
+    jacobian: Array, residual: Array, sample_times: Array
+) -> tuple[Array, Array]:
     """Return the covariance of the parameters, and the degrees of freedom of each parameter's variance.
 
     Both follow from how much the residuals vary between blocks of time, and from the prior
@@ -115,9 +120,9 @@ def _parameter_covariance(jacobian: Array, residual: Array, times: Array) -> tup
     plain = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
     # The rows with prior knowledge are exact by definition. Therefore they enter the middle factor
     # of the sandwich estimator without correction.
-    middle = jacobian[len(times) :].T @ jacobian[len(times) :]
+    middle = jacobian[len(sample_times) :].T @ jacobian[len(sample_times) :]
     expected = [np.diag(plain @ middle @ plain)]
-    for rows in _block_rows(times):
+    for rows in _block_rows(sample_times):
         part = jacobian[rows]
         left = np.eye(len(rows)) - part @ plain @ part.T
         # If a single block determines a parameter alone, the matrix (I - H) is singular. Therefore

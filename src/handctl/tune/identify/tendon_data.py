@@ -178,18 +178,22 @@ def _lasting_mask(mask: Mask, tick_count: int) -> Mask:
     return np.asarray(np.arange(len(mask)) - last > tick_count)
 
 
-def _step_mask(phases: NDArray[np.str_], digit: str, steps: tuple[str, ...], settle: int) -> Mask:
-    """Return a mask of the ticks in the named steps of a digit, without the first `settle` ticks of each step."""
-    inside = np.isin(phases, [f"{digit} {step}" for step in steps])
+def _step_mask(
+    phase_of_tick: NDArray[np.str_], digit: str, step_names: tuple[str, ...], settling_ticks: int
+) -> Mask:
+    """Return a mask of the ticks in the named steps of a digit, without `settling_ticks` at the start of each step."""
+    inside = np.isin(phase_of_tick, [f"{digit} {step}" for step in step_names])
     settled = inside.copy()
-    for shift in range(1, settle):
-        settled[shift:] &= phases[shift:] == phases[:-shift]
+    for shift in range(1, settling_ticks):
+        settled[shift:] &= phase_of_tick[shift:] == phase_of_tick[:-shift]
     return np.asarray(settled)
 
 
-def _restrict_to_excitation(data: TendonData, phases: NDArray[np.str_], digit: str) -> TendonData:
+def _restrict_to_excitation(
+    data: TendonData, phase_of_tick: NDArray[np.str_], digit: str
+) -> TendonData:
     """Return the part of the data in which the digit was excited."""
-    ticks = np.flatnonzero(np.char.startswith(phases[:-1], f"{digit} "))
+    ticks = np.flatnonzero(np.char.startswith(phase_of_tick[:-1], f"{digit} "))
     rows = slice(int(ticks[0]), int(ticks[-1]) + 1)
     parts = {
         name: getattr(data, name)[rows]
@@ -208,13 +212,13 @@ def _restrict_to_excitation(data: TendonData, phases: NDArray[np.str_], digit: s
     return replace(data, **parts)
 
 
-def average_samples(values: Array, reach: int) -> Array:
-    """Return the mean of each sample and of `reach` samples on each side.
+def average_samples(values: Array, half_window: int) -> Array:
+    """Return the mean of each sample and of `half_window` samples on each side.
 
     At both ends of the data, the result is NaN.
     """
     means = np.full(len(values), np.nan)
-    width = 2 * reach + 1
+    width = 2 * half_window + 1
     if len(values) >= width:
-        means[reach:-reach] = np.convolve(values, np.full(width, 1.0 / width), "valid")
+        means[half_window:-half_window] = np.convolve(values, np.full(width, 1.0 / width), "valid")
     return means

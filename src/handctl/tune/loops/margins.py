@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.hand_model import HandModel
-from handctl.tune.loops.linear import (
+from handctl.tune.loops.linear_models import (
     NOMINAL_FACTORS,
     LinearSystem,
     LoopKind,
@@ -95,7 +95,7 @@ class LoopMargins:
 
 def unproven_margins(linear_margins: LoopMargins) -> LoopMargins:
     """Return margins of zero, in place of margins that a simulation contradicts."""
-    return _zero_margins(linear_margins.crossover_hz, linear_margins.peak, stable=False)
+    return _zero_margins(linear_margins.crossover_hz, linear_margins.peak, is_stable_loop=False)
 
 
 def smaller_margins(first: LoopMargins, second: LoopMargins) -> LoopMargins:
@@ -114,19 +114,19 @@ def smaller_margins(first: LoopMargins, second: LoopMargins) -> LoopMargins:
     )
 
 
-def frequency_grid(period: float, points: int = SEARCH_GRID_POINTS) -> Matrix:
+def frequency_grid(period: float, point_count: int = SEARCH_GRID_POINTS) -> Matrix:
     """Return angular frequencies (points,) from `LOWEST_FREQUENCY_HZ` to almost half of the sampling rate [rad/s]."""
-    return np.geomspace(2.0 * math.pi * LOWEST_FREQUENCY_HZ, 0.999 * math.pi / period, points)
+    return np.geomspace(2.0 * math.pi * LOWEST_FREQUENCY_HZ, 0.999 * math.pi / period, point_count)
 
 
-def margins_of_loop(system: LinearSystem, points: int = SEARCH_GRID_POINTS) -> LoopMargins:
+def margins_of_loop(system: LinearSystem, point_count: int = SEARCH_GRID_POINTS) -> LoopMargins:
     """Return the margins of an open loop L. The closed loop has the denominator 1 + L.
 
     If the loop is unstable or has no gain, all margins are zero.
     """
-    omega = frequency_grid(system.period, points)
+    omega = frequency_grid(system.period, point_count)
     if not (np.isfinite(system.A).all() and np.isfinite(system.C).all()):
-        return _zero_margins(math.nan, math.inf, stable=False)
+        return _zero_margins(math.nan, math.inf, is_stable_loop=False)
     L: NDArray[np.complex128] = system.frequency_response(omega)[:, 0, 0]
     if not (stable := is_stable(system)) or float(np.abs(L).max()) <= NO_GAIN:
         return _zero_margins(math.nan, float(np.abs(1.0 / (1.0 + L)).max()), stable)
@@ -144,29 +144,31 @@ def margins_of_loop(system: LinearSystem, points: int = SEARCH_GRID_POINTS) -> L
     )
 
 
-def _zero_margins(crossover_hz: float, peak: float, stable: bool) -> LoopMargins:
+def _zero_margins(crossover_hz: float, peak: float, is_stable_loop: bool) -> LoopMargins:
     """Return margins that are all zero."""
-    return LoopMargins(0.0, 0.0, 0.0, 0.0, crossover_hz, peak, stable)
+    return LoopMargins(0.0, 0.0, 0.0, 0.0, crossover_hz, peak, is_stable_loop)
 
 
-def is_stable(system: LinearSystem, factor: complex = 1.0, delay: int = 0) -> bool:
+def is_stable(system: LinearSystem, loop_factor: complex = 1.0, delay_ticks: int = 0) -> bool:
     """Return True if all eigenvalues of the closed loop are inside the unit circle.
 
     Args:
         system: open loop.
-        factor: factor by which the gain of the loop is multiplied. A complex factor changes the
+        loop_factor: factor by which the gain of the loop is multiplied. A complex factor changes the
             phase.
-        delay: additional delay in the loop [ticks].
+        delay_ticks: additional delay in the loop [ticks].
     """
     n = len(system.A)
-    A = np.zeros((n + delay, n + delay), dtype=complex)
+    A = np.zeros((n + delay_ticks, n + delay_ticks), dtype=complex)
     A[:n, :n] = system.A
-    if delay:  # The output of the loop returns to the input of the loop after `delay` ticks.
+    if (
+        delay_ticks
+    ):  # The output of the loop returns to the input of the loop after `delay_ticks` ticks.
         A[n, :n] = system.C[0]
-        A[np.arange(n + 1, n + delay), np.arange(n, n + delay - 1)] = 1.0
-        A[:n, n + delay - 1] = -factor * system.B[:, 0]
+        A[np.arange(n + 1, n + delay_ticks), np.arange(n, n + delay_ticks - 1)] = 1.0
+        A[:n, n + delay_ticks - 1] = -loop_factor * system.B[:, 0]
     else:
-        A -= factor * (system.B @ system.C)
+        A -= loop_factor * (system.B @ system.C)
     return bool(np.isfinite(A).all() and np.abs(np.linalg.eigvals(A)).max() < 1.0)
 
 
@@ -181,19 +183,21 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
         return result
     ticks = int(min(result.delay_s, MAX_DELAY_S) / system.period)
     delays = np.unique(np.linspace(0, ticks, CHECKED_FRACTIONS + 1).astype(int))[1:].tolist()
-    first_unstable = next((i for i, k in enumerate(delays) if not is_stable(system, delay=k)), None)
+    first_unstable = next(
+        (i for i, k in enumerate(delays) if not is_stable(system, delay_ticks=k)), None
+    )
     return replace(
         result,
-        gain_db=_largest_confirmed(
+        gain_db=_largest_confirmed_margin(
             min(result.gain_db, MAX_GAIN_DB),
-            lambda x: _stable_with_all(system, (10.0 ** (x / 20.0), 10.0 ** (-x / 20.0))),
+            lambda x: _is_stable_with_all(system, (10.0 ** (x / 20.0), 10.0 ** (-x / 20.0))),
         ),
-        phase_deg=_largest_confirmed(
-            result.phase_deg, lambda x: _stable_with_all(system, (np.exp(1j * math.radians(x)),))
+        phase_deg=_largest_confirmed_margin(
+            result.phase_deg, lambda x: _is_stable_with_all(system, (np.exp(1j * math.radians(x)),))
         ),
-        disk=_largest_confirmed(
+        disk=_largest_confirmed_margin(
             result.disk,
-            lambda x: _stable_with_all(system, _disk_factors(x)),
+            lambda x: _is_stable_with_all(system, _disk_factors(x)),
             CHECKED_FRACTIONS // 3,
         ),
         delay_s=min(result.delay_s, MAX_DELAY_S)
@@ -202,34 +206,36 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
     )
 
 
-def _stable_with_all(
-    system: LinearSystem, factors: Sequence[complex] | NDArray[np.complex128]
+def _is_stable_with_all(
+    system: LinearSystem, loop_factors: Sequence[complex] | NDArray[np.complex128]
 ) -> bool:
     """Return True if the loop is stable with every given factor of its gain."""
-    return all(is_stable(system, complex(factor)) for factor in factors)
+    return all(is_stable(system, complex(factor)) for factor in loop_factors)
 
 
-def _disk_factors(size: float) -> NDArray[np.complex128]:
+def _disk_factors(disk_size: float) -> NDArray[np.complex128]:
     """Return complex factors for the gain of the loop that lie on the edge of a balanced disk.
 
     Complex conjugate factors have the same stability. Therefore only half of the edge is returned.
     """
-    delta = size * np.exp(1j * np.linspace(0.0, np.pi, DISK_DIRECTIONS))
+    delta = disk_size * np.exp(1j * np.linspace(0.0, np.pi, DISK_DIRECTIONS))
     return np.asarray((2.0 + delta) / (2.0 - delta))
 
 
-def _largest_confirmed(
-    margin: float, is_confirmed: Callable[[float], bool], fractions: int = CHECKED_FRACTIONS
+def _largest_confirmed_margin(
+    claimed_margin: float,
+    is_confirmed: Callable[[float], bool],
+    fraction_count: int = CHECKED_FRACTIONS,
 ) -> float:
     """Return the largest part of a margin that is confirmed at every tested fraction of it.
 
     The last hundredth of a margin is not tested, because the frequency response is interpolated.
     """
-    tried = margin * np.linspace(0.0, 0.99, fractions + 1)[1:]
+    tried = claimed_margin * np.linspace(0.0, 0.99, fraction_count + 1)[1:]
     for before, at in zip([0.0, *tried[:-1]], tried, strict=True):
         if not is_confirmed(float(at)):
             return float(before)
-    return margin
+    return claimed_margin
 
 
 def _gain_factors(L: NDArray[np.complex128]) -> list[float]:

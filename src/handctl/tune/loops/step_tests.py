@@ -16,10 +16,10 @@ from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
-from handctl.programs.exercise import HOME_ANGLE_RAD, ExerciseProgram, ExerciseStage
+from handctl.programs.gains_exercise import HOME_ANGLE_RAD, ExerciseProgram, ExerciseStage
 from handctl.report.truth_record import TruthRecord
-from handctl.tune.loops.design import distinct_tendons, linear_factors, weakest_plant
-from handctl.tune.loops.linear import LoopKind, Matrix, PlantFactors, open_loop
+from handctl.tune.loops.gain_design import distinct_tendons, linear_factors, weakest_plant
+from handctl.tune.loops.linear_models import LoopKind, Matrix, PlantFactors, open_loop
 from handctl.tune.scoring import GroundTruth, simulate_program
 from handctl.tune.search.ensemble import MIN_FACTOR_SPREAD
 
@@ -112,12 +112,12 @@ class StepOscillation:
         """Return True if all oscillations are small enough for a hand at rest."""
         return self.is_within(1.0)
 
-    def is_within(self, fraction: float) -> bool:
+    def is_within(self, allowed_fraction: float) -> bool:
         """Return True if the run did not fail and no oscillation is larger than a fraction of its limit."""
         small = (
-            self.angle_rad <= fraction * MAX_ANGLE_SWING_RAD
-            and self.free_tension_N <= fraction * MAX_FREE_SWING_N
-            and self.largest_hold_swing <= fraction * MAX_HOLD_SWING_N
+            self.angle_rad <= allowed_fraction * MAX_ANGLE_SWING_RAD
+            and self.free_tension_N <= allowed_fraction * MAX_FREE_SWING_N
+            and self.largest_hold_swing <= allowed_fraction * MAX_HOLD_SWING_N
         )
         return small and not self.failure
 
@@ -149,17 +149,17 @@ class StepOscillation:
 
 
 def simulate_swing(
-    hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int
+    hand: Hand, model: HandModel, plant_factors: Mapping[str, float], seed: int
 ) -> StepOscillation:
     """Execute both steps on a simulated plant, and return the largest oscillations.
 
     Args:
         hand: description of the simulated hand.
         model: model of the hand, with its gains.
-        factors: factors by which the parameters of the plant differ from the description.
+        plant_factors: factors by which the parameters of the plant differ from the description.
         seed: seed of the simulated noise.
     """
-    ticks, truth, failure = simulate_program(hand, model, StepExercise(), factors, seed)
+    ticks, truth, failure = simulate_program(hand, model, StepExercise(), plant_factors, seed)
     active = [(entry.t_ns, out.phase) for entry, out in ticks if out.mode == HandMode.ACTIVE]
     ends = {
         name: max((t for t, phase in active if phase == name), default=None)
@@ -175,7 +175,7 @@ def simulate_swing(
 
 
 def median_swing(
-    hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int
+    hand: Hand, model: HandModel, plant_factors: Mapping[str, float], seed: int
 ) -> StepOscillation:
     """Return the median oscillations of runs with different noise, or the first failure of a run.
 
@@ -185,12 +185,12 @@ def median_swing(
     Args:
         hand: description of the simulated hand.
         model: model of the hand, with its gains.
-        factors: factors by which the parameters of the plant differ from the description.
+        plant_factors: factors by which the parameters of the plant differ from the description.
         seed: seed of the simulated noise of the first run.
     """
     runs = list[StepOscillation]()
     for i in range(RUNS_OF_MEDIAN):
-        run = simulate_swing(hand, model, factors, seed + i * SEED_STEP)
+        run = simulate_swing(hand, model, plant_factors, seed + i * SEED_STEP)
         if run.failure or (i == 0 and run.is_within(CLEAR_FRACTION)):
             return run
         runs.append(run)

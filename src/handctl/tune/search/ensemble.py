@@ -29,33 +29,35 @@ MAX_FACTOR_SPREAD = 0.9
 
 
 def draw_ensemble(
-    count: int, seed: int, spread: Mapping[str, float] | None = None
+    plant_count: int, seed: int, spread_of_factor: Mapping[str, float] | None = None
 ) -> tuple[dict[str, float], ...]:
     """Return factors for the parameters of each plant: first the nominal plant, and then random plants.
 
     The random plants are points of a scrambled Sobol sequence.
 
     Args:
-        count: number of plants, including the nominal plant.
+        plant_count: number of plants, including the nominal plant.
         seed: seed of the sequence.
-        spread: half of the range of each factor, for example from an identification. If it is
+        spread_of_factor: half of the range of each factor, for example from an identification. If it is
             smaller than in `MIN_FACTOR_SPREAD`, the value there is used.
 
     Returns:
-        `count` tables, each with the factor of each key.
+        `plant_count` tables, each with the factor of each key.
     """
     half = {
-        key: min(MAX_FACTOR_SPREAD, max(min_spread, (spread or {}).get(key, 0.0)))
+        key: min(MAX_FACTOR_SPREAD, max(min_spread, (spread_of_factor or {}).get(key, 0.0)))
         for key, min_spread in MIN_FACTOR_SPREAD.items()
     }
     # A Sobol sequence is balanced only if its length is a power of two. Therefore the length is
     # rounded up to a power of two.
     drawn = qmc.Sobol(len(half), seed=seed).random(
-        1 << max(0, (max(count - 1, 1) - 1).bit_length())
+        1 << max(0, (max(plant_count - 1, 1) - 1).bit_length())
     )
-    factors = 1.0 + np.array(list(half.values())) * (2.0 * drawn[: max(count - 1, 0)] - 1.0)
+    factors = 1.0 + np.array(list(half.values())) * (2.0 * drawn[: max(plant_count - 1, 0)] - 1.0)
     nominal = dict.fromkeys(half, 1.0)
-    return (nominal, *(dict(zip(half, map(float, row), strict=True)) for row in factors))[:count]
+    return (nominal, *(dict(zip(half, map(float, row), strict=True)) for row in factors))[
+        :plant_count
+    ]
 
 
 FACTOR_OF_PARAMETER = {

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from handctl.core.gains.gain_bounds import with_values
+from handctl.core.gains.gain_bounds import gains_with_values
 from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError
 from handctl.tune.scoring import GainScore
@@ -53,15 +53,15 @@ class SearchPlan:
     trials: int
     others: tuple[Gains, ...] = ()
 
-    def gains_of(self, number: int, values: Mapping[str, float]) -> Gains:
+    def gains_of(self, trial_number: int, gain_values: Mapping[str, float]) -> Gains:
         """Return the gains of a trial.
 
         The first trial has exactly the gains of the plan. These gains may be outside of the search
         space.
         """
-        return with_values(self.gains, values, "study") if number else self.gains
+        return gains_with_values(self.gains, gain_values, "study") if trial_number else self.gains
 
-    def trial_job(self, number: int, values: Mapping[str, float]) -> dict[str, Any]:
+    def trial_job(self, trial_number: int, gain_values: Mapping[str, float]) -> dict[str, Any]:
         """Return the job by which a worker computes the score of a trial.
 
         The first trial is the reference for the others. The first trial is therefore simulated even
@@ -70,10 +70,10 @@ class SearchPlan:
         return {
             "hand": self.hand,
             "rate_hz": self.rate_hz,
-            "gains": self.gains_of(number, values).model_dump(by_alias=True),
+            "gains": self.gains_of(trial_number, gain_values).model_dump(by_alias=True),
             "plants": list(self.plants),
             "seed": self.seed,
-            "must_keep_margins": number > 0,
+            "must_keep_margins": trial_number > 0,
         }
 
     @property
@@ -160,23 +160,26 @@ def _dominates(score: GainScore, other_score: GainScore) -> bool:
 
 
 def run_search(
-    plan: SearchPlan, storage: Path, workers: SearchWorkers, show: Callable[[SearchResult], None]
+    plan: SearchPlan,
+    storage_path: Path,
+    workers: SearchWorkers,
+    show_result: Callable[[SearchResult], None],
 ) -> SearchResult:
     """Run a search, or resume an interrupted search.
 
     Args:
         plan: plan of the search.
-        storage: path of an Optuna journal, either a new file or a journal of the same plan.
+        storage_path: path of an Optuna journal, either a new file or a journal of the same plan.
         workers: workers that compute the trials.
-        show: function that is called after each trial.
+        show_result: function that is called after each trial.
 
     Raises:
         ConfigError: the storage contains another search, or another process uses the storage.
     """
-    with _exclusive_lock(storage):
-        study = _open_study(plan, storage)
+    with _exclusive_lock(storage_path):
+        study = _open_study(plan, storage_path)
         while len(_finished_trials(study)) < plan.trials:
-            _run_batch(study, plan, workers, show)
+            _run_batch(study, plan, workers, show_result)
         return SearchResult.from_trials(_finished_trials(study))
 
 
@@ -261,7 +264,10 @@ def _truncate_partial_line(path: Path) -> None:
 
 
 def _run_batch(
-    study: Any, plan: SearchPlan, workers: SearchWorkers, show: Callable[[SearchResult], None]
+    study: Any,
+    plan: SearchPlan,
+    workers: SearchWorkers,
+    show_result: Callable[[SearchResult], None],
 ) -> None:
     """Compute the missing scores of the present batch, and report them in the order of the trials."""
     finished_count = len(_finished_trials(study))
@@ -274,7 +280,7 @@ def _run_batch(
         while reported in scores:
             _report_score(study, trials[reported], GainScore(**scores[reported]))
             reported += 1
-            show(SearchResult.from_trials(_finished_trials(study)))
+            show_result(SearchResult.from_trials(_finished_trials(study)))
 
 
 def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]:

@@ -59,9 +59,9 @@ class ProcessPool:
     If a process has died, a new process repeats its job.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, worker_count: int) -> None:
         """Start the worker processes."""
-        self._processes = [self._start_process() for _ in range(count)]
+        self._processes = [self._start_process() for _ in range(worker_count)]
 
     @property
     def process_ids(self) -> tuple[int, ...]:
@@ -75,7 +75,7 @@ class ProcessPool:
         environment = os.environ | dict.fromkeys(
             ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
         )
-        command = [sys.executable, "-m", "handctl.tune.search.worker"]
+        command = [sys.executable, "-m", "handctl.tune.search.worker_process"]
         # The worker has a process session of its own. So it does not receive Ctrl-C from the
         # terminal, not even during its imports.
         return subprocess.Popen(
@@ -126,11 +126,11 @@ class ProcessPool:
         ready, _, _ = select.select(list(outputs), [], [])
         return [outputs[output] for output in ready]
 
-    def _send_job(self, slot: int, job: ScoreJob) -> None:
+    def _send_job(self, worker_slot: int, job: ScoreJob) -> None:
         """Send a job to a worker. If the worker has died, replace it first."""
-        if self._processes[slot].poll() is not None:
-            self._replace_process(slot)
-        channel = self._processes[slot].stdin
+        if self._processes[worker_slot].poll() is not None:
+            self._replace_process(worker_slot)
+        channel = self._processes[worker_slot].stdin
         assert channel is not None
         try:
             channel.write(json.dumps(job).encode() + b"\n")
@@ -138,11 +138,11 @@ class ProcessPool:
         except BrokenPipeError:
             return  # the code that reads the output of the worker will notice that the worker has died
 
-    def _replace_process(self, slot: int) -> None:
+    def _replace_process(self, worker_slot: int) -> None:
         """Replace a worker by a new process."""
-        self._processes[slot].kill()
-        self._processes[slot].communicate()
-        self._processes[slot] = self._start_process()
+        self._processes[worker_slot].kill()
+        self._processes[worker_slot].communicate()
+        self._processes[worker_slot] = self._start_process()
 
     def close(self) -> None:
         """End the workers, even during a job."""
@@ -154,11 +154,11 @@ class ProcessPool:
 class DaskCluster:
     """Connection to an existing Dask cluster."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, scheduler_address: str) -> None:
         """Connect to a Dask cluster.
 
         Args:
-            address: address of the scheduler.
+            scheduler_address: address of the scheduler.
 
         Raises:
             ConfigError: the package `distributed` is not installed, or the scheduler does not
@@ -168,10 +168,12 @@ class DaskCluster:
         from distributed import Client
 
         try:
-            self._client = Client(address, timeout="10s")
+            self._client = Client(scheduler_address, timeout="10s")
         except (OSError, ValueError) as error:
             raise ConfigError(
-                f"no cluster answers: {error}", f"--scheduler {address}", "tcp://HOST:PORT"
+                f"no cluster answers: {error}",
+                f"--scheduler {scheduler_address}",
+                "tcp://HOST:PORT",
             ) from None
 
     def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
@@ -202,8 +204,8 @@ def _check_result(result: ScoreResult) -> ScoreResult:
     return result
 
 
-def make_workers(count: int, scheduler: str | None) -> SearchWorkers:
+def make_workers(worker_count: int, scheduler_address: str | None) -> SearchWorkers:
     """Return workers: either a number of processes on this machine, or the cluster of a Dask scheduler."""
-    if scheduler:
-        return DaskCluster(scheduler)
-    return InProcessWorkers() if count == 1 else ProcessPool(count)
+    if scheduler_address:
+        return DaskCluster(scheduler_address)
+    return InProcessWorkers() if worker_count == 1 else ProcessPool(worker_count)

@@ -28,7 +28,7 @@ The camera is in front of the palm, on the thumb side, and above.
 """
 
 
-def dashboard_layout(run: RunInfo, live: bool = False) -> rrb.Blueprint:
+def dashboard_layout(run: RunInfo, is_live: bool = False) -> rrb.Blueprint:
     """Return the layout of the dashboard.
 
     The left side shows the hand, the timing and the log lines. The right side shows forces, joint
@@ -36,9 +36,9 @@ def dashboard_layout(run: RunInfo, live: bool = False) -> rrb.Blueprint:
 
     Args:
         run: data about the run and the hand to show.
-        live: True to show only the last seconds of the run. The time axis then moves with the run.
+        is_live: True to show only the last seconds of the run. The time axis then moves with the run.
     """
-    window = [LIVE_TIME_RANGE] if live else None
+    window = [LIVE_TIME_RANGE] if is_live else None
     left = rrb.Vertical(
         _hand_view(run), _timing_plots(run, window), _log_view(), row_shares=[0.56, 0.18, 0.26]
     )
@@ -56,7 +56,7 @@ def dashboard_layout(run: RunInfo, live: bool = False) -> rrb.Blueprint:
         rrb.TimePanel(
             state=PanelState.Collapsed,
             timeline=RUN_TIME_TIMELINE,
-            play_state="following" if live else None,
+            play_state="following" if is_live else None,
         ),
         auto_layout=False,
         auto_views=False,

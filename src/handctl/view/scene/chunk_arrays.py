@@ -25,22 +25,24 @@ def times_since_start(chunk: Chunk, offset_ns: int) -> TimesNs:
     )
 
 
-def timed_chunk(entity: str, times: TimesNs, columns: Iterable[ComponentColumn]) -> Chunk:
+def timed_chunk(entity_path: str, times: TimesNs, columns: Iterable[ComponentColumn]) -> Chunk:
     """Create a chunk whose rows have times.
 
     Args:
-        entity: path of the entity to which the rows belong.
+        entity_path: path of the entity to which the rows belong.
         times: (n,) time of each row since the start of the run [ns].
         columns: components of the entity, with a value for each row.
     """
     return Chunk.from_columns(
-        entity, [TimeColumn(RUN_TIME_TIMELINE, duration=times.astype("timedelta64[ns]"))], columns
+        entity_path,
+        [TimeColumn(RUN_TIME_TIMELINE, duration=times.astype("timedelta64[ns]"))],
+        columns,
     )
 
 
-def static_chunk(entity: str, columns: Iterable[ComponentColumn]) -> Chunk:
+def static_chunk(entity_path: str, columns: Iterable[ComponentColumn]) -> Chunk:
     """Create a chunk with a single row, which is valid at all times."""
-    return Chunk.from_columns(entity, [], columns)
+    return Chunk.from_columns(entity_path, [], columns)
 
 
 def chunk_on_run_time(chunk: Chunk, offset_ns: int) -> Chunk:

@@ -46,24 +46,26 @@ def style_chunks(run: RunInfo) -> Iterator[Chunk]:
 
 
 def _line_style(
-    entity: str, names: Sequence[str], colours: Sequence[Colour], width: float
+    entity_path: str, line_names: Sequence[str], line_colours: Sequence[Colour], width: float
 ) -> Chunk:
     """Return the chunk with the style of the plot lines of an entity."""
     style = rr.SeriesLines.columns(
-        names=list(names), colors=list(colours), widths=[width] * len(names)
+        names=list(line_names), colors=list(line_colours), widths=[width] * len(line_names)
     )
-    return static_chunk(entity, style.partition([len(names)]))
+    return static_chunk(entity_path, style.partition([len(line_names)]))
 
 
-def _band_style(entity: str, names: Sequence[str], colours: Sequence[Colour], unit: str) -> Chunk:
+def _band_style(
+    entity_path: str, line_names: Sequence[str], line_colours: Sequence[Colour], unit: str
+) -> Chunk:
     """Return the chunk that sets the style of plot lines with a band for the standard deviation."""
     style = rr.Measurements.columns(
-        names=list(names),
-        colors=list(colours),
-        widths=[ESTIMATE_LINE_WIDTH] * len(names),
-        units=[unit] * len(names),
+        names=list(line_names),
+        colors=list(line_colours),
+        widths=[ESTIMATE_LINE_WIDTH] * len(line_names),
+        units=[unit] * len(line_names),
     )
-    return static_chunk(entity, style.partition([len(names)]))
+    return static_chunk(entity_path, style.partition([len(line_names)]))
 
 
 def _tension_styles(run: RunInfo) -> Iterator[Chunk]:

@@ -10,12 +10,14 @@ class Colour(NamedTuple):
     green: int
     blue: int
 
-    def mixed_with(self, other: "Colour", fraction: float) -> "Colour":
+    def mixed_with(self, other_colour: "Colour", fraction: float) -> "Colour":
         """Return a mix of this colour and the other colour.
 
         With the fraction 0 the result is this colour, and with 1 the other colour.
         """
-        return Colour(*(round(a + fraction * (b - a)) for a, b in zip(self, other, strict=True)))
+        return Colour(
+            *(round(a + fraction * (b - a)) for a, b in zip(self, other_colour, strict=True))
+        )
 
 
 WHITE = Colour(255, 255, 255)
@@ -72,18 +74,19 @@ ACTION_COLOURS = {
 """Colours of the actions of the safety monitor, by name."""
 
 
-def digit_colour(index: int) -> Colour:
+def digit_colour(digit_index: int) -> Colour:
     """Return the colour with a given number.
 
     ``colour_numbers`` gives the number for each digit of a hand.
     """
-    return DIGIT_PALETTE[index % len(DIGIT_PALETTE)]
+    return DIGIT_PALETTE[digit_index % len(DIGIT_PALETTE)]
 
 
-def joint_colours(index: int, number: int) -> list[Colour]:
+def joint_colours(digit_index: int, joint_count: int) -> list[Colour]:
     """Return a colour for each joint of a digit. The colours get lighter towards the tip."""
     return [
-        digit_colour(index).mixed_with(WHITE, 0.4 * i / max(number - 1, 1)) for i in range(number)
+        digit_colour(digit_index).mixed_with(WHITE, 0.4 * i / max(joint_count - 1, 1))
+        for i in range(joint_count)
     ]
 
 

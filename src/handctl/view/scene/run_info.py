@@ -67,23 +67,23 @@ class RunInfo:
         """Return the application id for Rerun. Rerun stores one layout for each id."""
         return f"handctl_{self.hand.name}"
 
-    def split_telemetry(self, table: FloatArray) -> dict[str, FloatArray]:
+    def split_telemetry(self, telemetry_table: FloatArray) -> dict[str, FloatArray]:
         """Split rows of the topic /controller/values into the fields of the telemetry.
 
         Args:
-            table: (n, columns) rows of the topic.
+            telemetry_table: (n, columns) rows of the topic.
 
         Returns:
             an array (n, names) for each field of the telemetry. If an older version wrote the log
             and did not know a field, the array of this field is NaN.
         """
-        slices = columns_of_fields(self.header, row_fields(self.header, table.shape[1]))
+        slices = columns_of_fields(self.header, row_fields(self.header, telemetry_table.shape[1]))
         missing = {
-            name: np.full((len(table), len(self.header.axis_names(axis))), np.nan)
+            name: np.full((len(telemetry_table), len(self.header.axis_names(axis))), np.nan)
             for name, axis in _missing_fields(slices)
         }
         return {
-            name: table[:, columns_of_field] for name, columns_of_field in slices.items()
+            name: telemetry_table[:, columns_of_field] for name, columns_of_field in slices.items()
         } | missing
 
     @property
@@ -97,6 +97,6 @@ class RunInfo:
         return max(sum(digit.link_length_m) for digit in self.hand.digit)
 
 
-def _missing_fields(slices: dict[str, slice]) -> list[tuple[str, str]]:
+def _missing_fields(field_slices: dict[str, slice]) -> list[tuple[str, str]]:
     """Return the name and the axis of each telemetry field that a log lacks."""
-    return [(name, axis) for name, axis in TELEMETRY_AXES.items() if name not in slices]
+    return [(name, axis) for name, axis in TELEMETRY_AXES.items() if name not in field_slices]

@@ -12,6 +12,7 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from handctl.core.tick_types import TELEMETRY_AXES
+from handctl.view.scene.bus_load_calculator import BusLoadCalculator
 from handctl.view.scene.chunk_arrays import (
     FloatArray,
     chunk_on_run_time,
@@ -20,7 +21,6 @@ from handctl.view.scene.chunk_arrays import (
     timed_chunk,
     times_since_start,
 )
-from handctl.view.scene.frame_load import FrameLoad
 from handctl.view.scene.geometry import solid_chunks
 from handctl.view.scene.run_info import RunInfo
 
@@ -58,7 +58,7 @@ class TopicConverters:
         """
         self._run = run
         self._offset = run.header.offset_ns
-        self._load = FrameLoad(run)
+        self._load = BusLoadCalculator(run)
         self._converters: dict[str, ChunkConverter] = {
             "/controller/values": self._convert_values,
             "/cycle": self._convert_cycle,
@@ -143,30 +143,32 @@ class TopicConverters:
             )
 
 
-def near_limits(limits: list[float], tension: FloatArray) -> FloatArray:
+def near_limits(joint_limits: list[float], tension: FloatArray) -> FloatArray:
     """Return the tension limits (n,) [N], with NaN in place of each limit that is far above all tensions.
 
     The range of the plot follows from the lines that the plot shows. With a very high limit, the
     lines of the tensions would be too close together.
     """
     largest = float(np.fmax.reduce(tension, axis=None, initial=0.0))
-    return np.array([x if largest >= LIMIT_SHOWN_FRACTION * x else np.nan for x in limits])
+    return np.array([x if largest >= LIMIT_SHOWN_FRACTION * x else np.nan for x in joint_limits])
 
 
-def lines_with_band(values: FloatArray, sigma: FloatArray) -> rr.ComponentColumnList:
+def lines_with_band(line_values: FloatArray, sigma: FloatArray) -> rr.ComponentColumnList:
     """Return values (n, lines) as plot lines with a band of one standard deviation.
 
     The band has a gap where the standard deviation is unknown.
     """
     measured = rr.Measurements.columns(
-        values=values.ravel(), variances=np.nan_to_num(sigma**2).ravel()
+        values=line_values.ravel(), variances=np.nan_to_num(sigma**2).ravel()
     )
-    return measured.partition([values.shape[1]] * len(values))
+    return measured.partition([line_values.shape[1]] * len(line_values))
 
 
-def plot_lines(values: FloatArray) -> rr.ComponentColumnList:
+def plot_lines(line_values: FloatArray) -> rr.ComponentColumnList:
     """Return values (n, lines) as plot lines without a band."""
-    return rr.Scalars.columns(scalars=values.ravel()).partition([values.shape[1]] * len(values))
+    return rr.Scalars.columns(scalars=line_values.ravel()).partition(
+        [line_values.shape[1]] * len(line_values)
+    )
 
 
 def force_arrows(force: FloatArray) -> rr.ComponentColumnList:

@@ -58,36 +58,40 @@ def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
         yield timed_chunk(f"/true/{name}_pose", times - offset, pose)
 
 
-def _solid_shape(shape: Mapping[str, Any], colour: Colour) -> Any:
+def _solid_shape(true_shape: Mapping[str, Any], colour: Colour) -> Any:
     """Convert a shape of the truth file to a Rerun archetype that is drawn as a solid.
 
     Raises:
         LogError: the kind of shape is unknown.
     """
-    x, y, z = (float(extent) for extent in shape["size_m"])
+    x, y, z = (float(extent) for extent in true_shape["size_m"])
     style: dict[str, Any] = {"fill_mode": [rr.components.FillMode.Solid], "colors": [colour]}
-    if shape["shape"] == "cylinder":
+    if true_shape["shape"] == "cylinder":
         return rr.Cylinders3D.columns(lengths=[z], radii=[x / 2.0], **style)
     half = [(x / 2.0, y / 2.0, z / 2.0)]
-    if shape["shape"] == "sphere":
+    if true_shape["shape"] == "sphere":
         return rr.Ellipsoids3D.columns(half_sizes=half, **style)
-    if shape["shape"] == "box":
+    if true_shape["shape"] == "box":
         return rr.Boxes3D.columns(half_sizes=half, **style)
-    raise LogError(f"shape {shape['shape']!r}", "the simulator's truth", "cylinder, sphere or box")
+    raise LogError(
+        f"shape {true_shape['shape']!r}", "the simulator's truth", "cylinder, sphere or box"
+    )
 
 
-def _object_pose(truth: TruthRecord, shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
+def _object_pose(
+    truth: TruthRecord, object_shape: Mapping[str, Any], times: Any
+) -> tuple[Any, Any]:
     """Return the position [m] and the quaternion (x, y, z, w) of the object, with one row for each time."""
     pose = truth.columns_at([f"object/{part}" for part in POSE_COLUMNS], times)
     return pose[:, :3], pose[:, 3:]
 
 
-def _table_pose(truth: TruthRecord, shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
+def _table_pose(truth: TruthRecord, table_shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
     """Return the position [m] and the quaternion of the table, with one row for each time.
 
     The table only moves down, and does not turn.
     """
-    position = np.tile(np.array(shape["position_m"], np.float64), (len(times), 1))
+    position = np.tile(np.array(table_shape["position_m"], np.float64), (len(times), 1))
     if truth.has_column("support"):
         position[:, 2] -= truth.column_at("support", times)
     return position, np.tile((0.0, 0.0, 0.0, 1.0), (len(times), 1))

@@ -6,8 +6,8 @@ The module ``link`` reads the state of an interface.
 import shlex
 import socket
 
-from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES
-from handctl.runtime.buses.link import CanLinkState, MissingTool, read_link
+from handctl.runtime.buses.canfd_structs import CANFD_FRAME_BYTES
+from handctl.runtime.buses.link_state import CanLinkState, MissingTool, read_link
 
 CommandWords = tuple[str, ...]
 """A shell command as a list of words."""
@@ -26,7 +26,7 @@ def interface_names() -> tuple[str, ...]:
 
 
 def set_up_commands(
-    channel: str, bitrate: int, data_bitrate: int | None, exists: bool
+    channel: str, bitrate: int, data_bitrate: int | None, interface_exists: bool
 ) -> tuple[CommandWords, ...]:
     """Return the shell commands that set up an interface for a hand.
 
@@ -37,7 +37,7 @@ def set_up_commands(
         bitrate: bit rate in the hand file [bit/s].
         data_bitrate: bit rate of the data phase in the hand file [bit/s], or None for a classical
             bus.
-        exists: True if the interface exists. If a virtual interface does not exist, the commands
+        interface_exists: True if the interface exists. If a virtual interface does not exist, the commands
             add it.
     """
     link = ("ip", "link", "set", channel)
@@ -45,7 +45,7 @@ def set_up_commands(
     up: CommandWords = (*link, "up")
     if channel.startswith("vcan"):
         add: CommandWords = ("ip", "link", "add", channel, "type", "vcan")
-        begin = (*link, "down") if exists else add
+        begin = (*link, "down") if interface_exists else add
         mtu = ((*link, "mtu", str(CANFD_FRAME_BYTES)),) if data_bitrate else ()
         return (begin, *mtu, queue, up)
     timing: CommandWords = (*link, "type", "can", "bitrate", str(bitrate))
@@ -54,9 +54,11 @@ def set_up_commands(
     return ((*link, "down"), (*timing, "restart-ms", str(RESTART_MS)), queue, up)
 
 
-def set_up_text(channel: str, bitrate: int, data_bitrate: int | None, exists: bool) -> str:
+def set_up_text(
+    channel: str, bitrate: int, data_bitrate: int | None, interface_exists: bool
+) -> str:
     """Return the commands of ``set_up_commands`` in one line, for a user who is not root."""
-    commands = set_up_commands(channel, bitrate, data_bitrate, exists)
+    commands = set_up_commands(channel, bitrate, data_bitrate, interface_exists)
     return " && ".join(f"sudo {shlex.join(command)}" for command in commands)
 
 

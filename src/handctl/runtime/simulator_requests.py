@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from handctl.errors import BusError, ConfigError
-from handctl.runtime.buses.open import check_bus_spec
-from handctl.runtime.paths import faults_path, is_socket_served, run_dir
+from handctl.runtime.buses.bus_opening import check_bus_spec
+from handctl.runtime.socket_paths import faults_path, is_socket_served, run_dir
 
 ANSWER_TIMEOUT_S = 5.0
 """Longest wait for the answer of a simulator [s]."""
@@ -51,7 +51,7 @@ def simulated_time_scale(bus: str) -> float | None:
     return pace.get("time_scale")
 
 
-def ask_simulator(path: Path, question: dict[str, Any]) -> dict[str, Any]:
+def ask_simulator(path: Path, request: dict[str, Any]) -> dict[str, Any]:
     """Send a request to a simulator, and return the answer.
 
     Raises:
@@ -66,7 +66,7 @@ def ask_simulator(path: Path, question: dict[str, Any]) -> dict[str, Any]:
         try:
             asking.bind(str(reply_path))
             asking.settimeout(ANSWER_TIMEOUT_S)
-            asking.sendto(json.dumps(question).encode(), str(path))
+            asking.sendto(json.dumps(request).encode(), str(path))
             answer: dict[str, Any] = json.loads(asking.recv(MAX_ANSWER_BYTES))
         except OSError as error:
             reason = os.strerror(error.errno) if error.errno else "no answer"

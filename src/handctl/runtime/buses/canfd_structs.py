@@ -51,24 +51,29 @@ ALL_FLAGS = 0xFF
 
 @kernel_helper
 def _copy_payload(
-    source: WordRows, first: int, target: WordRows, at: int, row: int, length: int
+    source_words: WordRows,
+    source_word: int,
+    target_words: WordRows,
+    target_word: int,
+    row: int,
+    payload_length: int,
 ) -> None:
     """Copy the payload of one frame word by word, and set the bytes behind its end to zero.
 
     Args:
-        source: (n, words) records or structs that contain the payload.
-        first: first word of the payload in the source.
-        target: (n, words) structs or records that get the payload.
-        at: first word of the payload in the target.
+        source_words: (n, words) records or structs that contain the payload.
+        source_word: first word of the payload in the source.
+        target_words: (n, words) structs or records that get the payload.
+        target_word: first word of the payload in the target.
         row: index of the frame.
-        length: length of the payload [bytes].
+        payload_length: length of the payload [bytes].
     """
     for word in range(PAYLOAD_WORDS):
-        left = length - 8 * word
-        value = source[row, first + word] if left > 0 else np.uint64(0)
+        left = payload_length - 8 * word
+        value = source_words[row, source_word + word] if left > 0 else np.uint64(0)
         if 0 < left < 8:
             value &= (np.uint64(1) << np.uint64(8 * left)) - np.uint64(1)
-        target[row, at + word] = value
+        target_words[row, target_word + word] = value
 
 
 @kernel("table_words", "words", "count", "count", "count", "count")
@@ -108,7 +113,7 @@ def read_structs(
 
 
 @kernel("table_words", "words", "words")
-def write_structs(records: WordRows, structs: WordRows, sizes: WordRows) -> int:
+def write_structs(records: WordRows, structs: WordRows, struct_sizes: WordRows) -> int:
     """Convert records to structs. The flags of a classical frame become 0.
 
     Return the index of the first record whose payload is longer than its kind of frame can carry.
@@ -117,7 +122,7 @@ def write_structs(records: WordRows, structs: WordRows, sizes: WordRows) -> int:
     Args:
         records: (n, WORDS_PER_RECORD) words of the records.
         structs: (at least n, 9) words of the structs, of which the first n are written.
-        sizes: (at least n, 1) number of bytes of each struct, of which the first n are written: the size
+        struct_sizes: (at least n, 1) number of bytes of each struct, of which the first n are written: the size
             of ``can_frame`` or of ``canfd_frame``.
     """
     count = len(records)
@@ -135,7 +140,7 @@ def write_structs(records: WordRows, structs: WordRows, sizes: WordRows) -> int:
             | (flags & np.uint64(BYTE_MASK)) << np.uint64(STRUCT_FLAGS_BIT)
         )
         _copy_payload(records, PAYLOAD_WORD, structs, 1, i, length)
-        sizes[i, 0] = CANFD_FRAME_BYTES if flags else CLASSICAL_FRAME_BYTES
+        struct_sizes[i, 0] = CANFD_FRAME_BYTES if flags else CLASSICAL_FRAME_BYTES
     return count
 
 
@@ -146,15 +151,15 @@ class FrameStructs:
         count: number of structs.
     """
 
-    def __init__(self, memory: Any) -> None:
-        """Use ``memory``, a writable buffer whose size is a whole number of structs."""
-        self._rows = np.frombuffer(memory, np.uint64).reshape(-1, CANFD_FRAME_BYTES // 8)
+    def __init__(self, struct_memory: Any) -> None:
+        """Use ``struct_memory``, a writable buffer whose size is a whole number of structs."""
+        self._rows = np.frombuffer(struct_memory, np.uint64).reshape(-1, CANFD_FRAME_BYTES // 8)
         self.count = len(self._rows)
         self._sizes = np.zeros((self.count, 1), np.uint64)
 
-    def reserved_bits(self, at: int) -> int:
-        """Return the value in the 16 reserved bits of the struct with index ``at``."""
-        return int(self._rows[at, 0]) >> STRUCT_RESERVED_BIT
+    def reserved_bits(self, struct_index: int) -> int:
+        """Return the value in the 16 reserved bits of the struct with index ``struct_index``."""
+        return int(self._rows[struct_index, 0]) >> STRUCT_RESERVED_BIT
 
     def read(
         self, count: int, t_ns: int, bus: int, flag_mask: int = ALL_FLAGS, added_flags: int = 0

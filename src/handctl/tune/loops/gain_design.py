@@ -25,13 +25,13 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any
 
-from handctl.core.gains.gain_bounds import TENDON_SECTION, with_values
+from handctl.core.gains.gain_bounds import TENDON_SECTION, gains_with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.motion_design import design_motion, largest_force_weight
 from handctl.core.hand_model import HandModel
 from handctl.document import validate_content
 from handctl.errors import ConfigError
-from handctl.tune.loops.linear import (
+from handctl.tune.loops.linear_models import (
     LinearSystem,
     LoopKind,
     PlantFactors,
@@ -155,29 +155,31 @@ class GainDesign:
         )
 
 
-def linear_factors(factors: Mapping[str, float]) -> PlantFactors:
+def linear_factors(plant_factors: Mapping[str, float]) -> PlantFactors:
     """Return the factors of a plant that scale linear parameters, without the other factors.
 
     The other factors are left out, because friction is not linear.
     """
     names = PlantFactors.__dataclass_fields__
-    return PlantFactors(**{key: value for key, value in factors.items() if key in names})
+    return PlantFactors(**{key: value for key, value in plant_factors.items() if key in names})
 
 
-def gains_with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float) -> Gains:
+def gains_with_poles(
+    model: HandModel, kind: LoopKind, frequency_hz: float, damping: float
+) -> Gains:
     """Return gains whose weights give a loop a pair of poles with a given natural frequency and damping.
 
     Args:
         model: model of the hand with its present gains.
         kind: kind of the loop, motion or tension.
-        hz: natural frequency of the pole pair [Hz].
+        frequency_hz: natural frequency of the pole pair [Hz].
         damping: damping ratio of the poles, at least 1/sqrt(2). For smaller damping ratios, no
             weights exist.
 
     Raises:
         ValueError: no weights lead to these poles.
     """
-    w = 2.0 * math.pi * hz
+    w = 2.0 * math.pi * frequency_hz
     position, speed = (_motion_weights if kind == LoopKind.MOTION else _tension_weights)(
         model, w, damping
     )
@@ -193,7 +195,9 @@ def gains_with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float
     return _checked_gains(shared, tension={**tension.model_dump(), **table})
 
 
-def _scaled_tendon_forces(gains: Gains, motion: float, tension: float) -> list[dict[str, Any]]:
+def _scaled_tendon_forces(
+    gains: Gains, motion_authority: float, tension: float
+) -> list[dict[str, Any]]:
     """Return the entries for single tendons, with their forces multiplied by factors.
 
     The motion loop and the tension loop have different factors.
@@ -201,7 +205,7 @@ def _scaled_tendon_forces(gains: Gains, motion: float, tension: float) -> list[d
     return [
         {
             "name": one.name,
-            "motion_force_N": one.motion_force_N and one.motion_force_N * motion,
+            "motion_force_N": one.motion_force_N and one.motion_force_N * motion_authority,
             "tension_force_N": one.tension_force_N and one.tension_force_N * tension,
         }
         for one in gains.tendon
@@ -220,17 +224,19 @@ def _checked_gains(gains: Gains, **sections: dict[str, float] | list[dict[str, A
         raise ValueError(str(error)) from None
 
 
-def _motion_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
+def _motion_weights(model: HandModel, frequency: float, damping: float) -> tuple[float, float]:
     """Return the two ratios of weights, force / error and force / speed error, of the motion loop.
 
     The plant is a single mass, and the characteristic polynomial is d(s) = s^2 + 2 z w s + w^2.
     """
     # At low frequencies, the rotor and a freely moving digit act as one mass.
     mass = float((model.space.motor_mass + model.space.load_mass).mean())
-    return mass * w**2, mass * w * _positive_root(4.0 * damping**2 - 2.0, MIN_DAMPING_TEXT)
+    return mass * frequency**2, mass * frequency * _positive_root(
+        4.0 * damping**2 - 2.0, MIN_DAMPING_TEXT
+    )
 
 
-def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
+def _tension_weights(model: HandModel, frequency: float, damping: float) -> tuple[float, float]:
     """Return the two ratios of weights, force / error and force / speed error, of the tension loop.
 
     The plant is a rotor on its tendon. No weights give poles below the natural frequency of the
@@ -245,8 +251,8 @@ def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float,
         f"tension poles above {math.sqrt(a0) / (2.0 * math.pi):.1f} "
         "Hz, the frequency of the free rotor on its tendon"
     )
-    speed = 2.0 * a0 - a1**2 - 2.0 * w**2 * (1.0 - 2.0 * damping**2)
-    return _positive_root(w**4 - a0**2, expected) * m / k, m * _positive_root(
+    speed = 2.0 * a0 - a1**2 - 2.0 * frequency**2 * (1.0 - 2.0 * damping**2)
+    return _positive_root(frequency**4 - a0**2, expected) * m / k, m * _positive_root(
         speed, MIN_DAMPING_TEXT
     )
 
@@ -255,16 +261,16 @@ MIN_DAMPING_TEXT = "a damping of more than 0.71"
 """Text for error messages about the allowed damping."""
 
 
-def _positive_root(square: float, expected: str) -> float:
+def _positive_root(squared_value: float, expected_text: str) -> float:
     """Return the square root of a positive number.
 
     Raises:
         ValueError: the number is not positive. In this case, no weights lead to the requested
             poles.
     """
-    if square <= 0.0:
-        raise ValueError(f"no weights have these poles; expected {expected}")
-    return math.sqrt(square)
+    if squared_value <= 0.0:
+        raise ValueError(f"no weights have these poles; expected {expected_text}")
+    return math.sqrt(squared_value)
 
 
 def model_with_gains(model: HandModel, gains: Gains) -> HandModel:
@@ -370,7 +376,7 @@ def design_gains(
         if rejection > model.gains.motion.disturbance_rejection:
             continue
         candidate = with_largest_authority(
-            _with_motion(model, disturbance_rejection=rejection), LoopKind.MOTION, plants
+            _gains_with_motion(model, disturbance_rejection=rejection), LoopKind.MOTION, plants
         )
         candidate = candidate and with_largest_authority(candidate, LoopKind.TENSION, plants)
         if not candidate:
@@ -403,12 +409,12 @@ def _with_decreasing_authority(
     """Yield the model, and then models with decreasing authority, as long as they keep the margins."""
     yield model
     for step in range(1, MAX_COMMON_REDUCTIONS + 1):
-        less = _with_scaled_forces(model, math.exp(-step * LOG_FORCE_STEP))
+        less = _gains_with_scaled_forces(model, math.exp(-step * LOG_FORCE_STEP))
         if keeps_required_margins(less, plants):
             yield less
 
 
-def _with_scaled_forces(model: HandModel, factor: float) -> HandModel:
+def _gains_with_scaled_forces(model: HandModel, factor: float) -> HandModel:
     """Return the model with the authority of all loops multiplied by a factor."""
     gains = _checked_gains(
         model.gains,
@@ -422,7 +428,7 @@ def _with_scaled_forces(model: HandModel, factor: float) -> HandModel:
     return model_with_gains(model, gains)
 
 
-def _with_motion(model: HandModel, **values: float) -> HandModel:
+def _gains_with_motion(model: HandModel, **values: float) -> HandModel:
     """Return the model with some gains of the motion loop replaced."""
     gains = _checked_gains(model.gains, motion={**model.gains.motion.model_dump(), **values})
     return model_with_gains(model, gains)
@@ -450,7 +456,7 @@ def with_largest_authority(
     }
     if not own:
         return with_shared
-    separate = _with_tendon_forces(with_shared, kind, own)
+    separate = _gains_with_tendon_forces(with_shared, kind, own)
     # Each of these forces was found while all tendons had the same force. If two tendons share a
     # joint, a larger force of one tendon reduces the margins of the other.
     return separate if keeps_required_margins(separate, plants, (kind,)) else with_shared
@@ -520,16 +526,20 @@ def _without_tendon_forces(gains: Gains, kind: LoopKind) -> Gains:
     return _checked_gains(gains, tendon=kept)
 
 
-def _with_tendon_forces(model: HandModel, kind: LoopKind, forces: Mapping[str, float]) -> HandModel:
+def _gains_with_tendon_forces(
+    model: HandModel, kind: LoopKind, force_of_tendon: Mapping[str, float]
+) -> HandModel:
     """Return the model in which some tendons, given by name, have separate forces [N] in a loop."""
-    values = {f"{TENDON_SECTION}.{name}.{kind}_force_N": force for name, force in forces.items()}
-    return model_with_gains(model, with_values(model.gains, values, "design"))
+    values = {
+        f"{TENDON_SECTION}.{name}.{kind}_force_N": force for name, force in force_of_tendon.items()
+    }
+    return model_with_gains(model, gains_with_values(model.gains, values, "design"))
 
 
 def _with_force(model: HandModel, kind: LoopKind, force: float) -> HandModel:
     """Return the model with another common authority for a loop of all tendons [N]."""
     if kind == LoopKind.MOTION:
-        return _with_motion(model, force_N=force)
+        return _gains_with_motion(model, force_N=force)
     table = {**model.gains.tension.model_dump(), "force_N": force}
     return model_with_gains(model, _checked_gains(model.gains, tension=table))
 

@@ -8,7 +8,7 @@ import subprocess
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES
+from handctl.runtime.buses.canfd_structs import CANFD_FRAME_BYTES
 
 IP_TOOL_TIMEOUT_S = 5.0
 """Longest wait for the program ``ip`` to answer [s]."""
@@ -69,10 +69,10 @@ def read_link(name: str) -> CanLinkState | None:
     return parse_link(output.stdout) if output.returncode == 0 else None
 
 
-def parse_link(text: str) -> CanLinkState | None:
+def parse_link(json_text: str) -> CanLinkState | None:
     """Return the state of the interface in the output of ``ip``, or None if the output lists no interface."""
     try:
-        (link,) = json.loads(text)
+        (link,) = json.loads(json_text)
     except ValueError:
         return None
     info: dict[str, Any] = link.get("linkinfo", {})
@@ -89,10 +89,16 @@ def parse_link(text: str) -> CanLinkState | None:
         tx_error_counter=int(counters.get("tx", 0)),
         rx_error_counter=int(counters.get("rx", 0)),
         restart_ms=data.get("restart_ms") if data else None,
-        event_counts={**info.get("info_xstats", {}), **_count_dropped(link.get("stats64", {}))},
+        event_counts={
+            **info.get("info_xstats", {}),
+            **_dropped_frame_count(link.get("stats64", {})),
+        },
     )
 
 
-def _count_dropped(stats: dict[str, Any]) -> dict[str, int]:
+def _dropped_frame_count(link_statistics: dict[str, Any]) -> dict[str, int]:
     """Return how many received frames and sent frames were dropped, by kind of event."""
-    return {f"{side}_dropped": int(stats.get(side, {}).get("dropped", 0)) for side in ("rx", "tx")}
+    return {
+        f"{side}_dropped": int(link_statistics.get(side, {}).get("dropped", 0))
+        for side in ("rx", "tx")
+    }

@@ -32,7 +32,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from handctl.runtime.clocks.real import RealClock
+from handctl.runtime.clocks.real_clock import RealClock
 
 CLOCK_FILE_VERSION = 1
 GATE_INDEX, PAUSED_INDEX, SENT_INDEX, ANSWERED_INDEX, REACHED_INDEX = 1, 2, 3, 4, 5
@@ -168,7 +168,7 @@ class SharedClock(RealClock):
         """
         self._numbers[PAUSED_INDEX] += max(0, self._read_ns() - self._numbers[GATE_INDEX])
 
-    def _wait_for_simulator(self, deadline: int) -> None:
+    def _wait_for_simulator(self, deadline_ns: int) -> None:
         """Stop the clock at the gate until the simulator has answered the frames of the previous tick.
 
         After ``MAX_SIMULATOR_WAIT_NS`` without an answer, the clock continues. In later ticks, the
@@ -178,20 +178,20 @@ class SharedClock(RealClock):
         if numbers[ANSWERED_INDEX] == self._abandoned_answer:
             return
         end = time.monotonic_ns() + MAX_SIMULATOR_WAIT_NS
-        while not self._is_answered(deadline):
+        while not self._is_answered(deadline_ns):
             time.sleep(SIMULATOR_POLL_PERIOD_S)
             self._stop_at_gate()
             if time.monotonic_ns() > end:
                 self._abandoned_answer = numbers[ANSWERED_INDEX]
                 return
 
-    def _is_answered(self, deadline: int) -> bool:
+    def _is_answered(self, deadline_ns: int) -> bool:
         """Return True if the simulator has answered all frames, and is at most ``MAX_SIMULATOR_LAG_NS`` behind."""
         numbers = self._numbers
         behind_ns = int(MAX_SIMULATOR_LAG_NS / self.time_scale)
         return bool(
             numbers[ANSWERED_INDEX] >= numbers[SENT_INDEX]
-            and numbers[REACHED_INDEX] >= deadline - behind_ns
+            and numbers[REACHED_INDEX] >= deadline_ns - behind_ns
         )
 
     def _count_pause(self, pause_ns: int) -> None:

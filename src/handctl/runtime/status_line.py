@@ -5,13 +5,13 @@ from typing import Any
 from handctl.core.tick_types import TickIn, TickOut
 
 
-def status_of_tick(entry: TickIn, out: TickOut, commander: str | None) -> dict[str, Any]:
+def status_of_tick(entry: TickIn, out: TickOut, commander_name: str | None) -> dict[str, Any]:
     """Return the content of a tick's status line as plain values. A NaN becomes None.
 
     Args:
         entry: inputs of the tick.
         out: output of the tick.
-        commander: client that commands the hand, or None if any client may start to command it.
+        commander_name: client that commands the hand, or None if any client may start to command it.
     """
     numbers = out.telemetry
     return {
@@ -19,7 +19,7 @@ def status_of_tick(entry: TickIn, out: TickOut, commander: str | None) -> dict[s
         "t_s": entry.t_ns / 1e9,
         "mode": out.mode.name,
         "phase": out.phase,
-        "commander": commander,
+        "commander": commander_name,
         "late_us": entry.late_ns / 1e3,
         "q_rad": _json_values(numbers.q.tolist()),
         "q_sigma_rad": _json_values(numbers.q_sigma.tolist()),

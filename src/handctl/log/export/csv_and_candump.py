@@ -18,7 +18,7 @@ from handctl.core.tick_types import TELEMETRY_AXES, HandMode
 from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.log.read.log_hand import prismatic_joints
 from handctl.log.read.reader import RunLog
-from handctl.safety.action import SafetyAction
+from handctl.safety.safety_action import SafetyAction
 
 TICKS_PER_BLOCK = 4096
 """Largest number of ticks that an export has in memory at a time."""

@@ -263,26 +263,26 @@ _TickFunction = Callable[[Matrix, Matrix], Matrix]
 """Function that executes one tick of a tendon: from (state, reading) to the next state, followed by the force."""
 
 
-def _central_difference(function: Callable[[float], Matrix], step: float) -> Matrix:
+def _central_difference(matrix_function: Callable[[float], Matrix], step: float) -> Matrix:
     """Return the central difference of a function."""
-    return np.asarray((function(step) - function(-step)) / (2.0 * step))
+    return np.asarray((matrix_function(step) - matrix_function(-step)) / (2.0 * step))
 
 
 def _tick_with_state(
-    tick: _TickFunction, state: Matrix, reading: Matrix, j: int, step: float
+    tick: _TickFunction, state: Matrix, reading: Matrix, j: int, deviation: float
 ) -> Matrix:
     """Return the result of a tick after a step of state j."""
     moved = state.copy()
-    moved[j] += step
+    moved[j] += deviation
     return tick(moved, reading)
 
 
 def _tick_with_reading(
-    tick: _TickFunction, state: Matrix, reading: Matrix, j: int, step: float
+    tick: _TickFunction, state: Matrix, reading: Matrix, j: int, deviation: float
 ) -> Matrix:
     """Return the result of a tick after a step of reading j."""
     moved = reading.copy()
-    moved[j] += step
+    moved[j] += deviation
     return tick(state, moved)
 
 
@@ -486,7 +486,7 @@ def _hold_goal(tendons: slice) -> DigitGoal:
 
 
 def _move_goal(
-    digit: DigitModel, position: Matrix, rate: Matrix, reached: Matrix, speed: Matrix, i: int
+    digit: DigitModel, position: Matrix, goal_rate: Matrix, reached: Matrix, speed: Matrix, i: int
 ) -> DigitGoal:
     """Return a motion goal equal to the estimated excursion [m] and speed [m/s] of tendon i of a digit."""
     q = digit.coupling @ position
@@ -494,5 +494,7 @@ def _move_goal(
     if 0 <= i < len(arms):
         direction = arms[i] / (arms[i] @ arms[i])
         position = position + direction * (reached[i] - digit.excursion_at(q)[i])
-        rate = rate + direction * (speed[i] - arms[i] @ rate)
-    return DigitGoal(GoalKind.MOTION, SampledTrajectory(position, rate, np.zeros_like(position)))
+        goal_rate = goal_rate + direction * (speed[i] - arms[i] @ goal_rate)
+    return DigitGoal(
+        GoalKind.MOTION, SampledTrajectory(position, goal_rate, np.zeros_like(position))
+    )

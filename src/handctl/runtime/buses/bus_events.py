@@ -78,47 +78,49 @@ transmit bit of OVERFLOW_MASK. Source: Linux ``can/error.h``.
 class BusEvents:
     """Events of one bus since the last call of ``take_events``, with their counts, and the lasting states."""
 
-    def __init__(self, where: str) -> None:
-        """Start without events. Each event will contain ``where`` as the name of the bus."""
-        self.where = where
+    def __init__(self, bus_name: str) -> None:
+        """Start without events. Each event will contain ``bus_name`` as the name of the bus."""
+        self.where = bus_name
         self._counts: dict[tuple[str, str], int] = {}
         self._lasting: set[str] = set()
 
-    def add_event(self, kind: str, number: int = 1, detail: str = "") -> None:
+    def add_event(self, event_kind: str, occurrences: int = 1, detail: str = "") -> None:
         """Add a number of occurrences to the count of an event.
 
         Args:
-            kind: kind of the event, as listed in the docstring of the module.
-            number: number of occurrences.
+            event_kind: kind of the event, as listed in the docstring of the module.
+            occurrences: number of occurrences.
             detail: text to append to ``where`` of the event. Events with different details are
                 counted separately.
         """
-        key = kind, f"{self.where} {detail}" if detail else self.where
-        self._counts[key] = self._counts.get(key, 0) + number
+        key = event_kind, f"{self.where} {detail}" if detail else self.where
+        self._counts[key] = self._counts.get(key, 0) + occurrences
 
-    def count_failure(self, code: int | None, otherwise: str, number: int = 1) -> None:
+    def count_failure(
+        self, errno_code: int | None, default_kind: str, occurrences: int = 1
+    ) -> None:
         """Count a failed operation on the bus.
 
         Args:
-            code: errno of the failure, or None for an unknown errno.
-            otherwise: kind of event to count if the errno is not known or not in ``ERRNO_KINDS``.
-            number: number of frames in the failed operation.
+            errno_code: errno of the failure, or None for an unknown errno.
+            default_kind: kind of event to count if the errno is not known or not in ``ERRNO_KINDS``.
+            occurrences: number of frames in the failed operation.
         """
-        kind = ERRNO_KINDS.get(code or 0, otherwise)
-        if ERRNO_KINDS.get(code or 0) == "enodev":
+        kind = ERRNO_KINDS.get(errno_code or 0, default_kind)
+        if ERRNO_KINDS.get(errno_code or 0) == "enodev":
             self.set_lasting_state(kind, True)
             return
         if kind == "enetdown":  # an interface that is down has no error states
             self.set_lasting_state("bus_off", False)
             self.set_lasting_state("error_passive", False)
-        self.add_event(kind, number)
+        self.add_event(kind, occurrences)
 
-    def set_lasting_state(self, kind: str, present: bool) -> None:
+    def set_lasting_state(self, event_kind: str, is_present: bool) -> None:
         """Begin or end a lasting state of the bus.
 
         Each call of ``take_events`` reports every lasting state.
         """
-        (self._lasting.add if present else self._lasting.discard)(kind)
+        (self._lasting.add if is_present else self._lasting.discard)(event_kind)
 
     def add_error_frame(self, can_id: int, data: bytes) -> None:
         """Decode an error frame from the kernel, and count its events.

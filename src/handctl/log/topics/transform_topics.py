@@ -95,10 +95,12 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
     return frames
 
 
-def multiply_quaternions(left: tuple[Any, ...], right: tuple[Any, ...]) -> tuple[Any, ...]:
+def multiply_quaternions(
+    left_quaternion: tuple[Any, ...], right_quaternion: tuple[Any, ...]
+) -> tuple[Any, ...]:
     """Return the product of two quaternions x, y, z, w, given as numbers or arrays."""
-    a, b, c, d = left
-    x, y, z, w = right
+    a, b, c, d = left_quaternion
+    x, y, z, w = right_quaternion
     return (
         d * x + a * w + b * z - c * y,
         d * y + b * w + c * x - a * z,

@@ -22,8 +22,8 @@ from handctl.hand.file.error_text import lines_by_text
 from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.hand.readiness import reasons_not_ready
 from handctl.log.attached_meshes import mesh_attachments
-from handctl.runtime.buses.open import check_bus_spec, real_buses
-from handctl.runtime.simulator import simulated_time_scale
+from handctl.runtime.buses.bus_opening import check_bus_spec, real_buses
+from handctl.runtime.simulator_requests import simulated_time_scale
 from handctl.session.buses import refuse_default_hand
 from handctl.session.gains import layered_gains
 from handctl.session.notices import NoticeCallback, ProgressFunction, ignore_notice, ignore_progress

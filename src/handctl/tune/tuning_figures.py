@@ -8,11 +8,11 @@ import numpy as np
 from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
-from handctl.output import save_figure
-from handctl.report.summary import mean_angles
+from handctl.output_files import save_figure
+from handctl.report.run_summary import mean_angles
 from handctl.report.truth_record import TruthRecord
 from handctl.tune.gains_verification import OLD_GAINS_ROUNDS, GainsRollback
-from handctl.tune.loops.linear import LoopKind, open_loop
+from handctl.tune.loops.linear_models import LoopKind, open_loop
 from handctl.tune.loops.margins import (
     MIN_GAIN_MARGIN_DB,
     MIN_PHASE_MARGIN_DEG,
@@ -69,11 +69,11 @@ def draw_loops(path: Path, before: HandModel, after: HandModel, title: str) -> N
     save_figure(figure, path)
 
 
-def _draw_loop(row: Any, model: HandModel, kind: LoopKind, colour: str, name: str) -> None:
+def _draw_loop(axes_row: Any, model: HandModel, kind: LoopKind, colour: str, name: str) -> None:
     system = open_loop(model, 0, kind)
     omega = frequency_grid(system.period)
     L = system.frequency_response(omega)[:, 0, 0]
-    gain, phase, plane, step = row
+    gain, phase, plane, step = axes_row
     gain.loglog(omega / (2 * np.pi), np.abs(L), color=colour, label=name)
     phase.semilogx(omega / (2 * np.pi), np.degrees(np.unwrap(np.angle(L))), color=colour)
     plane.plot(L.real, L.imag, color=colour)
@@ -81,8 +81,8 @@ def _draw_loop(row: Any, model: HandModel, kind: LoopKind, colour: str, name: st
     step.plot(times, values * STEP_RESPONSE_UNITS[kind][0], color=colour)
 
 
-def _style_axes(row: Any, kind: LoopKind) -> None:
-    gain, phase, plane, step = row
+def _style_axes(axes_row: Any, kind: LoopKind) -> None:
+    gain, phase, plane, step = axes_row
     gain.axhline(1.0, color=GREY_COLOR, linewidth=0.8)
     gain.set(title=f"{kind} loop: gain", xlabel="frequency [Hz]")
     phase.axhline(-180.0, color=GREY_COLOR, linewidth=0.8)
@@ -105,7 +105,7 @@ def _style_axes(row: Any, kind: LoopKind) -> None:
         xlabel="time [s]",
         ylabel=STEP_RESPONSE_UNITS[kind][1],
     )
-    for axes in row:
+    for axes in axes_row:
         axes.grid(alpha=0.3)
 
 

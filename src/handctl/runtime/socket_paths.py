@@ -56,13 +56,13 @@ def run_dir() -> Path:
     return _private_folder(Path(tempfile.gettempdir()) / f"handctl-{os.geteuid()}" / "handctl", 2)
 
 
-def _private_folder(path: Path, private_parts: int, links: int = 0) -> Path:
+def _private_folder(path: Path, private_parts: int, link_count: int = 0) -> Path:
     """Walk from the root folder to a folder. Check each folder on the way, and create missing folders.
 
     Args:
         path: path of the folder.
         private_parts: number of parts at the end of the path that must belong to this user.
-        links: number of symbolic links followed so far.
+        link_count: number of symbolic links followed so far.
 
     Raises:
         BusError: see ``run_dir``.
@@ -77,11 +77,11 @@ def _private_folder(path: Path, private_parts: int, links: int = 0) -> Path:
             state = _stat_or_make_folder(part, at)
             if stat.S_ISLNK(state.st_mode):
                 # Only symbolic links that root has created are followed, such as /tmp on macOS.
-                if private or state.st_uid != 0 or links == MAX_SYMBOLIC_LINKS:
+                if private or state.st_uid != 0 or link_count == MAX_SYMBOLIC_LINKS:
                     raise BusError("is a link", str(here), PRIVATE_FOLDER_TEXT)
                 target = here.parent / os.readlink(part, dir_fd=at)
                 return _private_folder(
-                    target.joinpath(*parts[number + 1 :]), private_parts, links + 1
+                    target.joinpath(*parts[number + 1 :]), private_parts, link_count + 1
                 )
             flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if private else FOLDER_OPEN_FLAGS
             # This path is relative to the parent folder that has been checked. Therefore it has no
@@ -99,63 +99,67 @@ def _private_folder(path: Path, private_parts: int, links: int = 0) -> Path:
     return Path(os.path.abspath(path))
 
 
-def _stat_or_make_folder(part: str, at: int) -> os.stat_result:
+def _stat_or_make_folder(folder_name: str, parent_fd: int) -> os.stat_result:
     """Return the file status of a part of a path. A symbolic link is not followed.
 
     A missing part is created as a folder.
     """
     with suppress(FileNotFoundError):
-        return os.stat(part, dir_fd=at, follow_symlinks=False)
+        return os.stat(folder_name, dir_fd=parent_fd, follow_symlinks=False)
     # Another process may create this folder at the same time. In this case, the folder is checked
     # like any other folder.
     with suppress(FileExistsError):
-        os.mkdir(part, PRIVATE_MODE, dir_fd=at)
-    return os.stat(part, dir_fd=at, follow_symlinks=False)
+        os.mkdir(folder_name, PRIVATE_MODE, dir_fd=parent_fd)
+    return os.stat(folder_name, dir_fd=parent_fd, follow_symlinks=False)
 
 
-def _refuse_shared_folder(here: Path, at: int) -> None:
+def _refuse_shared_folder(folder_path: Path, folder_fd: int) -> None:
     """Raise an error if another user owns a folder of handctl, or can write into it.
 
     If other users can only read the folder, their permission is removed.
     """
-    state = os.fstat(at)
+    state = os.fstat(folder_fd)
     if state.st_uid != os.geteuid():
-        raise BusError(f"belongs to {_user_name(state.st_uid)}", str(here), PRIVATE_FOLDER_TEXT)
+        raise BusError(
+            f"belongs to {_user_name(state.st_uid)}", str(folder_path), PRIVATE_FOLDER_TEXT
+        )
     if state.st_mode & WRITABLE_BY_OTHERS_MODE:
         raise BusError(
             f"is open to others (mode {stat.S_IMODE(state.st_mode):04o})",
-            str(here),
+            str(folder_path),
             PRIVATE_FOLDER_TEXT,
         )
     if state.st_mode & GROUP_AND_OTHERS_MODE:
-        os.fchmod(at, PRIVATE_MODE)
+        os.fchmod(folder_fd, PRIVATE_MODE)
 
 
-def _refuse_unsafe_folder(here: Path, at: int) -> None:
+def _refuse_unsafe_folder(folder_path: Path, folder_fd: int) -> None:
     """Raise an error if another user could replace the folder of handctl inside this parent folder.
 
     A parent folder with the sticky bit, such as /tmp, is safe. In such a folder, only the owner of
     an entry can replace the entry.
     """
-    state = os.fstat(at)
+    state = os.fstat(folder_fd)
     if state.st_uid not in (0, os.geteuid()):
-        raise BusError(f"belongs to {_user_name(state.st_uid)}", str(here), PRIVATE_FOLDER_TEXT)
+        raise BusError(
+            f"belongs to {_user_name(state.st_uid)}", str(folder_path), PRIVATE_FOLDER_TEXT
+        )
     if state.st_mode & WRITABLE_BY_OTHERS_MODE and not state.st_mode & stat.S_ISVTX:
         raise BusError(
             f"is open to others (mode {stat.S_IMODE(state.st_mode):04o})",
-            str(here),
+            str(folder_path),
             PRIVATE_FOLDER_TEXT,
         )
 
 
-def _user_name(number: int) -> str:
+def _user_name(user_id: int) -> str:
     """Return the name of a user.
 
     If this machine has no name for the user, return the user's number as text.
     """
     with suppress(KeyError):
-        return f"user {pwd.getpwuid(number).pw_name}"
-    return f"user {number}"
+        return f"user {pwd.getpwuid(user_id).pw_name}"
+    return f"user {user_id}"
 
 
 def _file_name(spec: str) -> str:
@@ -183,9 +187,9 @@ def observations_path(spec: str) -> Path:
     return run_dir() / f"{_file_name(spec)}.observations"
 
 
-def watcher_path(number: int) -> Path:
+def watcher_path(watcher_number: int) -> Path:
     """Return the path of the socket on which this process receives the status lines of a controller."""
-    return run_dir() / f"watcher-{os.getpid()}-{number}"
+    return run_dir() / f"watcher-{os.getpid()}-{watcher_number}"
 
 
 def faults_path(spec: str) -> Path:

@@ -96,14 +96,14 @@ class RealClock:
         """Return the deadline of tick k, as a reading of the clock [ns of wall time]."""
         return self.start_ns + int(k * self.period_ns / self.time_scale)
 
-    def _wait_until(self, deadline: int) -> int:
+    def _wait_until(self, deadline_ns: int) -> int:
         """Wait until the clock reads the deadline, and return the time since then [ns of wall time]."""
-        early = deadline - self._read_ns() - (BUSY_WAIT_NS if self.busy_wait else 0)
+        early = deadline_ns - self._read_ns() - (BUSY_WAIT_NS if self.busy_wait else 0)
         if early > 0:
             time.sleep(early / 1e9)
         while (
             now := self._read_ns()
-        ) < deadline:  # sleep may return too early, so the loop reads the clock again
+        ) < deadline_ns:  # sleep may return too early, so the loop reads the clock again
             if not self.busy_wait:
-                time.sleep((deadline - now) / 1e9)
-        return now - deadline
+                time.sleep((deadline_ns - now) / 1e9)
+        return now - deadline_ns

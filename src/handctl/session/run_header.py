@@ -14,8 +14,8 @@ from handctl.controller.tick import Controller
 from handctl.hand.formats.urdf import urdf_text
 from handctl.log.code_identity import code_identity
 from handctl.log.header import RunHeader
-from handctl.runtime.clocks.priority import GrantedPriority
-from handctl.session.plan import RunPlan
+from handctl.runtime.clocks.realtime_priority import GrantedPriority
+from handctl.session.run_plan import RunPlan
 
 LOCKSTEP_START_S = 0.0
 """UNIX time that a log gives as the start of a lockstep run [s].

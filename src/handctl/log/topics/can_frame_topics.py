@@ -30,16 +30,16 @@ def can_frame_template(bus: str) -> MessageTemplate:
     return out.finished_template()
 
 
-def encode_fd_frame(bus: str, t_ns: int, can_id: int, data: bytes) -> bytes:
+def encode_fd_frame(bus: str, t_ns: int, can_id: int, payload: bytes) -> bytes:
     """Encode a CAN FD frame as ros2_socketcan_msgs/FdFrame."""
     out = CdrWriter()
     out.put_number("I", t_ns // 10**9)
     out.put_number("I", t_ns % 10**9)
     out.put_string(bus)
     out.put_length(can_id & _ID_MASK)
-    out.data += bytes((bool(can_id & EXTENDED_FLAG), bool(can_id & ERROR_FLAG), len(data)))
-    out.put_length(len(data))
-    out.data += data
+    out.data += bytes((bool(can_id & EXTENDED_FLAG), bool(can_id & ERROR_FLAG), len(payload)))
+    out.put_length(len(payload))
+    out.data += payload
     return out.finished_message()
 
 
@@ -57,14 +57,14 @@ class _DirectionTopics:
         ]
 
     def blocks(
-        self, frames: FrameBatch, stamps: MessageStamps, measured: TimeArray
+        self, frames: FrameBatch, stamps: MessageStamps, measured_ns: TimeArray
     ) -> list[MessageBlock]:
         """Return the given frames as blocks of messages.
 
         Args:
             frames: frames of many ticks.
             stamps: log times of the frames.
-            measured: publish times and header stamps of the messages [ns].
+            measured_ns: publish times and header stamps of the messages [ns].
         """
         if not len(frames.frames):
             return []
@@ -74,11 +74,11 @@ class _DirectionTopics:
         if not fd.all():
             blocks.append(
                 self._classical_messages(
-                    frames.frames[~fd], bus[~fd], stamps.selected(~fd), measured[~fd]
+                    frames.frames[~fd], bus[~fd], stamps.selected(~fd), measured_ns[~fd]
                 )
             )
         if fd.any():
-            blocks.append(self._long_messages(frames, bus, fd, stamps, measured))
+            blocks.append(self._long_messages(frames, bus, fd, stamps, measured_ns))
         return blocks
 
     def _classical_messages(
@@ -86,19 +86,19 @@ class _DirectionTopics:
         frames: NDArray[np.void],
         bus: NDArray[np.intp],
         stamps: MessageStamps,
-        measured: TimeArray,
+        measured_ns: TimeArray,
     ) -> MessageBlock:
         """Return a message for each of the given classical CAN frames, in their order."""
         used = np.unique(bus)
         if len(used) == 1:
-            return self._streams[int(used[0])].block(stamps, _frame_values(frames), measured)
+            return self._streams[int(used[0])].block(stamps, _frame_values(frames), measured_ns)
         records: list[bytes] = [b""] * len(frames)
         # The template of a message contains the name of the bus. If there are several buses, the
         # messages of each bus are made separately, and then sorted into the order of the frames.
         for bus_index in used.tolist():
             indexes = np.flatnonzero(bus == bus_index)
             block = self._streams[bus_index].block(
-                stamps.selected(indexes), _frame_values(frames[indexes]), measured[indexes]
+                stamps.selected(indexes), _frame_values(frames[indexes]), measured_ns[indexes]
             )
             size = len(block.data) // len(indexes)
             for index, start in zip(indexes.tolist(), range(0, len(block.data), size), strict=True):
@@ -109,9 +109,9 @@ class _DirectionTopics:
         self,
         frames: FrameBatch,
         bus: NDArray[np.intp],
-        fd: NDArray[np.bool_],
+        is_fd: NDArray[np.bool_],
         stamps: MessageStamps,
-        measured: TimeArray,
+        measured_ns: TimeArray,
     ) -> MessageBlock:
         """Return a message for each CAN FD frame among the given frames."""
         records = []
@@ -120,14 +120,14 @@ class _DirectionTopics:
         data = frames.frames["data"].tobytes()
         sequence = stamps.sequence.tolist()
         log = stamps.log_times.tolist()
-        times = measured.tolist()
+        times = measured_ns.tolist()
         # `rest` contains the payload bytes after the eighth byte of those frames that have not been
         # encoded yet. Classical frames have no such bytes.
         for index, (can_id, length) in enumerate(zip(*columns, strict=True)):
             more = max(length - 8, 0)
             payload = data[8 * index : 8 * index + min(length, 8)] + bytes(rest[:more])
             rest = rest[more:]
-            if fd[index]:
+            if is_fd[index]:
                 message = encode_fd_frame(self._buses[bus[index]], times[index], can_id, payload)
                 size = 22 + len(message)
                 channel = self._fd_channel
@@ -135,7 +135,7 @@ class _DirectionTopics:
                     MESSAGE_STRUCT.pack(5, size, channel, sequence[index], log[index], times[index])
                     + message
                 )
-        return _join_records(self._fd_channel, stamps.log_times[fd], records)
+        return _join_records(self._fd_channel, stamps.log_times[is_fd], records)
 
 
 def _join_records(channel: int, log_times: TimeArray, records: list[bytes]) -> MessageBlock:

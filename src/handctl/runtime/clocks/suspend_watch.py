@@ -31,17 +31,17 @@ class SuspendWatch:
 
     def __init__(
         self,
-        boot: Callable[[], int] = read_boot_clock_ns,
-        monotonic: Callable[[], int] = time.monotonic_ns,
+        boot_clock: Callable[[], int] = read_boot_clock_ns,
+        monotonic_clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         """Read both clocks for the first time.
 
         Args:
-            boot: clock that continues during a suspend [ns].
-            monotonic: clock that stops during a suspend [ns].
+            boot_clock: clock that continues during a suspend [ns].
+            monotonic_clock: clock that stops during a suspend [ns].
         """
-        self._boot = boot
-        self._monotonic = monotonic
+        self._boot = boot_clock
+        self._monotonic = monotonic_clock
         self._difference_ns = self._clock_difference()
 
     def _clock_difference(self) -> int | None:

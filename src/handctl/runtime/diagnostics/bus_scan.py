@@ -62,11 +62,11 @@ class BusScan(NamedTuple):
     frame_count: int
 
 
-def collect_frames(bus: Bus, for_s: float, seen: list[Frame]) -> None:
-    """Append the frames received on a bus during a time [s] to ``seen``."""
+def collect_frames(bus: Bus, for_s: float, seen_frames: list[Frame]) -> None:
+    """Append the frames received on a bus during a time [s] to ``seen_frames``."""
     end = time.monotonic() + for_s
     while True:
-        seen += bus.drain()
+        seen_frames += bus.drain()
         left = end - time.monotonic()
         if left <= 0:
             return
@@ -76,7 +76,7 @@ def collect_frames(bus: Bus, for_s: float, seen: list[Frame]) -> None:
 def scan_bus(
     bus: Bus,
     force: bool = False,
-    report: Callable[[str], None] = lambda text: None,
+    report_text: Callable[[str], None] = lambda text: None,
     listen: ListenFunction = collect_frames,
 ) -> BusScan:
     """Scan a bus for drives, in about two seconds.
@@ -84,14 +84,14 @@ def scan_bus(
     Args:
         bus: open bus.
         force: True to send requests even if another host seems to be active on the bus.
-        report: function that is called with a text about each step of the scan.
+        report_text: function that is called with a text about each step of the scan.
         listen: function to collect frames during a time, see ``ListenFunction``.
     """
     seen: list[Frame] = []
     omitted: list[Frame] = []
     foreign: tuple[Frame, ...] = ()
     for turn in PROBE_ROUNDS:
-        report("listening" if turn == 0 else f"asking, round {turn} of {PROBE_ROUNDS[-1]}")
+        report_text("listening" if turn == 0 else f"asking, round {turn} of {PROBE_ROUNDS[-1]}")
         for frame in _round_requests(turn, seen, omitted):
             if not _send_with_retries(bus, frame, seen, listen):
                 break
@@ -111,29 +111,34 @@ def requests_without_answers() -> tuple[Frame, ...]:
     return tuple(frame for turn in PROBE_ROUNDS for frame in _round_requests(turn, [], []))
 
 
-def _round_requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[Frame]:
+def _round_requests(
+    round_index: int, seen_frames: list[Frame], omitted_frames: list[Frame]
+) -> list[Frame]:
     """Return the requests of all protocols for a round of the scan.
 
     A drive with another protocol might obey a request as a command. Requests of this kind are left
-    out, and appended to ``omitted``.
+    out, and appended to ``omitted_frames``.
     """
     requests: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
         allowed_frames, dropped = split_probes(
-            discovery.probe_frames(turn, seen), _commands_of_others(name, seen)
+            discovery.probe_frames(round_index, seen_frames),
+            _commands_of_other_hosts(name, seen_frames),
         )
         requests += allowed_frames
-        omitted += dropped
+        omitted_frames += dropped
     return requests
 
 
-def _commands_of_others(name: str, seen: list[Frame]) -> list[frozenset[int]]:
+def _commands_of_other_hosts(name: str, seen_frames: list[Frame]) -> list[frozenset[int]]:
     """Return the command identifiers of each discovered drive whose protocol is not ``name``."""
     others = (discovery for other, discovery in DISCOVERY_BY_PROTOCOL.items() if other != name)
-    return [discovery.command_ids(node) for discovery in others for node in discovery.nodes(seen)]
+    return [
+        discovery.command_ids(node) for discovery in others for node in discovery.nodes(seen_frames)
+    ]
 
 
-def _foreign_frames(seen: list[Frame]) -> tuple[Frame, ...]:
+def _foreign_frames(seen_frames: list[Frame]) -> tuple[Frame, ...]:
     """Return the received frames from another host.
 
     By the rules of one protocol, a frame may look like a frame from another host, although a drive
@@ -141,21 +146,25 @@ def _foreign_frames(seen: list[Frame]) -> tuple[Frame, ...]:
     """
     foreign: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
-        explained = frozenset().union(*_commands_of_others(name, seen))
+        explained = frozenset().union(*_commands_of_other_hosts(name, seen_frames))
         foreign += [
-            frame for frame in discovery.other_host_frames(seen) if frame.can_id not in explained
+            frame
+            for frame in discovery.other_host_frames(seen_frames)
+            if frame.can_id not in explained
         ]
     return tuple(dict.fromkeys(foreign)) if len(foreign) > MAX_IGNORED_FRAMES else ()
 
 
-def _send_with_retries(bus: Bus, frame: Frame, seen: list[Frame], listen: ListenFunction) -> bool:
+def _send_with_retries(
+    bus: Bus, frame: Frame, seen_frames: list[Frame], listen: ListenFunction
+) -> bool:
     """Send a frame, and receive frames in the pause after it.
 
     If the interface has refused the frame ``MAX_SEND_TRIES`` times, return False.
     """
     for _ in range(MAX_SEND_TRIES):
         if bus.send((frame,)):
-            listen(bus, BURST_PAUSE_S / MAX_BURST_FRAMES, seen)
+            listen(bus, BURST_PAUSE_S / MAX_BURST_FRAMES, seen_frames)
             return True
-        listen(bus, BURST_PAUSE_S, seen)
+        listen(bus, BURST_PAUSE_S, seen_frames)
     return False

@@ -136,12 +136,12 @@ def _kinds_of_phases(log: RunLog) -> dict[str, str]:
 
 
 def _settled_mask(
-    moving: NDArray[np.bool_], inside: NDArray[np.bool_], log: RunLog
+    moving_mask: NDArray[np.bool_], inside_mask: NDArray[np.bool_], log: RunLog
 ) -> NDArray[np.bool_]:
     """Return a mask (ticks,) that is True where the targets of a hold phase have been constant for SETTLING_TIME_S."""
-    last = np.flatnonzero(moving)
+    last = np.flatnonzero(moving_mask)
     settled: NDArray[np.bool_] = (
-        log.times >= log.times[last[-1] if len(last) else np.argmax(inside)] + SETTLING_TIME_S
+        log.times >= log.times[last[-1] if len(last) else np.argmax(inside_mask)] + SETTLING_TIME_S
     )
     return settled
 
@@ -163,7 +163,11 @@ def mean_angles(hand: Hand, q: Array) -> Array:
 
 
 def judge_tracking(
-    log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, active: NDArray[np.bool_]
+    log: RunLog,
+    hand: Hand,
+    truth: TruthRecord | None,
+    offset_ns: int,
+    active_mask: NDArray[np.bool_],
 ) -> dict[str, Any]:
     """Return the tracking errors in free motion: the differences between the targets and the true values.
 
@@ -175,10 +179,10 @@ def judge_tracking(
         hand: hand of the run.
         truth: true values from the simulator, or None on hardware.
         offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
-        active: mask (ticks,) that is True where the hand is active.
+        active_mask: mask (ticks,) that is True where the hand is active.
     """
     goal = mean_angles(hand, log.field("q_goal"))
-    free = active[:, None] & ~np.isnan(goal) & (log.field("contact") == 0.0)
+    free = active_mask[:, None] & ~np.isnan(goal) & (log.field("contact") == 0.0)
     unknown = {
         "tracking_rmse_rad": float("nan"),
         "tracking_rmse_deg": {},
@@ -222,8 +226,8 @@ def judge_tension(
     hand: Hand,
     truth: TruthRecord | None,
     offset_ns: int,
-    active: NDArray[np.bool_],
-    holds: list[NDArray[np.bool_]],
+    active_mask: NDArray[np.bool_],
+    hold_masks: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
     """Return the errors of the estimated tensions, the measured tensions and, in holds, the true tensions.
 
@@ -235,8 +239,8 @@ def judge_tension(
         hand: hand of the run.
         truth: true values from the simulator, or None if there are none.
         offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
-        active: mask (ticks,), True where the hand is active.
-        holds: for each hold, a mask (ticks,) that is True where the hold is settled.
+        active_mask: mask (ticks,), True where the hand is active.
+        hold_masks: for each hold, a mask (ticks,) that is True where the hold is settled.
     """
     if truth is None:
         return dict.fromkeys(TENSION_ERROR_KEYS, float("nan"))
@@ -245,9 +249,9 @@ def judge_tension(
     # When a tick uses a load-cell reading, the reading is one control period old.
     before = truth.columns_at(names, log.t_ns - log.header.period_ns + offset_ns)
     # One of the two tendons of a spool pair is always taut.
-    taut = active[:, None] & ((real > 0.5) | hand.is_pair)
+    taut = active_mask[:, None] & ((real > 0.5) | hand.is_pair)
     error = np.where(_holding_mask(log, hand), log.field("tension_goal") - real, np.nan)
-    columns = [column[~np.isnan(column)] for hold in holds for column in error[hold].T]
+    columns = [column[~np.isnan(column)] for hold in hold_masks for column in error[hold].T]
     columns = [column for column in columns if len(column)]
     errors = (
         root_mean_square(np.where(taut, log.field("tension") - real, np.nan)),
@@ -282,7 +286,7 @@ def judge_grasp(
     hand: Hand,
     truth: TruthRecord | None,
     offset_ns: int,
-    holds: list[NDArray[np.bool_]],
+    hold_masks: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
     """Return the motion of the object in a hold, and the estimated and the true forces on the fingertips.
 
@@ -293,9 +297,9 @@ def judge_grasp(
         hand: hand of the run.
         truth: true values from the simulator, or None if there are none.
         offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
-        holds: mask (ticks,) for each hold, True where the hold is settled.
+        hold_masks: mask (ticks,) for each hold, True where the hold is settled.
     """
-    settled = np.any(holds, axis=0) if holds else np.zeros(len(log), dtype=bool)
+    settled = np.any(hold_masks, axis=0) if hold_masks else np.zeros(len(log), dtype=bool)
     estimated = log.field("tip_force")[settled]
     means = estimated.mean(axis=0) if len(estimated) else np.full(len(hand.digit), np.nan)
     result: dict[str, Any] = {
@@ -325,7 +329,7 @@ def judge_grasp(
     if truth.has_column("object/x") and not on_table:
         paths = [
             truth.columns_at(["object/x", "object/y", "object/z"], t_ns[hold])
-            for hold in holds
+            for hold in hold_masks
             if hold.any()
         ]
         motion = max(float(np.linalg.norm(path - path[0], axis=1).max() * 1e3) for path in paths)
@@ -337,8 +341,8 @@ def judge_angles(
     hand: Hand,
     truth: TruthRecord | None,
     offset_ns: int,
-    active: NDArray[np.bool_],
-    holds: list[NDArray[np.bool_]],
+    active_mask: NDArray[np.bool_],
+    hold_masks: list[NDArray[np.bool_]],
 ) -> dict[str, dict[str, Any]]:
     """Return the errors of the estimated joint angles of each digit in the settled ticks of holds.
 
@@ -349,8 +353,8 @@ def judge_angles(
         hand: hand of the run.
         truth: true values from the simulator, or None if there are none.
         offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
-        active: mask (ticks,), True where the hand is active.
-        holds: mask (ticks,) for each hold, True where the hold is settled.
+        active_mask: mask (ticks,), True where the hand is active.
+        hold_masks: mask (ticks,) for each hold, True where the hold is settled.
 
     Returns:
         For each digit by name: `source` (see `angle_source`), `sigma_deg` (root mean square of the
@@ -358,7 +362,7 @@ def judge_angles(
         (fraction of the errors within two standard deviations). Without true values, `error_deg`
         and `inside` are NaN.
     """
-    inside = np.any(holds, axis=0) if holds and np.any(holds) else active
+    inside = np.any(hold_masks, axis=0) if hold_masks and np.any(hold_masks) else active_mask
     q = log.field("q")[inside]
     sigma = log.field("q_sigma")[inside]
     error = np.full_like(q, np.nan)
@@ -401,10 +405,10 @@ ANGLE_SOURCE_TEXTS = {
 """Text that is printed for each source of joint angles."""
 
 
-def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
+def angle_rows(angle_summaries: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
     """Return one row (title and text) for each digit whose joint angles have an estimated standard deviation."""
     rows = []
-    for name, angle in angles.items():
+    for name, angle in angle_summaries.items():
         if angle["sigma_deg"] != angle["sigma_deg"]:
             continue
         error = ""
@@ -418,20 +422,20 @@ def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
     return rows
 
 
-def tracking_text(summary: Mapping[str, Any]) -> tuple[float, str]:
+def tracking_text(run_summary: Mapping[str, Any]) -> tuple[float, str]:
     """Return the factor and the unit with which ``tracking_rmse_rad`` is shown to a user.
 
     The unit is mm if all digits have only prismatic joints. Otherwise the text counts 10 mm of a
     prismatic joint as 1 rad.
     """
-    units = {angle.get("unit", "deg") for angle in summary["joint_angles"].values()}
+    units = {angle.get("unit", "deg") for angle in run_summary["joint_angles"].values()}
     if units == {"mm"}:
         return 1000.0 * EQUIVALENT_M_PER_RAD, "mm rms"
     return math.degrees(1.0), "deg rms"
 
 
 def measured_bus_load(
-    log: RunLog, bitrate: int, data_bitrate: int | None, sent: Sequence[tuple[int, bool]]
+    log: RunLog, bitrate: int, data_bitrate: int | None, sent_lengths: Sequence[tuple[int, bool]]
 ) -> float:
     """Return the largest fraction of a run's duration during which a bus can have been busy with the given frames.
 
@@ -439,8 +443,10 @@ def measured_bus_load(
         log: log of the run, which gives the duration.
         bitrate: bit rate of the bus [bit/s].
         data_bitrate: bit rate of the data phase of CAN FD [bit/s], or None for classical CAN.
-        sent: for every frame in both directions, the number of payload bytes, and True if it is a
+        sent_lengths: for every frame in both directions, the number of payload bytes, and True if it is a
             CAN FD frame.
     """
     duration = float(log.times[-1] - log.times[0]) or 1.0
-    return sum(frame_time_s(size, fd, bitrate, data_bitrate) for size, fd in sent) / duration
+    return (
+        sum(frame_time_s(size, fd, bitrate, data_bitrate) for size, fd in sent_lengths) / duration
+    )

@@ -115,13 +115,13 @@ class DatagramSlots:
         headers: address of the first header.
     """
 
-    def __init__(self, count: int, size: int, control: bool) -> None:
+    def __init__(self, count: int, size: int, has_control_data: bool) -> None:
         """Allocate the buffers.
 
         Args:
             count: number of slots.
             size: size of a slot [bytes].
-            control: True to receive control messages, such as time stamps.
+            has_control_data: True to receive control messages, such as time stamps.
         """
         self.count = count
         self.size = size
@@ -134,7 +134,7 @@ class DatagramSlots:
             message = headers[i].message
             message.iov = ctypes.addressof(self._iovecs) + i * ctypes.sizeof(_Iovec)
             message.iovlen = 1
-            if control:
+            if has_control_data:
                 message.control = ctypes.addressof(messages) + i * CONTROL_MESSAGES_STRUCT.size
                 message.controllen = CONTROL_MESSAGES_STRUCT.size
         self.data = memoryview(store).cast("B")
@@ -241,19 +241,21 @@ def receive_datagrams(fd: int, slots: DatagramSlots) -> int:
     raise OSError(code, "recvmmsg")
 
 
-def send_datagrams(fd: int, slots: DatagramSlots, first: int, end: int) -> tuple[int, int]:
-    """Send the slots from ``first`` up to but not including ``end``, without blocking.
+def send_datagrams(
+    fd: int, slots: DatagramSlots, first_slot: int, end_slot: int
+) -> tuple[int, int]:
+    """Send the slots from ``first_slot`` up to but not including ``end_slot``, without blocking.
 
     Returns:
         the number of accepted datagrams, and the errno of the first refused datagram (0 if all were
         accepted).
     """
-    at = first
-    while at < end:
+    at = first_slot
+    while at < end_slot:
         count = _libc.sendmmsg(
-            fd, slots.headers + at * _HEADER_STRUCT.size, end - at, socket.MSG_DONTWAIT
+            fd, slots.headers + at * _HEADER_STRUCT.size, end_slot - at, socket.MSG_DONTWAIT
         )
         if count <= 0:
-            return at - first, ctypes.get_errno()
+            return at - first_slot, ctypes.get_errno()
         at += count
-    return end - first, 0
+    return end_slot - first_slot, 0

@@ -18,7 +18,7 @@ from handctl.hand.kinematics import joint_positions, link_rotations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HandTree:
+class HandLinkTree:
     """All links of a hand in the order of its joints.
 
     Attributes:
@@ -39,7 +39,7 @@ class HandTree:
     preload: Array
 
     @staticmethod
-    def from_hand(hand: Hand, digits: Sequence[DigitModel] = ()) -> "HandTree":
+    def from_hand(hand: Hand, digits: Sequence[DigitModel] = ()) -> "HandLinkTree":
         """Build the tree of a hand.
 
         Args:
@@ -54,7 +54,7 @@ class HandTree:
             )
             for digit in digits
         ]
-        return HandTree(
+        return HandLinkTree(
             digits=digits,
             table=np.concatenate([digit.table for digit in digits], axis=1),
             parent=np.concatenate(parents),

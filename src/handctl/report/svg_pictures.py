@@ -11,8 +11,8 @@ from handctl.core.tick_types import HandMode
 from handctl.drives.frame import EXTENDED_FLAG, FDF
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
-from handctl.hand.hand_tree import HandTree
 from handctl.hand.kinematics import link_rotations
+from handctl.hand.link_tree import HandLinkTree
 from handctl.log.attached_meshes import attached_meshes
 from handctl.log.read.reader import RunLog
 from handctl.report.run_figure import DIGIT_COLOURS, PASSIVE_PHASES, digit_colours
@@ -50,7 +50,7 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
     figure, grid = _new_figure(
         min(len(moments), POSES_PER_ROW), 2.6, 2.9, -(-len(moments) // POSES_PER_ROW)
     )
-    tree = HandTree.from_hand(hand)
+    tree = HandLinkTree.from_hand(hand)
     digits = tree.digits
     q = log.field("q")
     force = log.field("tip_force")
@@ -97,10 +97,12 @@ def _project_points(points_m: Array) -> Array:
     )
 
 
-def _picture_limits(tree: HandTree, palm: Array) -> tuple[tuple[float, float], tuple[float, float]]:
+def _picture_limits(
+    tree: HandLinkTree, palm_points: Array
+) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the limits of a picture with all digits at rest and the palm, given by (n, 3) corners."""
     digits = _project_points(np.concatenate(tree.points(np.zeros(len(tree.parent)))))
-    corners = np.concatenate((digits - 20.0, digits + 10.0, _project_points(palm)))
+    corners = np.concatenate((digits - 20.0, digits + 10.0, _project_points(palm_points)))
     low = corners.min(axis=0)
     high = corners.max(axis=0)
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
@@ -142,14 +144,14 @@ def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
 
 
 def _draw_digit(
-    axes: Any, joints: Array, push: Array, colour: str, has_mesh: Sequence[bool]
+    axes: Any, joints: Array, push_force: Array, colour: str, has_mesh: Sequence[bool]
 ) -> None:
     """Draw the links of a digit from the palm to the tip, and the estimated force on the tip as an arrow.
 
     Args:
         axes: axes of the picture.
         joints: (n + 1, 3) positions of the n joints and the tip in the palm frame [m].
-        push: (3,) estimated force of the object on the tip in the palm frame [N].
+        push_force: (3,) estimated force of the object on the tip in the palm frame [N].
         colour: colour of the links of the digit.
         has_mesh: True for each link that is drawn as a mesh.
     """
@@ -167,9 +169,9 @@ def _draw_digit(
     axes.plot(*path[:-1].T, "o", color="white", markersize=3)
     # An unknown force or angle is NaN, and this negated comparison is then true. In this case, no
     # arrow is drawn.
-    if not np.linalg.norm(push) >= MIN_ARROW_N:
+    if not np.linalg.norm(push_force) >= MIN_ARROW_N:
         return
-    start, end = _project_points(np.array([joints[-1], joints[-1] + ARROW_M_PER_N * push]))
+    start, end = _project_points(np.array([joints[-1], joints[-1] + ARROW_M_PER_N * push_force]))
     style = {"arrowstyle": "-|>", "color": "#222222", "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", xy=end, xytext=start, arrowprops=style, zorder=10)
 
@@ -190,10 +192,12 @@ def _write_force_values(axes: Any, force: Array, colours: list[str]) -> None:
             axes.text(0.98, 0.3 - 0.09 * d, f"{value:.1f} N", ha="right", **style)
 
 
-def _draw_scale_bar(axes: Any, limits: tuple[tuple[float, float], tuple[float, float]]) -> None:
+def _draw_scale_bar(
+    axes: Any, view_limits: tuple[tuple[float, float], tuple[float, float]]
+) -> None:
     """Draw a scale bar of 20 mm into a picture of the hand."""
-    x = limits[0][1] - 22.0
-    y = limits[1][0] + 3.0
+    x = view_limits[0][1] - 22.0
+    y = view_limits[1][0] + 3.0
     axes.plot([x, x + 20.0], [y, y], color="#222222", linewidth=1.5)
     axes.text(x + 10.0, y + 1.5, "20 mm", ha="center", fontsize=8, color="#222222")
 

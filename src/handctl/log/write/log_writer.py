@@ -16,10 +16,10 @@ from handctl.log.container import McapContainer, MessageBlock
 from handctl.log.header import RunHeader
 from handctl.log.tick_batch import TickBatcher
 from handctl.log.tick_record import SNAPSHOT_HEAD_STRUCT
-from handctl.log.topics.clock_pairs import PAIR_PERIOD_NS
-from handctl.log.topics.snapshots import ControllerSnapshot
+from handctl.log.topics.clock_pair_topic import PAIR_PERIOD_NS
+from handctl.log.topics.snapshot_topic import ControllerSnapshot
 from handctl.log.topics.topic_set import TopicSet
-from handctl.log.write.syncer import sync_now
+from handctl.log.write.disk_syncer import sync_now
 
 CHUNK_SPAN_NS = 250_000_000
 """Longest time span of a chunk [ns].
@@ -285,7 +285,9 @@ class LogWriter:
             self._container.cut_incomplete_record()
             self._write_end(f"write failed: {error.strerror}", 0)
 
-    def _write_end(self, reason: str, dropped: int, facts: Mapping[str, str] | None = None) -> None:
+    def _write_end(
+        self, end_reason: str, dropped_records: int, run_facts: Mapping[str, str] | None = None
+    ) -> None:
         """Write the end of the log file: the end record, the summary and the footer.
 
         If a write fails, the file is cut off after the last complete record.
@@ -295,12 +297,12 @@ class LogWriter:
         numbers = {
             "ticks": self.ticks,
             "missed": self._missed,
-            "dropped": dropped,
+            "dropped": dropped_records,
             "misshapen": self._batcher.misshapen_ticks,
         }
         values = {
-            **(facts or {}),
-            "reason": reason,
+            **(run_facts or {}),
+            "reason": end_reason,
             "messages": str(self._container.message_count),
             "chain": self._topics.last_digest.hex(),
         }
@@ -316,19 +318,19 @@ class LogWriter:
             os.fsync(self._fd)
 
     def finish(
-        self, reason: str, dropped: int, facts: Mapping[str, str] | None = None
+        self, end_reason: str, dropped_records: int, run_facts: Mapping[str, str] | None = None
     ) -> dict[str, object]:
         """Close the log file, and return a summary of the recording.
 
         Args:
-            reason: reason why the run ended.
-            dropped: number of records that the controller could not send to the recorder.
-            facts: facts about the run that are known only at its end, by the name of the fact.
+            end_reason: reason why the run ended.
+            dropped_records: number of records that the controller could not send to the recorder.
+            run_facts: facts about the run that are known only at its end, by the name of the fact.
         """
         self.flush()
         if not self.closed:
             try:
-                self._write_end(reason, dropped, facts)
+                self._write_end(end_reason, dropped_records, run_facts)
             except OSError as error:
                 self._report(
                     "disk_full" if error.errno in _DISK_FULL_ERRNOS else "error", error.errno or 0
@@ -342,5 +344,5 @@ class LogWriter:
         return numbers | {
             "bytes": self._container.complete_size,
             "path": str(self._path),
-            "reason": reason,
+            "reason": end_reason,
         }

@@ -131,9 +131,9 @@ class TendonFitProblem:
             parameter_scales=parameter_scales(hand, data.tendon),
             digit_load=DigitLoad.from_digit(digit) if single and sprung else None,
             motor_windows=windows,
-            free_bins=average_in_bins(data, data.free, moving=True),
-            stop_bins=average_in_bins(data, stop, moving=False, bin_s=STOP_BIN_S),
-            slack_bins=average_in_bins(data, data.slack, moving=False, bin_s=STOP_BIN_S),
+            free_bins=average_in_bins(data, data.free, is_moving=True),
+            stop_bins=average_in_bins(data, stop, is_moving=False, bin_s=STOP_BIN_S),
+            slack_bins=average_in_bins(data, data.slack, is_moving=False, bin_s=STOP_BIN_S),
             drift_knots=np.linspace(data.t[0], data.t[-1], max(2, round(span / DRIFT_KNOT_S) + 1)),
             cell_noise_N=_cell_noise(
                 data.tension[data.slack | stop], hand.sensor_node.tension_noise_N
@@ -257,11 +257,12 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
     return np.where(scales > 0.0, scales, 1e-3)
 
 
-def stop_stiffness(stiffness: float, softness: float, nominal: Array) -> float:
+def stop_stiffness(stiffness: float, softness: float, nominal_stiffness: Array) -> float:
     """Return the stiffness of the tendon and the open stop as springs in series [N/m]."""
     # The compliance of springs in series is the sum of their compliances.
     return stiffness / (
-        1.0 + softness * stiffness / float(nominal[PARAMETER_NAMES.index("tendon_stiffness")])
+        1.0
+        + softness * stiffness / float(nominal_stiffness[PARAMETER_NAMES.index("tendon_stiffness")])
     )
 
 
@@ -306,8 +307,10 @@ class TendonFit:
         """Return half of the width of each parameter's 95 % confidence interval, in the unit of the parameter."""
         return self.half_widths_of(1)
 
-    def half_widths_of(self, count: int) -> dict[str, float]:
-        """Return half of the widths of intervals that together contain `count` parameters with 95 % probability.
+    def half_widths_of(self, parameter_count: int) -> dict[str, float]:
+        """Return half of the widths of intervals that contain `parameter_count` parameters with 95 % probability.
+
+        This is the probability that all of these parameters are in their intervals.
 
         Source: Sidak (1967). If the parameters are not independent of each other, the intervals
             are wider than necessary.
@@ -317,7 +320,7 @@ class TendonFit:
             * self.problem.parameter_scales
         )
         wide = student.ppf(
-            0.5 + 0.5 * CONFIDENCE_LEVEL ** (1.0 / count),
+            0.5 + 0.5 * CONFIDENCE_LEVEL ** (1.0 / parameter_count),
             self.degrees_of_freedom[: len(PARAMETER_NAMES)],
         )
         return dict(zip(PARAMETER_NAMES, (wide * spread).tolist(), strict=True))
@@ -370,46 +373,50 @@ def _row_times(problem: TendonFitProblem) -> Array:
     return np.concatenate(parts)
 
 
-def _cell_noise(quiet: Array, stated_noise: float) -> float:
+def _cell_noise(quiet_readings: Array, stated_noise: float) -> float:
     """Return the standard deviation of a load-cell reading, estimated from pairs of neighbouring readings [N].
 
     Args:
-        quiet: tensions at rest and during slow stretches, where neighbouring readings differ only
+        quiet_readings: tensions at rest and during slow stretches, where neighbouring readings differ only
             by noise [N].
         stated_noise: standard deviation that the hand file states [N]. If there are too few
             readings, this value is returned.
     """
-    quiet = quiet[np.isfinite(quiet)]
+    quiet_readings = quiet_readings[np.isfinite(quiet_readings)]
     return (
         stated_noise
-        if len(quiet) < 200
-        else max(float(np.std(np.diff(quiet))) / 2**0.5, 0.1 * stated_noise, 1e-3)
+        if len(quiet_readings) < 200
+        else max(float(np.std(np.diff(quiet_readings))) / 2**0.5, 0.1 * stated_noise, 1e-3)
     )
 
 
 def merge_solution(
-    fit: TendonFit, solution: FitSolution, rows: int, names: tuple[str, ...], source: Sequence[int]
+    fit: TendonFit,
+    solution: FitSolution,
+    row_count: int,
+    parameter_names: tuple[str, ...],
+    source_rows: Sequence[int],
 ) -> TendonFit:
     """Return a fit in which some parameters are replaced by the results of another, independent fit.
 
     Args:
         fit: fit of one tendon's parameters.
         solution: result of the other fit.
-        rows: number of data rows of the other fit.
-        names: names of the parameters to replace.
-        source: indices of these parameters in the other solution.
+        row_count: number of data rows of the other fit.
+        parameter_names: names of the parameters to replace.
+        source_rows: indices of these parameters in the other solution.
     """
-    target = [PARAMETER_NAMES.index(name) for name in names]
+    target = [PARAMETER_NAMES.index(name) for name in parameter_names]
     z = fit.z.copy()
     covariance = fit.covariance.copy()
     freedom = fit.degrees_of_freedom.copy()
-    z[target] = solution.z[source]
-    freedom[target] = solution.degrees_of_freedom[source]
+    z[target] = solution.z[source_rows]
+    freedom[target] = solution.degrees_of_freedom[source_rows]
     # Because the two fits are independent, the covariance between their parameters is zero.
     covariance[target, :] = covariance[:, target] = 0.0
-    covariance[np.ix_(target, target)] = solution.covariance[np.ix_(source, source)]
-    rows_added = np.zeros((rows, len(PARAMETER_NAMES)))
-    rows_added[:, target] = solution.jacobian[:rows, source]
+    covariance[np.ix_(target, target)] = solution.covariance[np.ix_(source_rows, source_rows)]
+    rows_added = np.zeros((row_count, len(PARAMETER_NAMES)))
+    rows_added[:, target] = solution.jacobian[:row_count, source_rows]
     return replace(
         fit,
         z=z,
@@ -419,18 +426,18 @@ def merge_solution(
     )
 
 
-def with_model_error(fit: TendonFit, errors: Mapping[str, float]) -> TendonFit:
+def with_model_error(fit: TendonFit, error_of_parameter: Mapping[str, float]) -> TendonFit:
     """Return a fit whose variances also contain the errors of the model.
 
     These errors cannot be seen in the scatter of the residuals.
 
     Args:
         fit: fit of a tendon's parameters.
-        errors: standard deviation of each parameter that is caused by errors of the model, as a
+        error_of_parameter: standard deviation of each parameter that is caused by errors of the model, as a
             fraction of the value.
     """
     covariance = fit.covariance.copy()
-    for name, error in errors.items():
+    for name, error in error_of_parameter.items():
         place = PARAMETER_NAMES.index(name)
         covariance[place, place] += (error * fit.z[place]) ** 2
     return replace(fit, covariance=covariance)

@@ -21,7 +21,7 @@ from handctl.core.tick_types import StreamTarget
 from handctl.errors import BusError
 from handctl.programs.requests import MAX_TARGET_VALUES
 from handctl.runtime.mailbox import SHORT_RUN_FOLDER_TEXT
-from handctl.runtime.paths import targets_path
+from handctl.runtime.socket_paths import targets_path
 from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
 
 TARGET_MAGIC = b"HCT1"
@@ -42,9 +42,9 @@ missing.
 """
 
 
-def stream_name(process: int, number: int) -> str:
+def stream_name(process_id: int, stream_number: int) -> str:
     """Return the name of a stream of targets, from the client's process number and the stream's number."""
-    return f"{process}-{number}"
+    return f"{process_id}-{stream_number}"
 
 
 class TargetBox:
@@ -93,18 +93,18 @@ class TargetBox:
                 data, _, ours = receive_datagram(self.socket, MAX_DATAGRAM_BYTES + 1)
             except BlockingIOError:
                 break
-            if ours and (target := self._decode(data)) is not None:
+            if ours and (target := self._decode_datagram(data)) is not None:
                 targets.append(target)
         return tuple(targets[-MAX_TARGETS_PER_TICK:])
 
-    def _decode(self, data: bytes) -> StreamTarget | None:
+    def _decode_datagram(self, datagram: bytes) -> StreamTarget | None:
         """Return the target in a datagram, or None if the datagram is malformed."""
-        if len(data) < HEADER_STRUCT.size:
+        if len(datagram) < HEADER_STRUCT.size:
             return None
-        magic, process, number, count, index, sent_ns = HEADER_STRUCT.unpack_from(data)
-        if magic != TARGET_MAGIC or len(data) != HEADER_STRUCT.size + 8 * count:
+        magic, process, number, count, index, sent_ns = HEADER_STRUCT.unpack_from(datagram)
+        if magic != TARGET_MAGIC or len(datagram) != HEADER_STRUCT.size + 8 * count:
             return None
-        values = struct.unpack_from(f"<{count}d", data, HEADER_STRUCT.size)
+        values = struct.unpack_from(f"<{count}d", datagram, HEADER_STRUCT.size)
         return StreamTarget(stream_name(process, number), index, self._run_time(sent_ns), values)
 
     def close(self) -> None:

@@ -200,7 +200,7 @@ def run_sequence(simulation: SimulatedRun, sequence: FaultSequence) -> ScenarioR
         simulation.run_tick(**inputs)
         tension = max(tension, *simulation.simulated_hand.truth()["tension"])
         violations += violations_in_tick(
-            before, simulation.state, cleared=CLEAR_REQUEST in inputs["requests"]
+            before, simulation.state, is_cleared=CLEAR_REQUEST in inputs["requests"]
         )
         if simulation.state.mode == HandMode.DONE:
             break
@@ -246,13 +246,15 @@ def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterat
         yield inputs
 
 
-def violations_in_tick(before: ControllerState, after: ControllerState, cleared: bool) -> list[str]:
+def violations_in_tick(
+    before: ControllerState, after: ControllerState, is_cleared: bool
+) -> list[str]:
     """Return a text for each rule that the controller violates in a tick."""
     violations = []
     if MODES_IN_ORDER.index(after.mode) < MODES_IN_ORDER.index(before.mode):
         violations.append(f"the mode goes back: {before.mode.name} to {after.mode.name}")
     unlatched = set(before.latched) - set(after.latched)
-    if unlatched and not cleared:
+    if unlatched and not is_cleared:
         violations.append(f"no longer latched: {', '.join(sorted(mark.id for mark in unlatched))}")
     if before.mode == after.mode == HandMode.RELAX and np.any(
         after.view("setpoint") > before.view("setpoint") + 1e-9
@@ -304,13 +306,15 @@ def violations_at_end(simulation: SimulatedRun) -> list[str]:
     )
 
 
-def violations_on_replay(simulation: SimulatedRun, state: ControllerState, first: int) -> list[str]:
+def violations_on_replay(
+    simulation: SimulatedRun, state: ControllerState, first_tick: int
+) -> list[str]:
     """Execute the ticks of a simulated run again, with the same inputs.
 
     If a tick has another state, other frames or other events than before, return a text about the
     first tick of this kind.
     """
-    for entry, out in simulation.recorded_ticks[first:]:
+    for entry, out in simulation.recorded_ticks[first_tick:]:
         state, replayed = simulation.controller.tick(state, entry)
         if (replayed.state_hash, replayed.frames, replayed.events) != (
             out.state_hash,

@@ -19,7 +19,7 @@ little.
 """
 
 
-class FrameLoad:
+class BusLoadCalculator:
     """Calculator for the load of each bus.
 
     The load is the fraction of the last `LOAD_WINDOW_NS` that the frames take in the worst case.

@@ -76,7 +76,7 @@ def open_bus(
     check_bus_spec(spec)
     kind, _, channel = spec.partition(":")
     if kind == "local":
-        from handctl.runtime.buses.local import LocalBus
+        from handctl.runtime.buses.local_bus import LocalBus
 
         return LocalBus(channel, index, stamp)
     if kind == "socketcan" and sys.platform == "linux":

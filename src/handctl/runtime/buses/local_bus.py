@@ -18,10 +18,10 @@ from collections.abc import Sequence
 from handctl.drives.frame import ERROR_FLAG, Frame
 from handctl.drives.frame_records import NO_FRAMES, Frames, join_frames
 from handctl.errors import BusError, NoSimulatorError
-from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES, FrameStructs, without_errors
+from handctl.runtime.buses.bus_events import BusEvent, BusEvents
+from handctl.runtime.buses.canfd_structs import CANFD_FRAME_BYTES, FrameStructs, without_errors
 from handctl.runtime.buses.contract import TimeConversion, check_payload_size
-from handctl.runtime.buses.events import BusEvent, BusEvents
-from handctl.runtime.paths import local_bus_path
+from handctl.runtime.socket_paths import local_bus_path
 from handctl.runtime.socket_peers import is_served_by_us
 
 FRAME_RECORD_STRUCT = struct.Struct("<IBBH64s")
@@ -158,12 +158,12 @@ class LocalBus:
         self._closed = True
         self._events.set_lasting_state("enodev", True)
 
-    def _complete_records(self, filled: int) -> Frames:
-        """Return the frames in the complete records of the first ``filled`` bytes of the buffer.
+    def _complete_records(self, filled_bytes: int) -> Frames:
+        """Return the frames in the complete records of the first ``filled_bytes`` bytes of the buffer.
 
         If the last record is incomplete, its beginning stays in the buffer for the next read.
         """
-        count, self._partial_record_bytes = divmod(filled, CANFD_FRAME_BYTES)
+        count, self._partial_record_bytes = divmod(filled_bytes, CANFD_FRAME_BYTES)
         if not count:
             return NO_FRAMES
         structs = self._structs
@@ -177,7 +177,7 @@ class LocalBus:
         self._count_dropped(structs.reserved_bits(count - 1))
         if self._partial_record_bytes:
             self._buffer[: self._partial_record_bytes] = self._buffer[
-                filled - self._partial_record_bytes : filled
+                filled_bytes - self._partial_record_bytes : filled_bytes
             ]
         return frames
 
@@ -203,14 +203,14 @@ class LocalBus:
             return None
         return Frame(can_id, data[:length], flags, self._index, self._stamp(time.monotonic_ns()))
 
-    def _count_dropped(self, lost: int) -> None:
+    def _count_dropped(self, hub_counter: int) -> None:
         """Count the frames dropped by the hub since the last record.
 
-        Here, ``lost`` is the counter of the hub, modulo 65536.
+        Here, ``hub_counter`` is the counter of the hub, modulo 65536.
         """
-        if lost != self._dropped:
-            self._events.add_event("dropped", (lost - self._dropped) & 0xFFFF)
-            self._dropped = lost
+        if hub_counter != self._dropped:
+            self._events.add_event("dropped", (hub_counter - self._dropped) & 0xFFFF)
+            self._dropped = hub_counter
 
     def _take_control(self, can_id: int, data: bytes) -> None:
         """Process a frame that is no data frame: a queue report from the hub, or an error frame."""
@@ -278,14 +278,14 @@ class LocalBus:
         self._out_structs.write(frames)
         return self._out[: CANFD_FRAME_BYTES * len(frames)]
 
-    def _keep_partial_record(self, waiting: bytes | memoryview, sent: int, frames: int) -> int:
+    def _keep_partial_record(self, unsent_bytes: bytes | memoryview, sent: int, frames: int) -> int:
         """Store the rest of a record that was sent only in part, for the next call.
 
         All records after this record are dropped.
 
         Args:
-            waiting: unsent part of the previous batch, followed by this batch.
-            sent: number of bytes of ``waiting`` accepted by the socket.
+            unsent_bytes: unsent part of the previous batch, followed by this batch.
+            sent: number of bytes of ``unsent_bytes`` accepted by the socket.
             frames: number of frames in this batch.
 
         Returns:
@@ -294,7 +294,7 @@ class LocalBus:
         before = len(self._unsent_bytes)
         # Division of two integers, rounded up.
         accepted = max(0, -((before - sent) // CANFD_FRAME_BYTES))
-        self._unsent_bytes = bytes(waiting[sent : before + accepted * CANFD_FRAME_BYTES])
+        self._unsent_bytes = bytes(unsent_bytes[sent : before + accepted * CANFD_FRAME_BYTES])
         if frames > accepted:
             self._events.add_event("enobufs", frames - accepted)
         return accepted
