@@ -288,7 +288,9 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
         SimpleNamespace(failure="", progress=SimpleNamespace(finished=True)),
     )
     outcome = SimpleNamespace(state=ended, check_finished=lambda where: None)
-    monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
+    monkeypatch.setattr(
+        "handctl.cli.tuning.identify._identify_in_lockstep", lambda *words: (made, outcome)
+    )
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
     monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: {})
     assert main(["identify", "--lockstep", "--json"]) == 0
@@ -330,7 +332,9 @@ def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffne
 def _replace_identification(monkeypatch, made, found):
     """Make ``handctl identify --lockstep`` use a given calibration and given results of the identification."""
     outcome = SimpleNamespace(check_finished=lambda where: None)
-    monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
+    monkeypatch.setattr(
+        "handctl.cli.tuning.identify._identify_in_lockstep", lambda *words: (made, outcome)
+    )
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
     monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: found)
     monkeypatch.setattr("handctl.cli.tuning.identify._draw_pictures", lambda *words: [])

@@ -23,7 +23,7 @@ def closing_hand(hand: str, native: bool = True, compiled: bool = True) -> Plant
     At the start, the tendons are slack. The tendons become taut while the hand closes. Each motor
     follows a torque, a position, or a moving position.
     """
-    plant = Plant(load_hand(hand), load_scene("cylinder"), seed=3, compiled=compiled)
+    plant = Plant(load_hand(hand), load_scene("cylinder"), seed=3, is_compiled=compiled)
     if not native:
         plant._addresses = None
     for i, motor in enumerate(plant.motors.values()):

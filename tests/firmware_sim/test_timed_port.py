@@ -34,7 +34,7 @@ class TimedBus:
 
     def __init__(self, words: list[str], hand: bool = True) -> None:
         self.clock = ManualClock(START_NS)
-        made = timed_port_maker(words, [DEFAULT_BITRATES], self.clock.now_ns, nodes=hand)
+        made = timed_port_maker(words, [DEFAULT_BITRATES], self.clock.now_ns, is_node_side=hand)
         assert made
         self.port = made("lab", 0)
         self.world = SimulatedWorld(
