@@ -70,16 +70,16 @@ def call_c_function(function: int, first: int, second: int) -> None:
     raise NotImplementedError("only compiled kernels can call an address")
 
 
-def rows_at(address: int, count: int, kind: Any) -> Any:
-    """Return ``count`` numbers or rows at an address in memory as an array.
+def rows_at(address: int, row_count: int, row_type: Any) -> Any:
+    """Return ``row_count`` numbers or rows at an address in memory as an array.
 
     An array made inside a kernel costs no time. Each array passed to a kernel costs
     0.2 us per call.
 
     Args:
         address: address of the first row.
-        count: number of rows.
-        kind: dtype of a number or row.
+        row_count: number of rows.
+        row_type: dtype of a number or row.
 
     Raises:
         NotImplementedError: always when called from Python. Compiled kernels call the compiled form

@@ -411,21 +411,23 @@ def load_hand(name_or_path: str) -> Hand:
         ) from error
 
 
-def _resolved_file(content: dict[str, Any]) -> dict[str, Any]:
+def _resolved_file(file_content: dict[str, Any]) -> dict[str, Any]:
     """Return the content of a hand file of schema 2, after all defaults and templates have been applied."""
-    if content.get("schema") != 2:
-        return content
+    if file_content.get("schema") != 2:
+        return file_content
     sections: dict[str, list[dict[str, Any]]] = {"digit": [], "tendon": [], "motor": []}
-    for given in content["digit"]:
-        digit = _with_template(content, "digit", given)
+    for given in file_content["digit"]:
+        digit = _section_with_template(file_content, "digit", given)
         name, links = digit["name"], len(digit["link_length_m"])
         motors = digit.pop("motor", {})
         for short, motor in motors.items():
             sections["motor"].append(
-                _with_template(content, "motor", motor) | {"name": f"{name}_{short}"}
+                _section_with_template(file_content, "motor", motor) | {"name": f"{name}_{short}"}
             )
         for short, entry in digit.pop("tendon", {}).items():
-            tendon = _with_template(content, "tendon", entry) | {"name": f"{name}_{short}"}
+            tendon = _section_with_template(file_content, "tendon", entry) | {
+                "name": f"{name}_{short}"
+            }
             if tendon["motor"] in motors:
                 tendon["motor"] = f"{name}_{tendon['motor']}"
             for key in {"moment_arm_m", "excursion_ratio"} & tendon.keys():
@@ -445,8 +447,11 @@ def _resolved_file(content: dict[str, Any]) -> dict[str, Any]:
         }
         sections["digit"].append(digit | listed)
     for kind in ("tendon", "motor"):
-        sections[kind] += [_with_template(content, kind, entry) for entry in content.get(kind, [])]
-    node = dict(content["sensor_node"]) if "sensor_node" in content else {}
+        sections[kind] += [
+            _section_with_template(file_content, kind, entry)
+            for entry in file_content.get(kind, [])
+        ]
+    node = dict(file_content["sensor_node"]) if "sensor_node" in file_content else {}
     if node.get("tendons") == "all":
         node["tendons"] = [tendon["name"] for tendon in sections["tendon"]]
     if node.get("joints") == "all":
@@ -454,58 +459,66 @@ def _resolved_file(content: dict[str, Any]) -> dict[str, Any]:
         node["joints"] = [
             f"{one['name']}_j{i + 1}" for one in digits for i in range(len(one["link_length_m"]))
         ]
-    return content | sections | {"sensor_node": node}
+    return file_content | sections | {"sensor_node": node}
 
 
-def _with_template(content: dict[str, Any], kind: str, section: dict[str, Any]) -> dict[str, Any]:
+def _section_with_template(
+    file_content: dict[str, Any], section_kind: str, section: dict[str, Any]
+) -> dict[str, Any]:
     """Return an entry of a hand file, with all missing keys filled in.
 
     The template of the entry gives the value of a missing key. If the template lacks the key, the
     defaults for this kind of entry do.
     """
-    default = content.get("default", {}).get(kind, {})
-    template = content[f"{kind}_template"][section["template"]] if "template" in section else {}
+    default = file_content.get("default", {}).get(section_kind, {})
+    template = (
+        file_content[f"{section_kind}_template"][section["template"]]
+        if "template" in section
+        else {}
+    )
     return _merged_tables(_merged_tables(default, template), section)
 
 
-def _merged_tables(base: dict[str, Any], override: dict[str, Any]) -> dict[str, Any]:
+def _merged_tables(base_table: dict[str, Any], override_table: dict[str, Any]) -> dict[str, Any]:
     """Merge two tables key by key.
 
-    If both tables have a value for a key, the value of ``override`` is used.
+    If both tables have a value for a key, the value of ``override_table`` is used.
     """
-    tables = {key: _merged_tables(base[key], value) for key, value in override.items()
-              if isinstance(value, dict) and isinstance(base.get(key), dict)}  # fmt: skip
-    return base | override | tables
+    tables = {key: _merged_tables(base_table[key], value) for key, value in override_table.items()
+              if isinstance(value, dict) and isinstance(base_table.get(key), dict)}  # fmt: skip
+    return base_table | override_table | tables
 
 
-def _parse_hand(content: dict[str, Any], folder: Path) -> Hand:
-    sensors = content.get("sensor_node")
+def _parse_hand(file_content: dict[str, Any], folder: Path) -> Hand:
+    sensors = file_content.get("sensor_node")
     return Hand(
-        name=content["name"],
-        gravity=tuple(content["mount"]["gravity_m_s2"]),
-        buses=[bus["name"] for bus in content["bus"]],
-        bitrates=[(bus["bitrate"], bus.get("data_bitrate") or 0) for bus in content["bus"]],
-        digits=[_parse_digit(digit) for digit in content["digit"]],
-        tendons=[_parse_tendon(tendon, _joint_ranges(content)) for tendon in content["tendon"]],
-        motors=[_parse_motor(motor) for motor in content["motor"]],
-        sensors=_parse_sensors(sensors, _prismatic_joints(content))
+        name=file_content["name"],
+        gravity=tuple(file_content["mount"]["gravity_m_s2"]),
+        buses=[bus["name"] for bus in file_content["bus"]],
+        bitrates=[(bus["bitrate"], bus.get("data_bitrate") or 0) for bus in file_content["bus"]],
+        digits=[_parse_digit(digit) for digit in file_content["digit"]],
+        tendons=[
+            _parse_tendon(tendon, _joint_ranges(file_content)) for tendon in file_content["tendon"]
+        ],
+        motors=[_parse_motor(motor) for motor in file_content["motor"]],
+        sensors=_parse_sensors(sensors, _prismatic_joints(file_content))
         if sensors and (sensors["tendons"] or sensors.get("joints"))
         else None,
-        meshes=tuple(_parse_meshes(content, folder)),
+        meshes=tuple(_parse_meshes(file_content, folder)),
     )
 
 
-def _parse_meshes(content: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
+def _parse_meshes(file_content: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
     """Yield the meshes of a hand.
 
     Relative paths of mesh files start at the folder of the hand file.
     """
-    mount = content["mount"]
+    mount = file_content["mount"]
     pose_keys = ("scale", "position_m", "rpy_deg")
     if mount.get("palm_mesh"):
         pose = [mount.get(f"palm_mesh_{key}") for key in pose_keys]
         yield _make_mesh("palm", folder / mount["palm_mesh"], *pose)
-    for digit in content["digit"]:
+    for digit in file_content["digit"]:
         count = len(digit["link_length_m"])
         poses = [digit.get(f"link_mesh_{key}") or [None] * count for key in pose_keys]
         for i, file in enumerate(digit.get("link_mesh") or ()):
@@ -514,14 +527,14 @@ def _parse_meshes(content: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
                 yield _make_mesh(f"{digit['name']}_link{i + 1}", folder / file, *pose)
 
 
-def _make_mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
+def _make_mesh(link_name: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
     """Return a mesh with the given placement.
 
     An argument that is None stands for no scaling, no shift or no rotation.
     """
     factors = scale if isinstance(scale, list) else [1.0 if scale is None else scale] * 3
     return LinkMesh(
-        link=link,
+        link=link_name,
         file=str(file.absolute()),
         scale=tuple(factors),
         position=tuple(position or (0.0, 0.0, 0.0)),
@@ -529,9 +542,9 @@ def _make_mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -
     )
 
 
-def _parse_digit(section: dict[str, Any]) -> Digit:
-    count = len(section["link_length_m"])
-    slides = _prismatic(section)
+def _parse_digit(digit_section: dict[str, Any]) -> Digit:
+    count = len(digit_section["link_length_m"])
+    slides = _are_joints_prismatic(digit_section)
     sliding = slides.count(True)
     expected = dict.fromkeys(
         (*PER_LINK_KEYS, "joint_type", "joint_axis", "joint_rpy_deg", "coupling"), count
@@ -539,79 +552,83 @@ def _parse_digit(section: dict[str, Any]) -> Digit:
     expected |= dict.fromkeys(JOINT_KEYS, count - sliding)
     expected |= dict.fromkeys(JOINT_KEYS.values(), sliding)
     for key, number in expected.items():
-        if key in section and len(section[key]) != number:
-            what = f"digit {section['name']}: {key} has {len(section[key])} values"
+        if key in digit_section and len(digit_section[key]) != number:
+            what = f"digit {digit_section['name']}: {key} has {len(digit_section[key])} values"
             right = "link" if number == count else "joint of its type"
             raise SimulatorError(f"{what}; expected {number}, one per {right}")
     axes = [(0.0, 1.0, 0.0) if slide else (0.0, 0.0, 1.0) for slide in slides]
     return Digit(
-        name=section["name"],
-        carrier=section.get("mount_on", ""),
-        position=tuple(section["mount_position_m"]),
-        rpy_deg=tuple(section["mount_rpy_deg"]),
-        length=tuple(section["link_length_m"]),
+        name=digit_section["name"],
+        carrier=digit_section.get("mount_on", ""),
+        position=tuple(digit_section["mount_position_m"]),
+        rpy_deg=tuple(digit_section["mount_rpy_deg"]),
+        length=tuple(digit_section["link_length_m"]),
         prismatic=tuple(slides),
-        axis=tuple(map(tuple, section.get("joint_axis", axes))),
-        joint_rpy_deg=tuple(map(tuple, section.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * count))),
+        axis=tuple(map(tuple, digit_section.get("joint_axis", axes))),
+        joint_rpy_deg=tuple(
+            map(tuple, digit_section.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * count))
+        ),
         com=tuple(
             (com, 0.0, 0.0) if isinstance(com, int | float) else tuple(com)
-            for com in section["link_com_m"]
+            for com in digit_section["link_com_m"]
         ),
-        mass=tuple(section["link_mass_kg"]),
-        inertia=tuple(_link_inertia(section, i) for i in range(count)),
-        radius=section["link_radius_m"],
-        joint_min_deg=_joint_values(section, "joint_min_deg"),
-        joint_max_deg=_joint_values(section, "joint_max_deg"),
-        damping=_joint_values(section, "joint_damping_N_m_s_per_rad"),
-        armature=_joint_values(section, "joint_armature_kg_m2"),
-        spring=_joint_values(section, "spring_stiffness_N_m_per_rad", 0.0),
-        preload=_joint_values(section, "spring_preload_rad", 0.0),
-        coupling=tuple(map(tuple, section.get("coupling", ()))),
+        mass=tuple(digit_section["link_mass_kg"]),
+        inertia=tuple(_link_inertia(digit_section, i) for i in range(count)),
+        radius=digit_section["link_radius_m"],
+        joint_min_deg=_joint_values(digit_section, "joint_min_deg"),
+        joint_max_deg=_joint_values(digit_section, "joint_max_deg"),
+        damping=_joint_values(digit_section, "joint_damping_N_m_s_per_rad"),
+        armature=_joint_values(digit_section, "joint_armature_kg_m2"),
+        spring=_joint_values(digit_section, "spring_stiffness_N_m_per_rad", 0.0),
+        preload=_joint_values(digit_section, "spring_preload_rad", 0.0),
+        coupling=tuple(map(tuple, digit_section.get("coupling", ()))),
     )
 
 
-def _prismatic(section: dict[str, Any]) -> list[bool]:
+def _are_joints_prismatic(digit_section: dict[str, Any]) -> list[bool]:
     """Return, for each joint of a digit, True if the joint slides along its axis."""
-    kinds = section.get("joint_type", ["revolute"] * len(section["link_length_m"]))
+    kinds = digit_section.get("joint_type", ["revolute"] * len(digit_section["link_length_m"]))
     return [kind == PRISMATIC for kind in kinds]
 
 
 def _joint_values(
-    section: dict[str, Any], key: str, default: float | None = None
+    digit_section: dict[str, Any], key: str, default: float | None = None
 ) -> tuple[float, ...]:
     """Return a value for each joint of a digit.
 
     For a hinge, the value comes from ``key``. For a prismatic joint, the value comes from the
     corresponding other key. Without a default, a missing key raises KeyError.
     """
-    slides = _prismatic(section)
+    slides = _are_joints_prismatic(digit_section)
     lists = {}
     for slide, name in ((False, key), (True, JOINT_KEYS[key])):
         count = slides.count(slide)
-        missing = name not in section and (default is not None or not count)
-        lists[slide] = iter([default or 0.0] * count if missing else section[name])
+        missing = name not in digit_section and (default is not None or not count)
+        lists[slide] = iter([default or 0.0] * count if missing else digit_section[name])
     return tuple(next(lists[slide]) for slide in slides)
 
 
-def _link_inertia(section: dict[str, Any], i: int) -> tuple[float, ...]:
+def _link_inertia(digit_section: dict[str, Any], i: int) -> tuple[float, ...]:
     """Return the six values of the inertia of link ``i`` of a digit.
 
     If the file contains a single number, this is the moment of inertia of a round bar about the
     axes y and z.
     """
-    value = section["link_inertia_kg_m2"][i]
+    value = digit_section["link_inertia_kg_m2"][i]
     if isinstance(value, int | float):
         # For any body, the largest principal moment of inertia is at most the sum of the other two.
-        along = min(section["link_mass_kg"][i] * section["link_radius_m"] ** 2 / 2, 2 * value)
+        along = min(
+            digit_section["link_mass_kg"][i] * digit_section["link_radius_m"] ** 2 / 2, 2 * value
+        )
         return (along, value, value, 0.0, 0.0, 0.0)
     return tuple(value) if len(value) == 6 else (*value, 0.0, 0.0, 0.0)
 
 
-def _joint_ranges(section: dict[str, Any]) -> dict[str, tuple[float, float]]:
+def _joint_ranges(digit_section: dict[str, Any]) -> dict[str, tuple[float, float]]:
     """Return the lower and the upper limit of each joint [rad], by the name of the joint."""
     return {
         f"{digit['name']}_j{i + 1}": (math.radians(low), math.radians(high))
-        for digit in section["digit"]
+        for digit in digit_section["digit"]
         for i, (low, high) in enumerate(
             zip(
                 _joint_values(digit, "joint_min_deg"),
@@ -622,20 +639,22 @@ def _joint_ranges(section: dict[str, Any]) -> dict[str, tuple[float, float]]:
     }
 
 
-def _parse_arm_curve(section: dict[str, list[float]], limits: tuple[float, float]) -> ArmCurve:
+def _parse_arm_curve(
+    curve_section: dict[str, list[float]], limits: tuple[float, float]
+) -> ArmCurve:
     """Return a moment arm of a tendon that depends on the joint angle.
 
     If the file contains a table of moment arms, a polynomial is fitted to the table by least
     squares.
 
     Args:
-        section: entry of the hand file with ``polynomial_m``, or with ``angle_deg`` and ``arm_m``.
+        curve_section: entry of the hand file with ``polynomial_m``, or with ``angle_deg`` and ``arm_m``.
         limits: limits of the joint [rad].
     """
-    powers = section.get("polynomial_m")
+    powers = curve_section.get("polynomial_m")
     if powers is None:
         powers = _fit_polynomial(
-            [math.radians(angle) for angle in section["angle_deg"]], section["arm_m"]
+            [math.radians(angle) for angle in curve_section["angle_deg"]], curve_section["arm_m"]
         )
     return ArmCurve(*limits, (*powers, *(0.0,) * (POWER_COUNT - len(powers))))
 
@@ -660,76 +679,80 @@ def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
     return [row[count] for row in rows]
 
 
-def _parse_tendon(section: dict[str, Any], ranges: dict[str, tuple[float, float]]) -> TendonSpec:
-    ratios = section.get("excursion_ratio", {})
-    given = section.get("moment_arm_m", {}) | ratios
+def _parse_tendon(
+    tendon_section: dict[str, Any], joint_ranges: dict[str, tuple[float, float]]
+) -> TendonSpec:
+    ratios = tendon_section.get("excursion_ratio", {})
+    given = tendon_section.get("moment_arm_m", {}) | ratios
     curves = {
-        joint: _parse_arm_curve(arm, ranges.get(joint, (0.0, 1.0)))
+        joint: _parse_arm_curve(arm, joint_ranges.get(joint, (0.0, 1.0)))
         for joint, arm in given.items()
         if isinstance(arm, dict)
     }
     return TendonSpec(
-        name=section["name"],
-        motor=section["motor"],
+        name=tendon_section["name"],
+        motor=tendon_section["motor"],
         arms=given | {joint: curve.mean for joint, curve in curves.items()},
         straight=frozenset(ratios),
         curves=curves,
-        stiffness=section["stiffness_N_per_m"],
-        damping=section["damping_N_s_per_m"],
-        knee=section["knee_N"],
-        after_knee_ratio=section["stiffness_beyond_ratio"],
-        knee_width=section["knee_width_m"],
-        friction=section["friction_coefficient"],
-        wrap=section["wrap_angle_rad"],
-        pretension=section.get("pretension_N", 0.0),
+        stiffness=tendon_section["stiffness_N_per_m"],
+        damping=tendon_section["damping_N_s_per_m"],
+        knee=tendon_section["knee_N"],
+        after_knee_ratio=tendon_section["stiffness_beyond_ratio"],
+        knee_width=tendon_section["knee_width_m"],
+        friction=tendon_section["friction_coefficient"],
+        wrap=tendon_section["wrap_angle_rad"],
+        pretension=tendon_section.get("pretension_N", 0.0),
     )
 
 
-def _parse_motor(section: dict[str, Any]) -> MotorSpec:
+def _parse_motor(motor_section: dict[str, Any]) -> MotorSpec:
     return MotorSpec(
-        name=section["name"],
-        protocol=section["protocol"],
-        bus=section["bus"],
-        node_id=section["node_id"],
-        spool_radius=section["spool_radius_m"],
-        inertia=section["inertia_kg_m2"],
-        viscous=section["viscous_N_m_s_per_rad"],
-        coulomb=section["coulomb_N_m"],
-        torque_constant=section["torque_constant_N_m_per_A"],
-        torque_max=section["torque_max_N_m"],
-        torque_peak=section["torque_peak_N_m"],
-        position_range=section["position_range_rad"],
-        velocity_range=section["velocity_range_rad_s"],
-        direction=section["direction"],
-        zero=section["zero_rad"],
-        options=dict(section.get("options", {})),
+        name=motor_section["name"],
+        protocol=motor_section["protocol"],
+        bus=motor_section["bus"],
+        node_id=motor_section["node_id"],
+        spool_radius=motor_section["spool_radius_m"],
+        inertia=motor_section["inertia_kg_m2"],
+        viscous=motor_section["viscous_N_m_s_per_rad"],
+        coulomb=motor_section["coulomb_N_m"],
+        torque_constant=motor_section["torque_constant_N_m_per_A"],
+        torque_max=motor_section["torque_max_N_m"],
+        torque_peak=motor_section["torque_peak_N_m"],
+        position_range=motor_section["position_range_rad"],
+        velocity_range=motor_section["velocity_range_rad_s"],
+        direction=motor_section["direction"],
+        zero=motor_section["zero_rad"],
+        options=dict(motor_section.get("options", {})),
     )
 
 
-def _prismatic_joints(content: dict[str, Any]) -> frozenset[str]:
+def _prismatic_joints(file_content: dict[str, Any]) -> frozenset[str]:
     """Return the names of the prismatic joints of a hand."""
     return frozenset(
         f"{digit['name']}_j{i + 1}"
-        for digit in content["digit"]
-        for i, slides in enumerate(_prismatic(digit))
+        for digit in file_content["digit"]
+        for i, slides in enumerate(_are_joints_prismatic(digit))
         if slides
     )
 
 
-def _parse_sensors(section: dict[str, Any], prismatic: frozenset[str]) -> SensorSpec:
+def _parse_sensors(sensor_section: dict[str, Any], prismatic: frozenset[str]) -> SensorSpec:
     return SensorSpec(
-        bus=section["bus"],
-        sync_id=section.get("sync_id", 0x080),
-        base_id=section.get("base_id", 0x1A0),
-        tendons=list(section["tendons"]),
-        joints=list(section.get("joints", ())),
-        joint_decimation=section.get("joint_decimation", 1),
-        tension_noise=section["tension_noise_N"],
-        bias_drift=section["tension_bias_drift_N"],
-        joint_noise=section.get("joint_noise_rad", 1e-3),
-        travel_noise=section.get("joint_noise_m", 1e-5),
+        bus=sensor_section["bus"],
+        sync_id=sensor_section.get("sync_id", 0x080),
+        base_id=sensor_section.get("base_id", 0x1A0),
+        tendons=list(sensor_section["tendons"]),
+        joints=list(sensor_section.get("joints", ())),
+        joint_decimation=sensor_section.get("joint_decimation", 1),
+        tension_noise=sensor_section["tension_noise_N"],
+        bias_drift=sensor_section["tension_bias_drift_N"],
+        joint_noise=sensor_section.get("joint_noise_rad", 1e-3),
+        travel_noise=sensor_section.get("joint_noise_m", 1e-5),
         prismatic=prismatic,
-        node_ids=tuple(section["node_ids"]) if section.get("protocol") == "cia404" else (),
-        channels_per_node=section.get("channels_per_node", 1),
-        full_range=section["range_N"] if section.get("protocol") == "cia404" else 0.0,
+        node_ids=tuple(sensor_section["node_ids"])
+        if sensor_section.get("protocol") == "cia404"
+        else (),
+        channels_per_node=sensor_section.get("channels_per_node", 1),
+        full_range=sensor_section["range_N"] if sensor_section.get("protocol") == "cia404" else 0.0,
     )

@@ -111,16 +111,16 @@ class LockstepHand:
         """
         return to_frames(self.exchange(t_ns, to_records(frames)))
 
-    def inject(self, text: str) -> None:
+    def inject(self, fault_line: str) -> None:
         """Start a fault, now or at a later time.
 
         Args:
-            text: fault as text, see ``faults.fault_text``.
+            fault_line: fault as text, see ``faults.fault_text``.
 
         Raises:
             SimulatorError: the hand of this simulation cannot have the fault.
         """
-        self.world.faults.inject(text)
+        self.world.faults.inject(fault_line)
 
     def fault_states(self) -> list[dict[str, object]]:
         """List each fault that was injected so far, with its state and the number of its effects."""

@@ -126,12 +126,12 @@ def _format_name(file_format: str) -> str:
     return f"{file_format.upper()}, with the first element <{ROOT_TAGS[file_format]}>"
 
 
-def _check_joint_types(root: ET.Element, path: str) -> None:
+def _check_joint_types(xml_root: ET.Element, path: str) -> None:
     """Refuse a URDF with joints that a hand cannot have.
 
     MuJoCo would read some of these joints as joints of another type, without an error.
     """
-    for joint in root.iter("joint"):
+    for joint in xml_root.iter("joint"):
         kind = joint.get("type")
         if kind is not None and kind not in URDF_JOINTS:
             what = f"joint {joint.get('name')} is {kind}"
@@ -143,7 +143,7 @@ def _check_joint_types(root: ET.Element, path: str) -> None:
 
 
 def _compiled_model(
-    path: str, file_format: str, root: ET.Element, notes: list[str]
+    path: str, file_format: str, xml_root: ET.Element, notes: list[str]
 ) -> tuple[Any, Any]:
     """Compile a model file with MuJoCo, without merging bodies that are fixed to each other.
 
@@ -157,7 +157,7 @@ def _compiled_model(
             # In a URDF, separate elements give the inertia of a link. It does not follow from the
             # shapes.
             spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
-            _name_mesh_files(spec, root, Path(path).absolute().parent)
+            _name_mesh_files(spec, xml_root, Path(path).absolute().parent)
         try:
             return spec, _compile_spec(spec)
         except ValueError as error:
@@ -170,18 +170,18 @@ def _compiled_model(
         raise SimulatorError(f"{path}: {_first_line(error)}") from None
 
 
-def _name_mesh_files(spec: Any, root: ET.Element, folder: Path) -> None:
+def _name_mesh_files(model_spec: Any, xml_root: ET.Element, folder: Path) -> None:
     """Replace the names of meshes in a URDF by the paths of the mesh files.
 
     MuJoCo itself finds no files in ROS packages, and ignores the folder in the name of a mesh.
     """
-    places = {PurePath(name).name: place for name, place in urdf_files(root, folder).items()}
-    for mesh in spec.meshes:
+    places = {PurePath(name).name: place for name, place in urdf_files(xml_root, folder).items()}
+    for mesh in model_spec.meshes:
         mesh.file = str(places.get(PurePath(mesh.file).name, mesh.file))
-    spec.strippath = False
+    model_spec.strippath = False
 
 
-def _compile_spec(spec: Any) -> Any:
+def _compile_spec(model_spec: Any) -> Any:
     """Compile a model, and suppress the warnings of MuJoCo.
 
     The warnings concern dynamics, which are not used here. The warnings would appear beside an
@@ -189,7 +189,7 @@ def _compile_spec(spec: Any) -> Any:
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return spec.compile()
+        return model_spec.compile()
 
 
 def _parsed_spec(path: str) -> Any:
@@ -204,17 +204,17 @@ def _parsed_spec(path: str) -> Any:
     return spec
 
 
-def _remove_meshes(spec: Any) -> bool:
+def _remove_meshes(model_spec: Any) -> bool:
     """Remove all shapes with meshes, and all images, from a model.
 
     If there are none, return False.
     """
-    shapes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
-    parts = [*shapes, *spec.meshes, *spec.textures]
-    for geom in spec.geoms:
+    shapes = [geom for geom in model_spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
+    parts = [*shapes, *model_spec.meshes, *model_spec.textures]
+    for geom in model_spec.geoms:
         geom.material = ""
-    for part in [*parts, *spec.materials]:
-        spec.delete(part)
+    for part in [*parts, *model_spec.materials]:
+        model_spec.delete(part)
     return bool(parts)
 
 
@@ -253,12 +253,14 @@ def _joint_name(model: Any, joint: int) -> str:
     return model.joint(joint).name or f"joint_{joint + 1}"
 
 
-def _fixed_bodies(model: Any, root: int) -> list[int]:
+def _fixed_bodies(model: Any, root_body: int) -> list[int]:
     """Return a body and all bodies fixed to it."""
-    return [body for body in range(model.nbody) if model.body_weldid[body] == root]
+    return [body for body in range(model.nbody) if model.body_weldid[body] == root_body]
 
 
-def _link_values(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict[str, Any]:
+def _link_values(
+    model: Any, model_data: Any, root_bodies: list[int], body_id: int, path: str
+) -> dict[str, Any]:
     """Return one link of the model.
 
     Returns:
@@ -280,30 +282,32 @@ def _link_values(model: Any, data: Any, roots: list[int], body: int, path: str) 
         - ``radius``: half of the width of the shapes of the link [m]. None for a link without
           shapes.
     """
-    joint = int(model.body_jntadr[body])
+    joint = int(model.body_jntadr[body_id])
     dof = int(model.jnt_dofadr[joint])
-    origin = data.xanchor[joint].copy()
-    turn = data.xmat[body].reshape(3, 3).copy()
-    above = int(model.body_weldid[model.body_parentid[body]])
+    origin = model_data.xanchor[joint].copy()
+    turn = model_data.xmat[body_id].reshape(3, 3).copy()
+    above = int(model.body_weldid[model.body_parentid[body_id]])
     parent_origin, parent_turn = np.zeros(3), np.eye(3)
     if above:
-        parent_origin = data.xanchor[model.body_jntadr[above]]
-        parent_turn = data.xmat[above].reshape(3, 3)
+        parent_origin = model_data.xanchor[model.body_jntadr[above]]
+        parent_turn = model_data.xmat[above].reshape(3, 3)
     zero = float(model.qpos0[model.jnt_qposadr[joint]])
-    mass, com, inertia = _link_inertia(model, data, _fixed_bodies(model, body), origin, turn)
+    mass, com, inertia = _link_inertia(
+        model, model_data, _fixed_bodies(model, body_id), origin, turn
+    )
     if mass <= 0.0:
         raise SimulatorError(
-            f"{path}: link {model.body(body).name} has no mass; expected its mass and its inertia"
+            f"{path}: link {model.body(body_id).name} has no mass; expected its mass and its inertia"
         )
-    points, radius = _shape_corners(model, data, _fixed_bodies(model, body), origin, turn)
+    points, radius = _shape_corners(model, model_data, _fixed_bodies(model, body_id), origin, turn)
     return {
-        "name": model.body(body).name,
+        "name": model.body(body_id).name,
         "joint": _joint_name(model, joint),
-        "parent": roots.index(above) if above else -1,
+        "parent": root_bodies.index(above) if above else -1,
         "position": (parent_turn.T @ (origin - parent_origin)).tolist(),
         "rotation": (parent_turn.T @ turn).tolist(),
         "prismatic": bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE),
-        "axis": (turn.T @ data.xaxis[joint]).tolist(),
+        "axis": (turn.T @ model_data.xaxis[joint]).tolist(),
         "range": (model.jnt_range[joint] - zero).tolist() if model.jnt_limited[joint] else None,
         "damping": float(np.ravel(model.dof_damping[dof])[0]),
         "armature": float(model.dof_armature[dof]),
@@ -312,25 +316,30 @@ def _link_values(model: Any, data: Any, roots: list[int], body: int, path: str) 
         "mass": mass,
         "com": com,
         "inertia": inertia,
-        "frames": _frame_origins(model, data, body, origin, turn),
+        "frames": _frame_origins(model, model_data, body_id, origin, turn),
         "points": points,
         "radius": radius,
     }
 
 
 def _mesh_values(
-    meshes: Sequence[BodyMesh], model: Any, data: Any, root: int, origin: Any, link_rotation: Any
+    meshes: Sequence[BodyMesh],
+    model: Any,
+    model_data: Any,
+    root_body: int,
+    link_origin: Any,
+    link_rotation: Any,
 ) -> list[dict[str, Any]]:
     """Return the meshes of a link as plain values.
 
     The poses of the meshes are given in the frame of the link.
     """
     found = []
-    members = _fixed_bodies(model, root)
+    members = _fixed_bodies(model, root_body)
     for mesh in meshes:
         if mesh.body in members:
-            axes = data.xmat[mesh.body].reshape(3, 3)
-            place = data.xpos[mesh.body] + axes @ mesh.position - origin
+            axes = model_data.xmat[mesh.body].reshape(3, 3)
+            place = model_data.xpos[mesh.body] + axes @ mesh.position - link_origin
             found.append({
                 "file": str(mesh.file),
                 "scale": mesh.scale.tolist(),
@@ -341,51 +350,51 @@ def _mesh_values(
 
 
 def _link_inertia(
-    model: Any, data: Any, members: list[int], origin: Any, link_rotation: Any
+    model: Any, model_data: Any, body_ids: list[int], link_origin: Any, link_rotation: Any
 ) -> tuple[float, list[float], list[list[float]]]:
     """Return mass, centre of mass and central inertia of bodies fixed to each other, in the frame of a link."""
-    masses = model.body_mass[members]
+    masses = model.body_mass[body_ids]
     mass = float(masses.sum())
     if mass <= 0.0:
         return 0.0, [], []
-    centre = masses @ data.xipos[members] / mass
+    centre = masses @ model_data.xipos[body_ids] / mass
     total = np.zeros((3, 3))
-    for body in members:
-        axes = data.ximat[body].reshape(3, 3)
-        away = data.xipos[body] - centre
+    for body in body_ids:
+        axes = model_data.ximat[body].reshape(3, 3)
+        away = model_data.xipos[body] - centre
         # Steiner's theorem converts the inertia of each body to the common centre of mass.
         total += axes @ np.diag(model.body_inertia[body]) @ axes.T
         total += model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
     return (
         mass,
-        (link_rotation.T @ (centre - origin)).tolist(),
+        (link_rotation.T @ (centre - link_origin)).tolist(),
         (link_rotation.T @ total @ link_rotation).tolist(),
     )
 
 
 def _frame_origins(
-    model: Any, data: Any, root: int, origin: Any, link_rotation: Any
+    model: Any, model_data: Any, root_body: int, link_origin: Any, link_rotation: Any
 ) -> dict[str, list[float]]:
     """Return the origins (3,) of the named bodies and sites of a link, by name, in the frame of the link [m]."""
-    members = _fixed_bodies(model, root)
-    places = {model.body(body).name: data.xpos[body] for body in members if body != root}
+    members = _fixed_bodies(model, root_body)
+    places = {model.body(body).name: model_data.xpos[body] for body in members if body != root_body}
     # MuJoCo computes the positions of sites only in its first step. So this function computes these
     # positions.
     for site in range(model.nsite):
         body = int(model.site_bodyid[site])
         if body in members:
             places[model.site(site).name] = (
-                data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.site_pos[site]
+                model_data.xpos[body] + model_data.xmat[body].reshape(3, 3) @ model.site_pos[site]
             )
     return {
-        name: (link_rotation.T @ (place - origin)).tolist()
+        name: (link_rotation.T @ (place - link_origin)).tolist()
         for name, place in places.items()
         if name
     }
 
 
 def _shape_corners(
-    model: Any, data: Any, members: list[int], origin: Any, link_rotation: Any
+    model: Any, model_data: Any, body_ids: list[int], link_origin: Any, link_rotation: Any
 ) -> tuple[list[list[float]], float | None]:
     """Return the corners (n, 3) of the boxes around the shapes of a link, and half of their width or None [m]."""
     corners: list[Any] = []
@@ -393,15 +402,17 @@ def _shape_corners(
     for geom in range(model.ngeom):
         body = int(model.geom_bodyid[geom])
         kind = mujoco.mjtGeom(int(model.geom_type[geom]))
-        if body not in members or kind in (
+        if body not in body_ids or kind in (
             mujoco.mjtGeom.mjGEOM_PLANE,
             mujoco.mjtGeom.mjGEOM_HFIELD,
         ):
             continue
         centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-        axes = data.xmat[body].reshape(3, 3) @ rotation_of(model.geom_quat[geom])
-        place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.geom_pos[geom]
-        corners.append((place + (centre + BOX_CORNERS * half) @ axes.T - origin) @ link_rotation)
+        axes = model_data.xmat[body].reshape(3, 3) @ rotation_of(model.geom_quat[geom])
+        place = model_data.xpos[body] + model_data.xmat[body].reshape(3, 3) @ model.geom_pos[geom]
+        corners.append(
+            (place + (centre + BOX_CORNERS * half) @ axes.T - link_origin) @ link_rotation
+        )
         rank = ROUND_SHAPES.index(kind) if kind in ROUND_SHAPES else len(ROUND_SHAPES)
         width = (
             float(model.geom_size[geom, 0])

@@ -35,9 +35,9 @@ class BodyMesh(NamedTuple):
     rotation: Any
 
 
-def urdf_files(root: ET.Element, folder: Path) -> dict[str, Path]:
+def urdf_files(xml_root: ET.Element, folder: Path) -> dict[str, Path]:
     """Return the path of each mesh file of a URDF, by the name of the mesh file in the URDF."""
-    names = {mesh.get("filename", "") for mesh in root.iter("mesh")}
+    names = {mesh.get("filename", "") for mesh in xml_root.iter("mesh")}
     return {name: _urdf_path(name, folder) for name in names if name}
 
 
@@ -57,16 +57,16 @@ def _urdf_path(name: str, folder: Path) -> Path:
     return next((place for place in places if place.is_file()), folder.joinpath(*parts))
 
 
-def urdf_meshes(root: ET.Element, folder: Path, model: Any) -> Iterator[BodyMesh]:
+def urdf_meshes(xml_root: ET.Element, folder: Path, model: Any) -> Iterator[BodyMesh]:
     """Yield the visual meshes of a URDF.
 
     Args:
-        root: first XML element of the URDF.
+        xml_root: first XML element of the URDF.
         folder: folder of the URDF.
         model: compiled model, which has a body for each link except the root link.
     """
-    files = urdf_files(root, folder)
-    for link in root.iter("link"):
+    files = urdf_files(xml_root, folder)
+    for link in xml_root.iter("link"):
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, link.get("name", ""))
         for visual in link.findall("visual"):
             mesh = visual.find("geometry/mesh")
@@ -90,13 +90,13 @@ def _three_numbers(text: str) -> Any:
     return np.array([float(word) for word in text.split()])
 
 
-def mjcf_meshes(spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterator[BodyMesh]:
+def mjcf_meshes(model_spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterator[BodyMesh]:
     """Yield the meshes of an MJCF model.
 
     If a body has meshes without contacts, only these meshes are yielded.
 
     Args:
-        spec: source of the model (``mujoco.MjSpec``).
+        model_spec: source of the model (``mujoco.MjSpec``).
         model: compiled model.
         folder: folder of the MJCF file.
         notes: list of notes for the user. The function adds a line for each mesh whose placement a
@@ -105,7 +105,7 @@ def mjcf_meshes(spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterat
     geoms = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
     visual = (model.geom_contype | model.geom_conaffinity) == 0
     bodies = {int(model.geom_bodyid[geom]) for geom in geoms if visual[geom]}
-    assets = {mesh.id: mesh for mesh in spec.meshes}
+    assets = {mesh.id: mesh for mesh in model_spec.meshes}
     for geom in geoms.tolist():
         body = int(model.geom_bodyid[geom])
         asset = assets[int(model.geom_dataid[geom])]
@@ -126,8 +126,8 @@ def mjcf_meshes(spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterat
         yield BodyMesh(
             body=body,
             file=folder
-            / spec.meshdir
-            / (PurePath(asset.file).name if spec.strippath else asset.file),
+            / model_spec.meshdir
+            / (PurePath(asset.file).name if model_spec.strippath else asset.file),
             scale=scale,
             position=origin - rotation @ (scale * (reference.T @ asset.refpos)),
             rotation=rotation @ reference.T,

@@ -38,7 +38,7 @@ def run_dir() -> Path:
         # The check starts at the top. In a directory that has passed the check, no other user can
         # replace an entry.
         for path in [*reversed(folder.parents), folder][1:]:
-            _check_directory(path, mine=len(folder.parts) - len(path.parts) < path_parts)
+            _check_directory(path, is_private=len(folder.parts) - len(path.parts) < path_parts)
     except OSError as error:
         raise SimulatorError(
             f"run directory {folder}: {error.strerror}; HANDCTL_RUN_DIR names another"
@@ -61,12 +61,12 @@ def _parent_dir(folder: Path, path_parts: int) -> Path:
     return parent
 
 
-def _check_directory(path: Path, mine: bool) -> None:
+def _check_directory(path: Path, is_private: bool) -> None:
     """Make a missing directory, and refuse a directory that another user can change.
 
     Args:
         path: path of a directory, whose parent directories have already been checked.
-        mine: True for a part of the run directory, which no other user may access.
+        is_private: True for a part of the run directory, which no other user may access.
 
     Raises:
         SimulatorError: see ``run_dir``.
@@ -76,22 +76,22 @@ def _check_directory(path: Path, mine: bool) -> None:
     status = path.lstat()
     if stat.S_ISLNK(status.st_mode):
         raise _path_error(path, "is a link")
-    if status.st_uid != os.geteuid() and (mine or status.st_uid):
+    if status.st_uid != os.geteuid() and (is_private or status.st_uid):
         raise _path_error(path, f"belongs to another user ({status.st_uid})")
     # A directory in which others may write is safe if it has the sticky bit. In such a directory,
     # as in /tmp, only the owner of an entry can replace the entry.
-    if status.st_mode & 0o022 and (mine or not status.st_mode & stat.S_ISVTX):
+    if status.st_mode & 0o022 and (is_private or not status.st_mode & stat.S_ISVTX):
         raise _path_error(path, f"is open to others (mode {stat.S_IMODE(status.st_mode):04o})")
-    if mine and status.st_mode & 0o077:
+    if is_private and status.st_mode & 0o077:
         path.chmod(_PRIVATE_MODE)
 
 
-def _path_error(path: Path, problem: str) -> SimulatorError:
+def _path_error(path: Path, problem_text: str) -> SimulatorError:
     """Build the error for a directory that cannot be a run directory."""
     expected = (
         "expected a directory of mode 0700 that belongs to you; HANDCTL_RUN_DIR names another"
     )
-    return SimulatorError(f"run directory {path}: {problem}; {expected}")
+    return SimulatorError(f"run directory {path}: {problem_text}; {expected}")
 
 
 def bus_path(name: str) -> Path:

@@ -38,26 +38,26 @@ class TickExchange:
             request. False if the world sends these frames.
     """
 
-    def __init__(self, world: Any, rows: dict[type, Any]) -> None:
+    def __init__(self, simulated_world: Any, rows: dict[type, Any]) -> None:
         """Collect the arrays on which the compiled kernel works.
 
         Args:
-            world: world to which the nodes belong.
+            simulated_world: world to which the nodes belong.
             rows: arrays with the states of nodes in their rows, by the type of the row.
         """
-        self._world, self._kernels = world, machine_code(cyclic_kernels)
+        self._world, self._kernels = simulated_world, machine_code(cyclic_kernels)
         self._capacity = INITIAL_CAPACITY
         self._progress = np.zeros(5, np.int64)
-        sensor = world.sensor_node if SensorStruct in rows else None
+        sensor = simulated_world.sensor_node if SensorStruct in rows else None
         self._noise = sensor.noise if sensor else None
         self._max_answers = 1
         orders = (np.empty(0, np.int64),) * 2
         bias = np.empty(0)
         if sensor:
-            orders = world.sensor_orders
+            orders = simulated_world.sensor_orders
             bias = sensor.bias
             self._max_answers += sum(-(-len(order) // CHANNELS_PER_FRAME) for order in orders)
-        self._max_answers += len(world.row_of)
+        self._max_answers += len(simulated_world.row_of)
         self._draws = 2 * len(orders[0]) + len(orders[1])
         self._drive_structs = tuple(
             rows.get(layout, np.empty(0, layout))
@@ -71,7 +71,7 @@ class TickExchange:
             if sensor
             else (np.empty(0), np.zeros(2, np.int64))
         )
-        self._sample_arrays = *noise, *world.plant.sampled
+        self._sample_arrays = *noise, *simulated_world.plant.sampled
         self._table: Any = None
         self._receivers: Any = None
 

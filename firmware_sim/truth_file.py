@@ -157,13 +157,13 @@ class TruthWriter:
             complete = False
         self.full = not complete
 
-    def close(self, summary: dict[str, object]) -> None:
+    def close(self, run_summary: dict[str, object]) -> None:
         """Write the collected rows, complete the header with a summary of the run, and close the file.
 
         The header also says whether the last rows are missing, because the file or the disk was full.
         """
         self.flush()
-        self._header.update({**summary, "truncated": self.full})
+        self._header.update({**run_summary, "truncated": self.full})
         head = self._header_line(_HEAD_SIZE)
         if len(head) == _HEAD_SIZE:
             self._file.seek(0)

@@ -78,22 +78,22 @@ class FolderTally:
     totals: Counter[str] = field(default_factory=Counter)
     places: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
 
-    def add(self, count: str, place: str, finding: str, times: int = 1) -> None:
+    def add(self, count_name: str, place: str, finding: str, times: int = 1) -> None:
         """Add findings of one kind at one place."""
-        self.counts[count] += times
+        self.counts[count_name] += times
         if times:
-            self.places[count].append(f"{place}: {finding}")
+            self.places[count_name].append(f"{place}: {finding}")
 
-    def ratio(self, count: str) -> float:
+    def ratio(self, count_name: str) -> float:
         """Return how often something occurs, for example per 1000 words.
 
         The unit of each count is in ``QUANTITY_PER_COUNT``.
         """
-        quantity, factor = QUANTITY_PER_COUNT[count]
+        quantity, factor = QUANTITY_PER_COUNT[count_name]
         return (
-            factor * self.counts[count] / max(self.totals[quantity], 1)
+            factor * self.counts[count_name] / max(self.totals[quantity], 1)
             if quantity
-            else self.counts[count]
+            else self.counts[count_name]
         )
 
 
@@ -227,24 +227,26 @@ def count_folder(folder: Path) -> FolderTally:
     return tally
 
 
-def count_documents(root: Path) -> FolderTally:
+def count_documents(repository_folder: Path) -> FolderTally:
     """Count the findings in the Markdown documents at the top of the project and in ``docs``."""
     tally = FolderTally()
-    for path in sorted([*root.glob("*.md"), *root.glob("docs/**/*.md")]):
+    for path in sorted([*repository_folder.glob("*.md"), *repository_folder.glob("docs/**/*.md")]):
         count_prose(
             tally,
             _CODE_PATTERN.sub(" ", path.read_text(encoding="utf-8")),
-            path.relative_to(root).as_posix(),
+            path.relative_to(repository_folder).as_posix(),
         )
     return tally
 
 
-def count_all(root: Path) -> dict[str, FolderTally]:
+def count_all_folders(repository_folder: Path) -> dict[str, FolderTally]:
     """Count the findings in every folder and in the documents."""
     folders = {
-        name: count_folder(root / name) for name in COUNTED_FOLDERS if (root / name).is_dir()
+        name: count_folder(repository_folder / name)
+        for name in COUNTED_FOLDERS
+        if (repository_folder / name).is_dir()
     }
-    return folders | {DOCUMENTS_NAME: count_documents(root)}
+    return folders | {DOCUMENTS_NAME: count_documents(repository_folder)}
 
 
 def count_ratios(tally: FolderTally) -> dict[str, float]:
@@ -329,7 +331,7 @@ def main(words: list[str] | None = None) -> int:
     tighten = "lower the limit of each rule to its present number of findings"
     parser.add_argument("--tighten", action="store_true", help=tighten)
     args = parser.parse_args(words)
-    tallies = count_all(REPOSITORY_ROOT)
+    tallies = count_all_folders(REPOSITORY_ROOT)
     if args.table:
         print_table(tallies)
         return 0

@@ -46,20 +46,20 @@ class HubConnection:
         unsent: bytes of a partly sent record that must still be sent.
     """
 
-    def __init__(self, link: socket.socket) -> None:
+    def __init__(self, client_socket: socket.socket) -> None:
         """Make the socket non-blocking, and enlarge the buffers of the socket.
 
         Args:
-            link: connected stream socket.
+            client_socket: connected stream socket.
         """
-        self.socket = link
+        self.socket = client_socket
         self.dropped = 0
         self.closed = False
         self.unsent = b""
         self._partial = b""
-        link.setblocking(False)
+        client_socket.setblocking(False)
         for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
-            link.setsockopt(socket.SOL_SOCKET, option, BUFFER_BYTES)
+            client_socket.setsockopt(socket.SOL_SOCKET, option, BUFFER_BYTES)
 
     def receive(self) -> bytes:
         """Receive whole records.
@@ -242,14 +242,14 @@ class BusHub:
                 self._path.unlink()
 
 
-def _is_foreign(link: socket.socket) -> bool:
+def _is_foreign(client_socket: socket.socket) -> bool:
     """Check whether the process at the other end of a connection belongs neither to this process's user nor to root.
 
     Only Linux can tell the user of the other process.
     """
     if not sys.platform.startswith("linux"):
         return False
-    raw = link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER_CREDENTIALS.size)
+    raw = client_socket.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER_CREDENTIALS.size)
     # Field 1 of the credentials is the user id. Root may join the bus for diagnosis.
     return _PEER_CREDENTIALS.unpack(raw)[1] not in (0, os.geteuid())
 

@@ -88,13 +88,13 @@ class SocketCanPort:
             self.lost += 1  # The CAN interface is down. Reading succeeds again after the interface has been set up.
         return frames
 
-    def _frame_from_bytes(self, raw: bytes) -> Frame:
+    def _frame_from_bytes(self, struct_bytes: bytes) -> Frame:
         # The number of bytes shows the format of the frame: 16 bytes for classical CAN, 72 bytes
         # for CAN FD.
-        if len(raw) == _CAN_FRAME_STRUCT.size:
-            can_id, length, data = _CAN_FRAME_STRUCT.unpack(raw)
+        if len(struct_bytes) == _CAN_FRAME_STRUCT.size:
+            can_id, length, data = _CAN_FRAME_STRUCT.unpack(struct_bytes)
             return Frame(can_id, data[: min(length, 8)], 0, self._bus)
-        can_id, length, flags, data = _CANFD_FRAME_STRUCT.unpack(raw)
+        can_id, length, flags, data = _CANFD_FRAME_STRUCT.unpack(struct_bytes)
         return Frame(can_id, data[:length], flags | FDF, self._bus)
 
     def send(self, frames: list[Frame]) -> None:

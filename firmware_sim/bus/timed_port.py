@@ -57,7 +57,7 @@ class TimedPort:
         rate: BitRates,
         options: WireOptions,
         now_ns: Callable[[], int],
-        nodes: bool = True,
+        is_node_side: bool = True,
         latency: Callable[[int], AdapterLatency] | None = None,
     ) -> None:
         """Open the hub of the bus, and connect the nodes to the wire.
@@ -68,7 +68,7 @@ class TimedPort:
             rate: bit rates of the wire.
             options: options that describe the behaviour of the wire.
             now_ns: function that returns the present time of the wire [ns].
-            nodes: True if simulated nodes in this process acknowledge frames.
+            is_node_side: True if simulated nodes in this process acknowledge frames.
             latency: function that returns the latency of a client's CAN adapter, by the number of
                 the client. None for clients without latency.
 
@@ -91,7 +91,7 @@ class TimedPort:
         self._received: deque[Frame] = deque()
         self._unreadable = self._refused = 0
         self._at_ns = self._start_ns = now_ns()
-        if nodes:
+        if is_node_side:
             self.wire.add(self._receive_on_nodes)
 
     @property
@@ -226,18 +226,18 @@ class TimedPort:
 
 
 def timed_port_maker(
-    words: Sequence[str] | None,
+    wire_words: Sequence[str] | None,
     bitrates: Sequence[tuple[int, int]],
     now_ns: Callable[[], int],
-    nodes: bool = True,
+    is_node_side: bool = True,
 ) -> Callable[[str, int], TimedPort] | None:
     """Build the function that opens the ports of a hand's buses with simulated wires.
 
     Args:
-        words: words KEY=VALUE after the option ``--wire``, or None if the option was not given.
+        wire_words: words KEY=VALUE after the option ``--wire``, or None if the option was not given.
         bitrates: nominal and data bit rate of each bus [bit/s].
         now_ns: function that returns the present time of the wires [ns].
-        nodes: True if simulated nodes in this process acknowledge frames.
+        is_node_side: True if simulated nodes in this process acknowledge frames.
 
     Returns:
         Function that opens the port of a bus with the given name and index. None if ``--wire`` was
@@ -246,11 +246,11 @@ def timed_port_maker(
     Raises:
         SimulatorError: a word after ``--wire`` is not valid.
     """
-    if words is None:
+    if wire_words is None:
         return None
-    spec = parse_wire_options(words)
+    spec = parse_wire_options(wire_words)
     return lambda name, bus: TimedPort(
-        name, bus, spec.rate(*bitrates[bus]), spec.options, now_ns, nodes, spec.latency
+        name, bus, spec.rate(*bitrates[bus]), spec.options, now_ns, is_node_side, spec.latency
     )
 
 

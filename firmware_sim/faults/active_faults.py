@@ -47,13 +47,13 @@ class ActiveFaults:
             change frames.
     """
 
-    def __init__(self, world: Any) -> None:
+    def __init__(self, simulated_world: Any) -> None:
         """Start without faults.
 
         Args:
-            world: world in which the faults act.
+            simulated_world: world in which the faults act.
         """
-        self._world = world
+        self._world = simulated_world
         self.on = self.in_frames = False
         self._waiting: list[ActiveFault] = []
         self._acting: list[tuple[ActiveFault, plant_faults.UndoFunction]] = []
@@ -72,11 +72,11 @@ class ActiveFaults:
         """Return the total delay behind the wall clock that the simulation will never make up [ns]."""
         return int(self._world.slip_ns)
 
-    def inject(self, text: str) -> Fault:
+    def inject(self, fault_line: str) -> Fault:
         """Start a fault now, or at the later time in the text.
 
         Args:
-            text: fault as text, see ``parse_fault``.
+            fault_line: fault as text, see ``parse_fault``.
 
         Returns:
             The fault.
@@ -84,7 +84,7 @@ class ActiveFaults:
         Raises:
             SimulatorError: the hand of this simulation cannot have the fault.
         """
-        fault = parse_fault(text, self._world.hand, self._world.t_ns)
+        fault = parse_fault(fault_line, self._world.hand, self._world.t_ns)
         active = ActiveFault(fault, random.Random(f"fault {fault.seed} {fault.text}"))
         self.injected.append(active)
         self._waiting.append(active)

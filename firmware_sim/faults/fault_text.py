@@ -142,11 +142,11 @@ class Fault:
     other: str = ""
 
 
-def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
+def parse_fault(fault_line: str, hand: Hand, now_ns: int = 0) -> Fault:
     """Parse the text of a fault.
 
     Args:
-        text: ``KIND COMPONENT=INSTANCE [with=NAME] [size=X] [p=X] [hz=X] [at=TIME] [for=TIME]
+        fault_line: ``KIND COMPONENT=INSTANCE [with=NAME] [size=X] [p=X] [hz=X] [at=TIME] [for=TIME]
             [seed=N]``.
         hand: hand in which the fault will act.
         now_ns: time from which the time after the word ``at`` is counted [ns].
@@ -154,53 +154,57 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
     Raises:
         SimulatorError: the text cannot be parsed, or the hand cannot have the fault.
     """
-    kind, *pairs = text.split() or [""]
+    kind, *pairs = fault_line.split() or [""]
     if kind not in FAULT_KINDS:
         raise SimulatorError(
-            f"fault {text!r}: no such kind {kind!r}; expected one of {', '.join(FAULT_KINDS)}"
+            f"fault {fault_line!r}: no such kind {kind!r}; expected one of {', '.join(FAULT_KINDS)}"
         )
     given = {}
     for pair in pairs:
         key, equals, value = pair.partition("=")
         if not equals or not value or key in given:
-            raise SimulatorError(f"fault {text!r}: {pair!r} is not a new KEY=VALUE")
+            raise SimulatorError(f"fault {fault_line!r}: {pair!r} is not a new KEY=VALUE")
         given[key] = value
-    component = _target_component(text, kind, given)
+    component = _target_component(fault_line, kind, given)
     instance = _target_instance(
-        text, instances_of_component(component, hand, kind), component, given.pop(component), hand
+        fault_line,
+        instances_of_component(component, hand, kind),
+        component,
+        given.pop(component),
+        hand,
     )
     fault = Fault(
         kind=kind,
         component=component,
         instance=instance,
         size=_number_from_text(
-            text,
+            fault_line,
             "size",
             given.pop("size", str(FAULT_KINDS[kind].size)),
             *SIZE_RANGES.get(kind, DEFAULT_SIZE_RANGE),
         ),
-        p=_number_from_text(text, "p", given.pop("p", "1"), 0.0, 1.0),
-        start_ns=now_ns + _time_from_text(text, "at", given.pop("at", "0s")),
-        duration_ns=_time_from_text(text, "for", given.pop("for"))
+        p=_number_from_text(fault_line, "p", given.pop("p", "1"), 0.0, 1.0),
+        start_ns=now_ns + _time_from_text(fault_line, "at", given.pop("at", "0s")),
+        duration_ns=_time_from_text(fault_line, "for", given.pop("for"))
         if "for" in given
         else FOREVER_NS,
-        seed=int(_number_from_text(text, "seed", given.pop("seed", "0"), 0, 1e9)),
-        hz=_number_from_text(text, "hz", given.pop("hz", "25"), 0.0, 1e4),
-        text=text,
-        other=_second_motor(text, kind, instance, given, hand),
+        seed=int(_number_from_text(fault_line, "seed", given.pop("seed", "0"), 0, 1e9)),
+        hz=_number_from_text(fault_line, "hz", given.pop("hz", "25"), 0.0, 1e4),
+        text=fault_line,
+        other=_second_motor(fault_line, kind, instance, given, hand),
     )
     if given:
         raise SimulatorError(
-            f"fault {text!r}: unknown {next(iter(given))!r}; expected size, p, hz, at, for or seed"
+            f"fault {fault_line!r}: unknown {next(iter(given))!r}; expected size, p, hz, at, for or seed"
         )
     return fault
 
 
-def _target_component(text: str, kind: str, options: dict[str, str]) -> str:
+def _target_component(fault_line: str, fault_kind: str, fault_options: dict[str, str]) -> str:
     """Return the type of the fault's target component."""
     components = [
         key
-        for key in options
+        for key in fault_options
         if key
         in (
             NODE_TARGET,
@@ -212,50 +216,52 @@ def _target_component(text: str, kind: str, options: dict[str, str]) -> str:
             DIGIT_TARGET,
         )
     ]
-    allowed = FAULT_KINDS[kind].components
+    allowed = FAULT_KINDS[fault_kind].components
     if len(components) != 1 or components[0] not in allowed:
         raise SimulatorError(
-            f"fault {text!r}: {kind} needs {' or '.join(f'{name}=NAME' for name in allowed)}"
+            f"fault {fault_line!r}: {fault_kind} needs {' or '.join(f'{name}=NAME' for name in allowed)}"
         )
     return components[0]
 
 
 def _second_motor(
-    text: str, kind: str, first_motor: str, options: dict[str, str], hand: Hand
+    fault_line: str, fault_kind: str, first_motor: str, fault_options: dict[str, str], hand: Hand
 ) -> str:
     """Return the second motor of a fault that acts on two motors.
 
     For other faults, return an empty string.
     """
-    if kind not in TWO_MOTOR_KINDS:
+    if fault_kind not in TWO_MOTOR_KINDS:
         return ""
-    if "with" not in options:
-        raise SimulatorError(f"fault {text!r}: {kind} needs with=NAME, the other motor")
+    if "with" not in fault_options:
+        raise SimulatorError(f"fault {fault_line!r}: {fault_kind} needs with=NAME, the other motor")
     other = _target_instance(
-        text,
-        instances_of_component(NODE_TARGET, hand, kind),
+        fault_line,
+        instances_of_component(NODE_TARGET, hand, fault_kind),
         NODE_TARGET,
-        options.pop("with"),
+        fault_options.pop("with"),
         hand,
     )
     if other == first_motor:
-        raise SimulatorError(f"fault {text!r}: {kind} needs two motors, not {first_motor!r} twice")
+        raise SimulatorError(
+            f"fault {fault_line!r}: {fault_kind} needs two motors, not {first_motor!r} twice"
+        )
     return other
 
 
-def instances_of_component(component: str, hand: Hand, kind: str = "") -> list[str]:
+def instances_of_component(component: str, hand: Hand, fault_kind: str = "") -> list[str]:
     """List the names of all components of one type in a hand.
 
     Args:
         component: type of component, one of the constants from ``NODE_TARGET`` to ``DIGIT_TARGET``.
         hand: hand whose components are listed.
-        kind: kind of fault that the listed components can have. If empty, all components are
+        fault_kind: kind of fault that the listed components can have. If empty, all components are
             listed.
     """
     motors = [motor.name for motor in hand.motors]
     return {
         NODE_TARGET: [*motors, SENSOR_NODE_NAME]
-        if hand.sensors and kind not in DRIVE_KINDS
+        if hand.sensors and fault_kind not in DRIVE_KINDS
         else motors,
         BUS_TARGET: hand.buses,
         ENCODER_TARGET: motors,
@@ -266,27 +272,31 @@ def instances_of_component(component: str, hand: Hand, kind: str = "") -> list[s
     }[component]
 
 
-def _target_instance(text: str, names: list[str], component: str, name: str, hand: Hand) -> str:
+def _target_instance(
+    fault_line: str, component_names: list[str], component: str, name: str, hand: Hand
+) -> str:
     """Return the name of a component. A motor may also be given by its node number."""
     if component in (NODE_TARGET, ENCODER_TARGET):
         numbers = {str(motor.node_id): motor.name for motor in hand.motors}
         name = numbers.get(name, name)
-    if name not in names:
+    if name not in component_names:
         raise SimulatorError(
-            f"fault {text!r}: no {component} {name!r}; expected one of {', '.join(names) or 'none'}"
+            f"fault {fault_line!r}: no {component} {name!r}; expected one of {', '.join(component_names) or 'none'}"
         )
     return name
 
 
-def _number_from_text(text: str, key: str, value_text: str, low: float, high: float) -> float:
+def _number_from_text(
+    text: str, key: str, value_text: str, minimum: float, maximum: float
+) -> float:
     """Parse a number of a fault text that must lie in a given range."""
     try:
         value = float(int(value_text, 0)) if value_text.startswith("0x") else float(value_text)
     except ValueError:
         value = math.nan
-    if not low <= value <= high:
+    if not minimum <= value <= maximum:
         raise SimulatorError(
-            f"fault {text!r}: {key}={value_text}: expected a number from {low:g} to {high:g}"
+            f"fault {text!r}: {key}={value_text}: expected a number from {minimum:g} to {maximum:g}"
         )
     return value
 

@@ -120,7 +120,7 @@ def with_fault(node: DriveNode, protocol: str, fault: str) -> SimulatedNode:
         protocol: key of ``PROTOCOL_SPECS``.
         fault: key of ``DRIVE_FAULTS``, or an empty text for no fault. The faults ``sign`` and
             ``twin`` do not change the drive. For these faults, the caller uses
-            ``with_faulty_specs``.
+            ``motor_specs_with_fault``.
     """
     return (
         node
@@ -129,13 +129,13 @@ def with_fault(node: DriveNode, protocol: str, fault: str) -> SimulatedNode:
     )
 
 
-def with_faulty_specs(specs: list[MotorSpec], fault: str) -> list[MotorSpec]:
+def motor_specs_with_fault(motor_specs: list[MotorSpec], fault: str) -> list[MotorSpec]:
     """Return the descriptions of drives, changed for the fault ``sign`` or ``twin``."""
     if fault == "sign":
-        return [replace(spec, torque_gain=-1.0) for spec in specs]
+        return [replace(spec, torque_gain=-1.0) for spec in motor_specs]
     if fault == "twin":
-        return specs + [
+        return motor_specs + [
             replace(spec, name=f"{spec.name}_twin", serial=TWIN_SERIAL + spec.node_id)
-            for spec in specs
+            for spec in motor_specs
         ]
-    return specs
+    return motor_specs

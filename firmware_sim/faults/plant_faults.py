@@ -132,7 +132,7 @@ def _delayed_reading(
     return past_readings[0]
 
 
-def _start_mute(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_muted_sensor(world: Any, active: ActiveFault) -> UndoFunction:
     """Suppress the frame in which the sensor node sends the reading of the faulty sensor."""
     node = world.sensor_node
     spec = world.hand.sensors
@@ -148,23 +148,23 @@ def _start_mute(world: Any, active: ActiveFault) -> UndoFunction:
     return lambda: node.suppressed.pop(can_id, None) and None
 
 
-def _start_snap(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_snapped_tendon(world: Any, active: ActiveFault) -> UndoFunction:
     """Break a tendon."""
-    tendon = _tendon_of(world, active.fault)
+    tendon = _tendon_of_fault(world, active.fault)
     active.note_effect(world.t_ns)
     mend: UndoFunction = tendon.snap()
     return mend
 
 
-def _start_slack(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_slack_tendon(world: Any, active: ActiveFault) -> UndoFunction:
     """Lengthen a tendon by the size of the fault [mm]."""
-    tendon = _tendon_of(world, active.fault)
+    tendon = _tendon_of_fault(world, active.fault)
     active.note_effect(world.t_ns)
     tendon.extra_length = active.fault.size * 1e-3
     return lambda: setattr(tendon, "extra_length", 0.0)
 
 
-def _start_friction(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_extra_friction(world: Any, active: ActiveFault) -> UndoFunction:
     """Add Coulomb friction to a motor.
 
     The size of the fault is the friction force, converted to the tendon [N].
@@ -172,18 +172,18 @@ def _start_friction(world: Any, active: ActiveFault) -> UndoFunction:
     tendon = next(spec for spec in world.hand.every_tendon if spec.name == active.fault.instance)
     motor = world.plant.motors[tendon.motor]
     before = motor.coulomb
-    motor.coulomb += active.fault.size * _tendon_of(world, active.fault).radius
+    motor.coulomb += active.fault.size * _tendon_of_fault(world, active.fault).radius
     active.note_effect(world.t_ns)
     return lambda: setattr(motor, "coulomb", before)
 
 
-def _tendon_of(world: Any, fault: Fault) -> Any:
+def _tendon_of_fault(world: Any, fault: Fault) -> Any:
     """Return the simulated tendon on which a fault acts."""
     names = [spec.name for spec in world.hand.every_tendon]
     return world.plant.tendons[names.index(fault.instance)][0]
 
 
-def _start_block(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_blocked_digit(world: Any, active: ActiveFault) -> UndoFunction:
     """Block all joints of a digit."""
     digit = next(digit for digit in world.hand.digits if digit.name == active.fault.instance)
     active.note_effect(world.t_ns)
@@ -193,7 +193,7 @@ def _start_block(world: Any, active: ActiveFault) -> UndoFunction:
     return release
 
 
-def _start_trip(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_tripped_drive(world: Any, active: ActiveFault) -> UndoFunction:
     """Make a drive report an error.
 
     The error code belongs to the kind of the fault, or is the size of the fault.
@@ -217,7 +217,7 @@ def _start_trip(world: Any, active: ActiveFault) -> UndoFunction:
     return lambda: None
 
 
-def _start_reset(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_drive_reset(world: Any, active: ActiveFault) -> UndoFunction:
     """Reset a drive, either by a power cycle or by the reset command of the drive's protocol."""
     node = world.node_of(active.fault.instance)
     active.note_effect(world.t_ns)
@@ -237,7 +237,7 @@ def _start_reset(world: Any, active: ActiveFault) -> UndoFunction:
     return lambda: None
 
 
-def _start_forget(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_forgotten_settings(world: Any, active: ActiveFault) -> UndoFunction:
     """Make a drive lose all unsaved settings, while its power stage stays on.
 
     The fault simulates a voltage dip that resets only the processor of the drive.
@@ -251,7 +251,7 @@ def _start_forget(world: Any, active: ActiveFault) -> UndoFunction:
     return lambda: None
 
 
-def _start_ripple(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_torque_ripple(world: Any, active: ActiveFault) -> UndoFunction:
     """Add a sinusoidal torque ripple to a motor."""
     motor = world.plant.motors[active.fault.instance]
     fault = active.fault
@@ -264,7 +264,7 @@ def _start_ripple(world: Any, active: ActiveFault) -> UndoFunction:
     return lambda: setattr(motor, "power_stage_fault", None)
 
 
-def _start_hot(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_hot_motor(world: Any, active: ActiveFault) -> UndoFunction:
     """Keep the winding of a motor at a fixed temperature."""
     thermal = world.node_of(active.fault.instance).thermal
     active.note_effect(world.t_ns)
@@ -281,8 +281,8 @@ class _CrossedMotor:
             rotor measured by the sensors.
     """
 
-    def __init__(self, sensed: Any, driven: Any) -> None:
-        self.__dict__.update(sensed=sensed, servo=driven.servo)
+    def __init__(self, sensed_motor: Any, driven_motor: Any) -> None:
+        self.__dict__.update(sensed=sensed_motor, servo=driven_motor.servo)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.__dict__["sensed"], name)
@@ -291,7 +291,7 @@ class _CrossedMotor:
         setattr(self.__dict__["sensed"], name, value)
 
 
-def _start_exchange(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_exchanged_motors(world: Any, active: ActiveFault) -> UndoFunction:
     """Exchange the sensors of two drives (``swap``), or the power stages of two drives (``cross``)."""
     names = active.fault.instance, active.fault.other
     nodes = [world.node_of(name) for name in names]
@@ -314,7 +314,7 @@ def _start_exchange(world: Any, active: ActiveFault) -> UndoFunction:
     return undo
 
 
-def _start_late(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_late_commands(world: Any, active: ActiveFault) -> UndoFunction:
     """Delay each torque command of a drive by the size of the fault [ms]."""
     motor = world.plant.motors[active.fault.instance]
     delay_ns = round(active.fault.size * 1e6)
@@ -334,7 +334,7 @@ def _start_late(world: Any, active: ActiveFault) -> UndoFunction:
     return lambda: setattr(motor, "power_stage_fault", None)
 
 
-def _start_servo(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_servo_fault(world: Any, active: ActiveFault) -> UndoFunction:
     """Replace the torque that the power stage of a drive applies.
 
     The sensor node of the hand has no power stage.
@@ -361,10 +361,24 @@ def _start_servo(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 _START_FUNCTIONS: dict[str, Callable[[Any, ActiveFault], UndoFunction]] = {
-    "snap": _start_snap, "slack": _start_slack, "friction": _start_friction, "block": _start_block,
-    "error": _start_trip, "watchdog": _start_trip, "voltage": _start_trip, "reset": _start_reset,
-    "forget": _start_forget, "hot": _start_hot, "mute": _start_mute, "ripple": _start_ripple, "late": _start_late,
-    "disobey": _start_servo, "runaway": _start_servo, "hold_on": _start_servo, "off": _start_servo,
-    "swap": _start_exchange, "cross": _start_exchange,
-}  # fmt: skip
+    "snap": _start_snapped_tendon,
+    "slack": _start_slack_tendon,
+    "friction": _start_extra_friction,
+    "block": _start_blocked_digit,
+    "error": _start_tripped_drive,
+    "watchdog": _start_tripped_drive,
+    "voltage": _start_tripped_drive,
+    "reset": _start_drive_reset,
+    "forget": _start_forgotten_settings,
+    "hot": _start_hot_motor,
+    "mute": _start_muted_sensor,
+    "ripple": _start_torque_ripple,
+    "late": _start_late_commands,
+    "disobey": _start_servo_fault,
+    "runaway": _start_servo_fault,
+    "hold_on": _start_servo_fault,
+    "off": _start_servo_fault,
+    "swap": _start_exchanged_motors,
+    "cross": _start_exchanged_motors,
+}
 """Function that starts the faults of each kind."""

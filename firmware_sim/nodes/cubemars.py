@@ -145,9 +145,9 @@ class CubemarsNode:
     def _process_special_command(self, command_code: int, frame: Frame, t_ns: int) -> list[Frame]:
         """Execute a special command."""
         if command_code == _ENABLE_COMMAND:
-            self._switch_torque(enable=self.error == FeedbackError.NONE)
+            self._switch_torque(is_enabled=self.error == FeedbackError.NONE)
         elif command_code == _DISABLE_COMMAND:
-            self._switch_torque(enable=False)
+            self._switch_torque(is_enabled=False)
         elif command_code == _ZERO_COMMAND:
             self.offset = -self._direction * self.motor.encoder()
             self._silent_until_ns = t_ns + ZEROING_NS
@@ -157,14 +157,14 @@ class CubemarsNode:
             return []
         return [self._feedback_frame(frame, t_ns)]
 
-    def _switch_torque(self, enable: bool) -> None:
+    def _switch_torque(self, is_enabled: bool) -> None:
         """Switch the torque of the motor on or off.
 
         The servo keeps its setpoint only if the motor was enabled and stays enabled.
         """
-        if not (enable and self.enabled):
+        if not (is_enabled and self.enabled):
             self.motor.servo.release()
-        self.enabled = enable
+        self.enabled = is_enabled
 
     def _apply_command(self, data: bytes) -> None:
         """Apply an MIT command if the motor is enabled."""
@@ -204,12 +204,12 @@ class CubemarsNode:
         """
         self.error = feedback_error
         if feedback_error != FeedbackError.NONE:
-            self._switch_torque(enable=False)
+            self._switch_torque(is_enabled=False)
 
     def power_cycle(self) -> None:
         """Restart the motor. The motor is then disabled and has no error."""
         self.error = FeedbackError.NONE
-        self._switch_torque(enable=False)
+        self._switch_torque(is_enabled=False)
 
     def wake(self, t_ns: int) -> None:
         """Update the temperatures, and set or end the over-temperature error."""

@@ -134,13 +134,13 @@ def _payload_as_integer(payload: Any) -> int:
 
 
 @kernel_helper
-def _fill_header(answer: Any, can_id: int, length: int, flags: int, bus: int) -> None:
+def _fill_header(answer_record: Any, can_id: int, length: int, flags: int, bus: int) -> None:
     """Fill all fields of a frame, but not the time. The payload is set to zero."""
-    answer.can_id = can_id
-    answer.length = length
-    answer.flags = flags
-    answer.bus = bus
-    data = answer.data
+    answer_record.can_id = can_id
+    answer_record.length = length
+    answer_record.flags = flags
+    answer_record.bus = bus
+    data = answer_record.data
     for i in range(64):
         data[i] = 0
 
@@ -739,18 +739,18 @@ def send_due(
 
 
 @compiled(FRAME_DTYPE, FRAME_DTYPE, FRAME_DTYPE)
-def merge(frames: Any, other_frames: Any, merged: Any) -> None:
-    """Write the frames of two arrays into ``merged``, sorted by time.
+def merge(host_frames: Any, other_frames: Any, merged_frames: Any) -> None:
+    """Write the frames of two arrays into ``merged_frames``, sorted by time.
 
     Frames with equal times keep their order.
     """
-    count = len(frames)
-    for i in range(len(merged)):
-        frame = frames[i] if i < count else other_frames[i - count]
+    count = len(host_frames)
+    for i in range(len(merged_frames)):
+        frame = host_frames[i] if i < count else other_frames[i - count]
         # The loop is an insertion sort. It is fast because both arrays are almost sorted, and it
         # keeps the order of equal times.
         place = i
-        while place > 0 and merged[place - 1].t_ns > frame.t_ns:
-            merged[place] = merged[place - 1]
+        while place > 0 and merged_frames[place - 1].t_ns > frame.t_ns:
+            merged_frames[place] = merged_frames[place - 1]
             place -= 1
-        merged[place] = frame
+        merged_frames[place] = frame

@@ -55,12 +55,12 @@ class DriveTemperatures:
         # The mean copper loss is the square of the current times the resistance. The current is the
         # torque divided by the torque constant.
         watt = torque_squared / elapsed_s * self._ohm_per_kt2
-        self.winding = _low_pass(
+        self.winding = _low_pass_value(
             self.winding, AMBIENT_C + WINDING_K_PER_W * watt, elapsed_s / WINDING_S
         )
         if self.forced is not None:
             self.winding = self.forced
-        self.mosfet = _low_pass(
+        self.mosfet = _low_pass_value(
             self.mosfet, AMBIENT_C + MOSFET_K_PER_W * watt, elapsed_s / MOSFET_S
         )
 
@@ -71,9 +71,9 @@ class ThermalStruct(ctypes.Structure, DriveTemperatures):
     _fields_ = [(name, ctypes.c_double) for name in ("winding", "mosfet")]
 
 
-def _low_pass(value: float, target: float, time_constants: float) -> float:
+def _low_pass_value(value: float, target_value: float, time_constants: float) -> float:
     """Move a value towards a target, as a first-order lag does.
 
     The time is given as a number of time constants.
     """
-    return target + (value - target) * math.exp(-time_constants)
+    return target_value + (value - target_value) * math.exp(-time_constants)

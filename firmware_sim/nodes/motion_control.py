@@ -75,17 +75,19 @@ class MotionSetpoint:
         self.velocity = velocity
         self.acceleration = 0.0
 
-    def ramp(self, velocity: float, rise: float, fall: float, step_s: float) -> None:
+    def ramp(
+        self, velocity: float, acceleration: float, deceleration: float, step_s: float
+    ) -> None:
         """Change the setpoint's velocity towards a target [rad/s], and advance the position of the setpoint.
 
         Args:
             velocity: target velocity [rad/s].
-            rise: largest acceleration while the speed increases [rad/s2].
-            fall: largest deceleration while the speed decreases [rad/s2].
+            acceleration: largest acceleration while the speed increases [rad/s2].
+            deceleration: largest deceleration while the speed decreases [rad/s2].
             step_s: duration of the step [s].
         """
         slows = self.velocity * (velocity - self.velocity) < 0.0
-        largest = (fall if slows else rise) * step_s
+        largest = (deceleration if slows else acceleration) * step_s
         change = min(largest, max(-largest, velocity - self.velocity))
         if slows and abs(change) > abs(self.velocity):
             # When the motion reverses, the velocity is zero for one step, because acceleration and
@@ -96,7 +98,7 @@ class MotionSetpoint:
         self.position += step_s * self.velocity
 
     def trapezoid(
-        self, target: float, speed: float, rise: float, fall: float, step_s: float
+        self, target: float, speed: float, acceleration: float, deceleration: float, step_s: float
     ) -> bool:
         """Move the setpoint towards a position with a trapezoidal velocity profile.
 
@@ -105,29 +107,32 @@ class MotionSetpoint:
         Args:
             target: target position [rad].
             speed: largest speed [rad/s].
-            rise: largest acceleration [rad/s2].
-            fall: largest deceleration [rad/s2].
+            acceleration: largest acceleration [rad/s2].
+            deceleration: largest deceleration [rad/s2].
             step_s: duration of the step [s].
 
         Returns:
             True if the setpoint has reached the target.
         """
         rest = target - self.position
-        if math.isinf(fall):
+        if math.isinf(deceleration):
             stoppable = abs(rest) / step_s
         else:
             # The next lines compute the largest speed from which the setpoint can stop within the
             # remaining distance, if each step changes the velocity by fall * step_s.
-            half = 0.5 * fall * step_s
-            stoppable = math.sqrt(half * half + 2.0 * fall * abs(rest)) - half
+            half = 0.5 * deceleration * step_s
+            stoppable = math.sqrt(half * half + 2.0 * deceleration * abs(rest)) - half
         # In the last step, the setpoint jumps to the target. For this jump, up to twice the
         # deceleration may be necessary.
-        slowest = fall * step_s
+        slowest = deceleration * step_s
         if abs(rest) <= min(slowest, speed) * step_s and abs(self.velocity) <= 2.0 * slowest:
             self.jump(target)
             return True
         self.ramp(
-            math.copysign(min(speed, stoppable, abs(rest) / step_s), rest), rise, fall, step_s
+            math.copysign(min(speed, stoppable, abs(rest) / step_s), rest),
+            acceleration,
+            deceleration,
+            step_s,
         )
         return False
 

@@ -20,16 +20,16 @@ The count is even, because the algorithm generates pairs of numbers.
 
 
 @compiled("vector", "vector")
-def _normal_from_uniform(uniform: Any, out: Any) -> None:
+def _normal_from_uniform(uniform_numbers: Any, normal_numbers: Any) -> None:
     """Convert pairs of uniformly distributed numbers to pairs of normally distributed numbers.
 
     Source: Python, ``random.Random.gauss``.
     """
-    for i in range(0, len(out), 2):
-        angle = uniform[i] * 2.0 * math.pi
-        radius = math.sqrt(-2.0 * math.log(1.0 - uniform[i + 1]))
-        out[i] = math.cos(angle) * radius
-        out[i + 1] = math.sin(angle) * radius
+    for i in range(0, len(normal_numbers), 2):
+        angle = uniform_numbers[i] * 2.0 * math.pi
+        radius = math.sqrt(-2.0 * math.log(1.0 - uniform_numbers[i + 1]))
+        normal_numbers[i] = math.cos(angle) * radius
+        normal_numbers[i + 1] = math.sin(angle) * radius
 
 
 class NormalNoise:

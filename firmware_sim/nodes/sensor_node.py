@@ -122,24 +122,24 @@ def encode(
 
 @compiled("vector", "vector", "vector", "real", "real", "vector")
 def read_cells(
-    true: Any, bias: Any, normal: Any, drift: float, noise: float, readings: Any
+    true_tensions: Any, bias: Any, normal_numbers: Any, drift: float, noise: float, readings: Any
 ) -> None:
     """Compute the readings of the load cells: the sum of true tension, random walk of the bias, and noise.
 
     Args:
-        true: true tension of each cell [N].
+        true_tensions: true tension of each cell [N].
         bias: bias of each cell [N], which the kernel updates.
-        normal: random numbers with a normal distribution: one for the drift of each cell's bias,
+        normal_numbers: random numbers with a normal distribution: one for the drift of each cell's bias,
             then one for the noise of each cell.
         drift: standard deviation of the change of the bias since the last sample [N].
         noise: standard deviation of the noise in a reading [N].
         readings: reading of each cell [N], written by the kernel.
     """
-    channels = len(true)
+    channels = len(true_tensions)
     for i in range(channels):
-        bias[i] += normal[i] * drift
+        bias[i] += normal_numbers[i] * drift
     for i in range(channels):
-        readings[i] = true[i] + bias[i] + normal[channels + i] * noise
+        readings[i] = true_tensions[i] + bias[i] + normal_numbers[channels + i] * noise
 
 
 @kernel_helper
@@ -306,7 +306,7 @@ class SensorNode:
             count = len(spec.joints)
             angles = self._angles() * np.array(self.joint_scale[:count])
             noise = self.noise.take(count) * np.array(self.joint_noise[:count])
-            readings = _with_faults(angles + noise, self.joint_faults)
+            readings = _readings_with_faults(angles + noise, self.joint_faults)
             payloads += enumerate(
                 encoders.of_values(counter, readings, *JOINT_CODE), spec.base_id + JOINT_OFFSET
             )
@@ -325,7 +325,7 @@ class SensorNode:
         drift = drift_since(self, t_ns)
         normal = self.noise.take(2 * len(self.bias))
         read_cells(self._tensions(), self.bias, normal, drift, self.tension_noise, self._values)
-        return _with_faults(self._values, self.cell_faults)
+        return _readings_with_faults(self._values, self.cell_faults)
 
     def wake(self, t_ns: int) -> None:
         """Do nothing, because this node acts only on SYNC frames."""
@@ -344,8 +344,10 @@ class SensorNodeRow(SensorStruct, SensorNode):
         SensorNode.__init__(self, spec, tensions, angles, seed)
 
 
-def _with_faults(readings: Any, faults: dict[int, Callable[[float], float]]) -> Any:
+def _readings_with_faults(
+    readings: Any, fault_functions: dict[int, Callable[[float], float]]
+) -> Any:
     """Let the faults of single channels change the readings."""
-    for i, fault in sorted(faults.items()):
+    for i, fault in sorted(fault_functions.items()):
         readings[i] = fault(float(readings[i]))
     return readings

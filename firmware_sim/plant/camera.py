@@ -159,13 +159,13 @@ def _paint(model: Any, digits: list[str]) -> None:
         model.geom_rgba[geom] = (*colour, 1.0)
 
 
-def _view_of_hand(model: Any, data: Any, aspect: float) -> Any:
+def _view_of_hand(model: Any, data: Any, aspect_ratio: float) -> Any:
     """Return a camera view that shows all bodies except the table.
 
     Args:
         model: MuJoCo model that is drawn.
         data: state of the model in which the hand is open.
-        aspect: width of the picture divided by the height of the picture.
+        aspect_ratio: width of the picture divided by the height of the picture.
     """
     bodies = [
         mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, model.geom_bodyid[geom])
@@ -176,8 +176,8 @@ def _view_of_hand(model: Any, data: Any, aspect: float) -> Any:
     distance = np.linalg.norm(data.geom_xpos[shown] - centre, axis=1)
     radius = float((distance + model.geom_rbound[shown]).max())
     half_angle = np.radians(model.vis.global_.fovy / 2.0)
-    if aspect < 1.0:
-        half_angle = np.arctan(aspect * np.tan(half_angle))
+    if aspect_ratio < 1.0:
+        half_angle = np.arctan(aspect_ratio * np.tan(half_angle))
     view = mujoco.MjvCamera()
     view.lookat[:] = centre
     view.distance = FILL_FRACTION * radius / np.sin(half_angle)

@@ -42,7 +42,7 @@ DRIVETRAIN_ARGUMENTS = (TendonStruct, "counts", "vector", RotorStruct)
 
 
 @kernel_helper
-def _arm_at(arms: Any, i: int, q: float) -> float:
+def _moment_arm_at(arms: Any, i: int, q: float) -> float:
     """Return the moment arm [m] of pulley i at the joint angle q [rad]."""
     at = PULLEY_NUMBER_COUNT * i
     if arms[at + 1] == 0.0:
@@ -57,7 +57,7 @@ def _arm_at(arms: Any, i: int, q: float) -> float:
 
 
 @kernel_helper
-def _taken_up(arms: Any, i: int, q: float) -> float:
+def _taken_up_length(arms: Any, i: int, q: float) -> float:
     """Return the tendon length [m] that pulley i takes up while the joint turns from 0 to the angle q [rad]."""
     at = PULLEY_NUMBER_COUNT * i
     if arms[at + 1] == 0.0:
@@ -69,11 +69,11 @@ def _taken_up(arms: Any, i: int, q: float) -> float:
         length += arms[at + k] * power / (k - 3.0)
         power *= angle
     # Beyond the limits of the joint angle, the moment arm is constant.
-    return float(length + _arm_at(arms, i, q) * (q - angle))
+    return float(length + _moment_arm_at(arms, i, q) * (q - angle))
 
 
 @kernel_helper
-def _elastic(tendon: Any, stretch: float) -> float:
+def _elastic_tension(tendon: Any, stretch: float) -> float:
     """Compute the elastic tension [N] of a tendon at a stretch [m].
 
     Above the stretch at the knee of the curve, the tendon is softer.
@@ -117,11 +117,11 @@ def _cell_tension(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: A
     stretch = tendon.radius * rotor.theta - tendon.extra_length
     rate = tendon.radius * rotor.omega
     for i in range(tendon.first, tendon.end):
-        stretch -= _taken_up(arms, i, q[joints[i]])
-        rate -= _arm_at(arms, i, q[joints[i]]) * dq[joints[i]]
+        stretch -= _taken_up_length(arms, i, q[joints[i]])
+        rate -= _moment_arm_at(arms, i, q[joints[i]]) * dq[joints[i]]
     if stretch <= 0.0:
         return 0.0
-    return max(0.0, float(_elastic(tendon, stretch) + tendon.damping * rate))
+    return max(0.0, float(_elastic_tension(tendon, stretch) + tendon.damping * rate))
 
 
 @kernel_helper
@@ -146,7 +146,7 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
         # The next lines compute the capstan equation. If the speed is positive, the tendon moves
         # towards the spool, and friction reduces the tension behind a pulley.
         local = tension * math.exp(-rate * angle)
-        torque[joints[i]] += _arm_at(arms, i, q[joints[i]]) * local
+        torque[joints[i]] += _moment_arm_at(arms, i, q[joints[i]]) * local
         if local < lowest:
             lowest = local
         elif local > highest:
@@ -167,13 +167,15 @@ def _apply_tendon(
     stretch = tendon.radius * rotor.theta - tendon.extra_length
     speed = 0.0
     for i in range(tendon.first, tendon.end):
-        stretch -= _taken_up(arms, i, q[joints[i]])
+        stretch -= _taken_up_length(arms, i, q[joints[i]])
         # The stretch of a tendon is the excursion of the spool minus the excursions of the joints.
         # A positive spool angle winds the tendon up, and a positive joint angle closes the digit.
-        speed += _arm_at(arms, i, q[joints[i]]) * dq[joints[i]]
+        speed += _moment_arm_at(arms, i, q[joints[i]]) * dq[joints[i]]
     tension = 0.0
     if stretch > 0.0:
-        tension = _elastic(tendon, stretch) + tendon.damping * (tendon.radius * rotor.omega - speed)
+        tension = _elastic_tension(tendon, stretch) + tendon.damping * (
+            tendon.radius * rotor.omega - speed
+        )
     tendon.speed = speed
     tendon.slope = 0.0
     tendon.tension = 0.0
@@ -214,10 +216,10 @@ def limit_torque_by_speed(
     rotor: Any,
     command: float,
     inertia: float,
-    drag: float,
+    drag_torque: float,
     speed: float,
     slope: float,
-    brakes: bool,
+    is_braking: bool,
 ) -> float:
     """Limit a torque command to the range from slope (-speed - omega) to slope (speed - omega) [N m].
 
@@ -228,21 +230,21 @@ def limit_torque_by_speed(
         command: torque command [N m].
         inertia: inertia of the rotor divided by the step, plus the slope of the friction [N m
             s/rad].
-        drag: load of the rotor plus Coulomb friction [N m].
+        drag_torque: load of the rotor plus Coulomb friction [N m].
         speed: speed at which the limit is zero [rad/s].
         slope: decrease of the torque limit with the speed [N m s/rad].
-        brakes: True if the limit brakes a rotor above ``speed``, False if such a rotor turns
+        is_braking: True if the limit brakes a rotor above ``speed``, False if such a rotor turns
             freely.
     """
     sign = 1.0 if rotor.gain > 0.0 else -1.0
     mass = inertia + rotor.viscous
-    push = inertia * rotor.omega + rotor.gain * (1.0 - rotor.lag) * rotor.torque - drag
+    push = inertia * rotor.omega + rotor.gain * (1.0 - rotor.lag) * rotor.torque - drag_torque
     # The next lines solve limit = slope (+-speed - omega), where omega = (push + gain lag limit) /
     # mass.
     scale = mass + slope * abs(rotor.gain) * rotor.lag
     highest = (slope * speed * mass - sign * slope * push) / scale
     lowest = (-slope * speed * mass - sign * slope * push) / scale
-    if not brakes:
+    if not is_braking:
         highest = max(highest, 0.0)
         lowest = min(lowest, 0.0)
     return float(min(highest, max(lowest, command)))

@@ -102,7 +102,7 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     head = f'<mujoco model="{hand.name}">{options}{_mesh_assets(shown)}'
     return (
         f"{head}<worldbody>\n{_palm_element(hand, '', opposed, shown)}\n{scene_bodies}</worldbody>\n"
-        f"<tendon>{tendons}{''.join(loopbacks.values())}</tendon>\n{_equality(loopbacks)}"
+        f"<tendon>{tendons}{''.join(loopbacks.values())}</tendon>\n{_equality_element(loopbacks)}"
         f"<sensor>{sensors}</sensor>\n</mujoco>"
     )
 
@@ -205,7 +205,7 @@ def _mesh_geom(mesh: LinkMesh | None) -> str:
 
 
 def _palm_element(
-    hand: Hand, carrier: str, opposed: dict[str, bool], meshes_by_link: dict[str, LinkMesh]
+    hand: Hand, carrier: str, is_digit_opposed: dict[str, bool], meshes_by_link: dict[str, LinkMesh]
 ) -> str:
     """Build the palm, or the box on the last link of a carrying digit, with all attached digits."""
     centre, half = palm_box(hand, carrier)
@@ -217,7 +217,8 @@ def _palm_element(
     )
     mesh = "" if carrier else _mesh_geom(meshes_by_link.get("palm"))
     digits = "\n".join(
-        _digit_element(hand, digit, opposed, meshes_by_link) for digit in hand.carried_by(carrier)
+        _digit_element(hand, digit, is_digit_opposed, meshes_by_link)
+        for digit in hand.carried_by(carrier)
     )
     return f"{box}{mesh}\n{digits}\n"
 
@@ -260,7 +261,7 @@ def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
 
 
 def _digit_element(
-    hand: Hand, digit: Digit, opposed: dict[str, bool], meshes_by_link: dict[str, LinkMesh]
+    hand: Hand, digit: Digit, is_digit_opposed: dict[str, bool], meshes_by_link: dict[str, LinkMesh]
 ) -> str:
     """Build the nested bodies of a digit.
 
@@ -278,7 +279,11 @@ def _digit_element(
         opening += (
             f'<body name="{digit.name}_link{i + 1}" pos="{offset}" euler="{_numbers_text(turn)}">'
         )
-        bits = _carrier_bits() if carries else _digit_bits(opposed[digit.name], near_palm[i])
+        bits = (
+            _carrier_bits()
+            if carries
+            else _digit_contact_bits(is_digit_opposed[digit.name], near_palm[i])
+        )
         # A link that carries other digits ends at the face of the box on which these digits are
         # mounted.
         length = (
@@ -290,18 +295,18 @@ def _digit_element(
         closing = "</body>" + closing
     return (
         opening
-        + (_palm_element(hand, digit.name, opposed, meshes_by_link) if carries else "")
+        + (_palm_element(hand, digit.name, is_digit_opposed, meshes_by_link) if carries else "")
         + closing
     )
 
 
-def _digit_bits(opposed: bool, near_palm: bool) -> tuple[int, int]:
+def _digit_contact_bits(is_opposed: bool, near_palm: bool) -> tuple[int, int]:
     """Return the collision category and the collision affinity of a link.
 
     All links of a digit touch the object and the opposed digits. Only links whose hinges are not
     close to the palm can touch the palm.
     """
-    category, opposite = (OPPOSED_BIT, FINGER_BIT) if opposed else (FINGER_BIT, OPPOSED_BIT)
+    category, opposite = (OPPOSED_BIT, FINGER_BIT) if is_opposed else (FINGER_BIT, OPPOSED_BIT)
     return category, OBJECT_BIT | opposite | (0 if near_palm else PALM_BIT)
 
 
@@ -360,7 +365,7 @@ def _loopbacks(hand: Hand, digit: Digit) -> dict[str, str]:
     A digit with spool pairs has no springs. If only the spool pairs held the digit, coupled joints
     could turn against each other. In a real hand, a loopback tendon or a bar couples such joints.
     For every vector c with B^T c = 0, the combination of the joint angles with the coefficients c
-    is constant. In the model, each such c is a tendon, and ``_equality`` keeps the length of this
+    is constant. In the model, each such c is a tendon, and ``_equality_element`` keeps the length of this
     tendon constant.
 
     Returns:
@@ -382,12 +387,14 @@ def _loopbacks(hand: Hand, digit: Digit) -> dict[str, str]:
     return tendons
 
 
-def _equality(loopbacks: Iterable[str]) -> str:
+def _equality_element(loopback_texts: Iterable[str]) -> str:
     """Build the constraints that keep the lengths of the loopback tendons constant.
 
     Without such tendons, the text is empty.
     """
-    constraints = "".join(f'<tendon tendon1="{name}" {COUPLING_STIFFNESS}/>' for name in loopbacks)
+    constraints = "".join(
+        f'<tendon tendon1="{name}" {COUPLING_STIFFNESS}/>' for name in loopback_texts
+    )
     return f"<equality>{constraints}</equality>\n" if constraints else ""
 
 

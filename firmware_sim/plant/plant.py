@@ -55,7 +55,7 @@ class Plant:
     """
 
     def __init__(
-        self, hand: Hand, scene: Scene, seed: int = 0, homed: bool = False, compiled: bool = True
+        self, hand: Hand, scene: Scene, seed: int = 0, homed: bool = False, is_compiled: bool = True
     ) -> None:
         """Build the plant in its state at power-up.
 
@@ -64,7 +64,7 @@ class Plant:
             scene: description of object, support and later events.
             seed: seed for the random slack of the tendons.
             homed: True to start with taut tendons.
-            compiled: True to use compiled kernels. If False, the start is one second faster,
+            is_compiled: True to use compiled kernels. If False, the start is one second faster,
                 but each step is slower.
 
         Raises:
@@ -80,9 +80,9 @@ class Plant:
         except ValueError as error:
             raise SimulatorError(f"hand {hand.name}: {str(error).splitlines()[0]}") from error
         self._check_overlaps()
-        self._kernels: Any = machine_code(drivetrain) if compiled else drivetrain
+        self._kernels: Any = machine_code(drivetrain) if is_compiled else drivetrain
         rotors: Any
-        if compiled:
+        if is_compiled:
             self._rotors, rotors = motor_rows(hand.motors, STEP_S)
         else:
             self._rotors = rotors = [Motor(motor, STEP_S) for motor in hand.motors]
@@ -93,12 +93,12 @@ class Plant:
         self.motors = {
             spec.name: motor for spec, motor in zip(hand.motors, self._rotors, strict=True)
         }
-        routing = self._build_routing(compiled)
+        routing = self._build_routing(is_compiled)
         self.tendons = [(tendon, self._rotors[tendon.motor]) for tendon in routing.tendons]
         self._drivetrain = routing.rows, routing.joints, routing.arms, rotors
         engine = self.engine
         self._bodies = (
-            (engine.q, engine.dq, engine.applied, engine.tendon_damping) if compiled else None
+            (engine.q, engine.dq, engine.applied, engine.tendon_damping) if is_compiled else None
         )
         native = engine.native
         arrays = (*self._drivetrain, *self._bodies) if self._bodies else ()
@@ -109,7 +109,7 @@ class Plant:
         )
         self._tensions = np.zeros(len(self.tendons))
         self.sampled = (*self._drivetrain, engine.q, engine.dq, self._tensions)
-        self.table = self._build_table(scene.support, compiled) if scene.support else None
+        self.table = self._build_table(scene.support, is_compiled) if scene.support else None
         self.contact_forces = self.engine.forces_on(
             "contact", [digit.name for digit in hand.digits]
         )
@@ -140,7 +140,7 @@ class Plant:
                 "expected a smaller object, or another position_m"
             )
 
-    def _build_routing(self, compiled: bool) -> TendonRouting:
+    def _build_routing(self, is_compiled: bool) -> TendonRouting:
         """Build the tendons of the hand and their pulleys.
 
         If a tendon names an unknown motor or joint, raise an error.
@@ -159,10 +159,10 @@ class Plant:
             hand.joints,
             motors,
             [motor.spool_radius for motor in hand.motors],
-            compiled,
+            is_compiled,
         )
 
-    def _build_table(self, support: SinkingTable, compiled: bool) -> SupportTable:
+    def _build_table(self, support: SinkingTable, is_compiled: bool) -> SupportTable:
         """Build the table under the object.
 
         With compiled kernels, the table reads the contact forces directly from MuJoCo's memory.
@@ -170,7 +170,7 @@ class Plant:
         hand = self.hand
         closing = [i for i, digit in enumerate(hand.digits) if digit in hand.closing_digits]
         opposed = [opposed_digits(hand)[i] for i in closing]
-        if not compiled:
+        if not is_compiled:
             return SupportTable(support, opposed, [3 * i for i in closing])
         indices = self.engine.force_indices("contact", [hand.digits[i].name for i in closing])
         return SupportTable(support, opposed, indices, machine_code(support_kernels))

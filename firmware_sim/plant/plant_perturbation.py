@@ -70,37 +70,37 @@ def _scaled_values(values: tuple[float, ...], factor: float) -> tuple[float, ...
     return tuple(value * factor for value in values)
 
 
-def _perturbed_digit(digit: Digit, f: dict[str, float]) -> Digit:
+def _perturbed_digit(digit: Digit, factors: dict[str, float]) -> Digit:
     return replace(
         digit,
-        mass=_scaled_values(digit.mass, f["mass"]),
-        inertia=tuple(_scaled_values(one, f["mass"]) for one in digit.inertia),
-        damping=_scaled_values(digit.damping, f["damping"]),
-        spring=_scaled_values(digit.spring, f["spring"]),
+        mass=_scaled_values(digit.mass, factors["mass"]),
+        inertia=tuple(_scaled_values(one, factors["mass"]) for one in digit.inertia),
+        damping=_scaled_values(digit.damping, factors["damping"]),
+        spring=_scaled_values(digit.spring, factors["spring"]),
     )
 
 
-def _perturbed_tendon(tendon: TendonSpec, f: dict[str, float]) -> TendonSpec:
+def _perturbed_tendon(tendon: TendonSpec, factors: dict[str, float]) -> TendonSpec:
     return replace(
         tendon,
-        arms={joint: arm * f["moment_arm"] for joint, arm in tendon.arms.items()},
+        arms={joint: arm * factors["moment_arm"] for joint, arm in tendon.arms.items()},
         curves={
-            joint: replace(curve, powers=_scaled_values(curve.powers, f["moment_arm"]))
+            joint: replace(curve, powers=_scaled_values(curve.powers, factors["moment_arm"]))
             for joint, curve in tendon.curves.items()
         },
-        stiffness=tendon.stiffness * f["stiffness"],
-        damping=tendon.damping * f["damping"],
-        friction=tendon.friction * f["friction"],
+        stiffness=tendon.stiffness * factors["stiffness"],
+        damping=tendon.damping * factors["damping"],
+        friction=tendon.friction * factors["friction"],
     )
 
 
-def _perturbed_motor(motor: MotorSpec, f: dict[str, float]) -> MotorSpec:
+def _perturbed_motor(motor: MotorSpec, factors: dict[str, float]) -> MotorSpec:
     return replace(
         motor,
-        inertia=motor.inertia * f["motor_inertia"],
-        viscous=motor.viscous * f["damping"],
-        coulomb=motor.coulomb * f["friction"],
-        torque_gain=f["torque_constant"],
+        inertia=motor.inertia * factors["motor_inertia"],
+        viscous=motor.viscous * factors["damping"],
+        coulomb=motor.coulomb * factors["friction"],
+        torque_gain=factors["torque_constant"],
     )
 
 

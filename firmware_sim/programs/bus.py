@@ -28,7 +28,7 @@ def run(words: list[str]) -> None:
     )
     args = parser.parse_args(words)
     now_ns = SharedClock().now_ns
-    timed_port = timed_port_maker(args.wire, [DEFAULT_BITRATES], now_ns, nodes=False)
+    timed_port = timed_port_maker(args.wire, [DEFAULT_BITRATES], now_ns, is_node_side=False)
     port = open_port(f"local:{args.name}", 0, timed_port)
     running = [True]
     until_signal(running.clear)

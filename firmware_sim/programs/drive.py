@@ -15,8 +15,8 @@ from firmware_sim.faults.fault_socket import FaultSocket, is_served
 from firmware_sim.faults.faulty_drive import (
     DRIVE_FAULTS,
     check_fault_has_effect,
+    motor_specs_with_fault,
     with_fault,
-    with_faulty_specs,
 )
 from firmware_sim.hand_description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS
@@ -91,7 +91,7 @@ class SimulatedDriveBench:
         self.t_ns = origin_ns
         self.slip_ns = 0
         self.foreign = 0
-        specs = with_faulty_specs(specs, fault)
+        specs = motor_specs_with_fault(specs, fault)
         self.part_ns = 0
         self.motors = [Motor(spec, STEP_NS * 1e-9) for spec in specs]
         pairs = zip(specs, self.motors, strict=True)

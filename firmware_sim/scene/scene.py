@@ -124,13 +124,13 @@ def load_scene(text: str | None) -> Scene:
     return _resized_scene(scene, diameter, text) if diameter else scene
 
 
-def _resized_scene(scene: Scene, millimetres: str, text: str) -> Scene:
+def _resized_scene(scene: Scene, diameter_text: str, text: str) -> Scene:
     """Return the scene with another diameter of the object.
 
     The gap between the object and the palm stays the same.
     """
     try:
-        diameter = float(millimetres) * 1e-3
+        diameter = float(diameter_text) * 1e-3
     except ValueError:
         diameter = math.nan
     if scene.grasp_object is None or not 0.0 < diameter < 1.0:
@@ -182,61 +182,67 @@ def _read_scene(path: Any, where: str) -> Scene:
     return scene
 
 
-def _parse_object(section: dict[str, Any] | None) -> GraspObject | None:
+def _parse_object(object_section: dict[str, Any] | None) -> GraspObject | None:
     """Build the object from its section in the scene file."""
-    if section is None:
+    if object_section is None:
         return None
-    shape = section["shape"]
+    shape = object_section["shape"]
     if shape not in OBJECT_SHAPES:
         raise ValueError(f"object.shape {shape!r}: expected {', '.join(OBJECT_SHAPES)}")
     if shape == "box":
-        size = tuple(float(value) for value in section["size_m"])
+        size = tuple(float(value) for value in object_section["size_m"])
     else:
-        diameter = float(section["diameter_m"])
-        size = (diameter, diameter, diameter if shape == "sphere" else float(section["length_m"]))
-    position = tuple(float(value) for value in section["position_m"])
+        diameter = float(object_section["diameter_m"])
+        size = (
+            diameter,
+            diameter,
+            diameter if shape == "sphere" else float(object_section["length_m"]),
+        )
+    position = tuple(float(value) for value in object_section["position_m"])
     if (
         len(size) != 3
         or len(position) != 3
-        or not all(0 < value < 1 for value in (*size, section["mass_kg"] / 100))
+        or not all(0 < value < 1 for value in (*size, object_section["mass_kg"] / 100))
     ):
         raise ValueError(
             "object: expected three positive extents, a positive mass and three coordinates"
         )
-    friction = float(section["friction"])
+    friction = float(object_section["friction"])
     if not (0.0 <= friction <= 10.0 and all(map(math.isfinite, position))):
         raise ValueError(
             f"object: friction {friction}, position {position}: expected finite, friction 0 to 10"
         )
-    return GraspObject(shape, size, float(section["mass_kg"]), friction, position)
+    return GraspObject(shape, size, float(object_section["mass_kg"]), friction, position)
 
 
-def _parse_support(section: dict[str, Any] | None) -> SinkingTable | None:
+def _parse_support(support_section: dict[str, Any] | None) -> SinkingTable | None:
     """Build the support from its section in the scene file."""
-    if section is None:
+    if support_section is None:
         return None
-    if section["drop_when"] not in ("grasped", "never"):
-        raise ValueError(f"support.drop_when {section['drop_when']!r}: expected grasped or never")
+    if support_section["drop_when"] not in ("grasped", "never"):
+        raise ValueError(
+            f"support.drop_when {support_section['drop_when']!r}: expected grasped or never"
+        )
     keys = {"drop_when": "drop_when", "drop_force_N": "drop_force", "drop_hold_s": "drop_hold",
             "drop_digits": "drop_digits", "drop_opposed": "drop_opposed",
             "sink_speed_m_s": "sink_speed", "sink_depth_m": "sink_depth"}  # fmt: skip
-    return SinkingTable(**{keys[key]: value for key, value in section.items()})
+    return SinkingTable(**{keys[key]: value for key, value in support_section.items()})
 
 
-def _parse_load(section: dict[str, Any] | None) -> GrowingLoad | None:
+def _parse_load(load_section: dict[str, Any] | None) -> GrowingLoad | None:
     """Build the load from its section in the scene file.
 
     The direction of the load is scaled to a unit vector.
     """
-    if section is None:
+    if load_section is None:
         return None
-    x, y, z = (float(value) for value in section["direction"])
+    x, y, z = (float(value) for value in load_section["direction"])
     length = math.hypot(x, y, z)
-    start = float(section["start_s"])
-    rate = float(section["rate_N_per_s"])
+    start = float(load_section["start_s"])
+    rate = float(load_section["rate_N_per_s"])
     if (
         not (0.0 < length < math.inf and 0.0 <= start < math.inf and 0.0 < rate < math.inf)
-        or len(section) != 3
+        or len(load_section) != 3
     ):
         raise ValueError("load: expected direction (not zero), start_s and a positive rate_N_per_s")
     return GrowingLoad((x / length, y / length, z / length), start, rate)

@@ -43,34 +43,36 @@ class SceneStage:
     friction: float | None
 
 
-def read_stage(section: dict[str, Any]) -> SceneStage:
+def read_stage(stage_section: dict[str, Any]) -> SceneStage:
     """Read one stage of a scene file.
 
     Raises:
         ValueError: a key or a value of the stage is wrong.
     """
-    if unknown := section.keys() - STAGE_KEYS:
+    if unknown := stage_section.keys() - STAGE_KEYS:
         raise ValueError(f"stage.{sorted(unknown)[0]}: expected {', '.join(sorted(STAGE_KEYS))}")
-    down = _parse_vector(section["down"], "stage.down") if "down" in section else None
+    down = _parse_vector(stage_section["down"], "stage.down") if "down" in stage_section else None
     if down is not None:
         length = math.hypot(*down)
         if not length > 0.0:
             raise ValueError("stage.down: expected a direction, not zero")
         down = (down[0] / length, down[1] / length, down[2] / length)
-    push = _parse_vector(section.get("push_N", (0.0, 0.0, 0.0)), "stage.push_N")
-    times = [float(section.get(key, 0.0)) for key in ("turn_s", "last_s", "push_at_s", "push_s")]
+    push = _parse_vector(stage_section.get("push_N", (0.0, 0.0, 0.0)), "stage.push_N")
+    times = [
+        float(stage_section.get(key, 0.0)) for key in ("turn_s", "last_s", "push_at_s", "push_s")
+    ]
     if not all(0.0 <= time <= 3600.0 for time in times) or times[0] + times[1] <= 0.0:
         raise ValueError("stage: expected times from 0 to 3600 s, and last_s above 0")
-    friction = float(section["friction"]) if "friction" in section else None
+    friction = float(stage_section["friction"]) if "friction" in stage_section else None
     if friction is not None and not 0.0 <= friction <= 10.0:
         raise ValueError(f"stage.friction {friction}: expected 0 to 10")
     return SceneStage(down, times[0], times[1], push, times[2], times[3], friction)
 
 
-def _parse_vector(raw_vector: Any, where: str) -> Vector:
+def _parse_vector(raw_vector: Any, key_path: str) -> Vector:
     values = tuple(float(value) for value in raw_vector)
     if len(values) != 3 or not all(map(math.isfinite, values)):
-        raise ValueError(f"{where}: expected three finite numbers")
+        raise ValueError(f"{key_path}: expected three finite numbers")
     return values[0], values[1], values[2]
 
 
@@ -138,9 +140,9 @@ class StageSequence:
         return SceneState(-1, self._gravity, (0.0, 0.0, 0.0), None)
 
 
-def _scaled_vector(v: Vector, factor: float) -> Vector:
+def _scaled_vector(vector: Vector, factor: float) -> Vector:
     """Multiply a vector by a factor."""
-    return v[0] * factor, v[1] * factor, v[2] * factor
+    return vector[0] * factor, vector[1] * factor, vector[2] * factor
 
 
 def _turned_vector(start: Vector, end: Vector, fraction: float) -> Vector:

@@ -10,16 +10,21 @@ from firmware_sim.scene.scene import SinkingTable
 
 
 @compiled("vector", "counts", "counts", "real", "count", "flag")
-def grasped(
-    forces: Any, indices: Any, opposed: Any, min_force_squared: float, digits: int, both_sides: bool
+def is_object_grasped(
+    contact_forces: Any,
+    force_indices: Any,
+    is_opposed: Any,
+    min_force_squared: float,
+    digits: int,
+    both_sides: bool,
 ) -> bool:
     """Check whether enough digits press on the object and, if required, from both sides.
 
     Args:
-        forces: array that contains x, y, z of the contact force on each digit [N], among other
+        contact_forces: array that contains x, y, z of the contact force on each digit [N], among other
             values.
-        indices: index of the first value of each digit, shape (digits,).
-        opposed: 1 for each digit that closes against the first digit, and 0 for the others, shape
+        force_indices: index of the first value of each digit, shape (digits,).
+        is_opposed: 1 for each digit that closes against the first digit, and 0 for the others, shape
             (digits,).
         min_force_squared: square of the smallest force with which a digit counts as pressing [N2].
         digits: number of digits that must press.
@@ -27,13 +32,13 @@ def grasped(
     """
     pressing = 0
     opposing = 0
-    for i in range(len(indices)):
-        x = forces[indices[i]]
-        y = forces[indices[i] + 1]
-        z = forces[indices[i] + 2]
+    for i in range(len(force_indices)):
+        x = contact_forces[force_indices[i]]
+        y = contact_forces[force_indices[i] + 1]
+        z = contact_forces[force_indices[i] + 2]
         if x * x + y * y + z * z > min_force_squared:
             pressing += 1
-            opposing += opposed[i]
+            opposing += is_opposed[i]
     # If both sides are required, at least one opposed digit and at least one other digit must
     # press.
     return pressing >= digits and (not both_sides or 0 < opposing < pressing)
@@ -67,7 +72,9 @@ class SupportTable:
         self._support = support
         starts = list(indices) or list(range(0, 3 * len(opposed), 3))
         sides = [int(side) for side in opposed]
-        self._grasped: Callable[..., bool] = kernels.grasped if kernels else grasped
+        self._grasped: Callable[..., bool] = (
+            kernels.is_object_grasped if kernels else is_object_grasped
+        )
         self._digits = (
             (np.array(starts, np.int64), np.array(sides, np.int64)) if kernels else (starts, sides)
         )

@@ -85,11 +85,11 @@ class CanController:
             other senders.
     """
 
-    def __init__(self, depth: int, on_receive: Callable[[Frame, int], None] | None) -> None:
+    def __init__(self, queue_depth: int, on_receive: Callable[[Frame, int], None] | None) -> None:
         """Create a CAN controller whose queue is empty.
 
         Args:
-            depth: largest number of frames in the queue.
+            queue_depth: largest number of frames in the queue.
             on_receive: function called with each received frame and its time [ns], or None.
         """
         self.queue: deque[tuple[int, int, Frame]] = deque()
@@ -98,7 +98,7 @@ class CanController:
         self.refused = self.sent = 0
         self.on_receive = on_receive
         self.retry_ns = 0
-        self._depth = depth
+        self._depth = queue_depth
         self._last_error = 0
         """Classes of the last transmit error.
 
@@ -185,25 +185,25 @@ class CanController:
         self._last_error = 0
         self._send_error_frame(CAN_ERR_RESTARTED, t_ns)
 
-    def _count_error(self, kind: int, t_ns: int) -> None:
+    def _count_error(self, error_class: int, t_ns: int) -> None:
         """Update the error state after a transmit error.
 
         Repeated errors of the same kind are reported only once, until a frame has been sent
         successfully.
         """
-        changed = self._update_error_state(t_ns, kind)
-        if kind != self._last_error and not changed:
-            self._send_error_frame(kind, t_ns)
-        self._last_error = kind
+        changed = self._update_error_state(t_ns, error_class)
+        if error_class != self._last_error and not changed:
+            self._send_error_frame(error_class, t_ns)
+        self._last_error = error_class
 
-    def _update_error_state(self, t_ns: int, kind: int = 0) -> bool:
+    def _update_error_state(self, t_ns: int, error_class: int = 0) -> bool:
         """Update the error state from the error counters.
 
         If the state changes, report the change to the owner.
 
         Args:
             t_ns: present time [ns].
-            kind: error classes to add to the report.
+            error_class: error classes to add to the report.
 
         Returns:
             True if the state changed.
@@ -213,7 +213,7 @@ class CanController:
         if self.tx_errors >= BUS_OFF_ERROR_COUNT:
             self.state = CanErrorState.BUS_OFF
             self.queue.clear()
-            self._send_error_frame(CAN_ERR_BUSOFF | kind, t_ns)
+            self._send_error_frame(CAN_ERR_BUSOFF | error_class, t_ns)
         else:
             # The states are numbered so that the sum of these two comparisons is the number of the
             # present state.
@@ -221,7 +221,7 @@ class CanController:
                 (highest >= WARNING_ERROR_COUNT) + (highest >= PASSIVE_ERROR_COUNT)
             )
             if self.state != before:
-                self._send_error_frame(CAN_ERR_CRTL | kind, t_ns, {1: self._status_bits()})
+                self._send_error_frame(CAN_ERR_CRTL | error_class, t_ns, {1: self._status_bits()})
         return self.state != before
 
     def _status_bits(self) -> int:
@@ -235,21 +235,23 @@ class CanController:
         )
         return receive * (self.rx_errors >= limit) | send * (self.tx_errors >= limit)
 
-    def _send_error_frame(self, kind: int, t_ns: int, extra: dict[int, int] | None = None) -> None:
+    def _send_error_frame(
+        self, error_class: int, t_ns: int, extra_bytes: dict[int, int] | None = None
+    ) -> None:
         """Send an error frame to the owner of the controller.
 
         Args:
-            kind: error classes.
+            error_class: error classes.
             t_ns: present time [ns].
-            extra: further bytes of the payload, by their position.
+            extra_bytes: further bytes of the payload, by their position.
         """
         if not self.on_receive:
             return
         data = bytearray(8)
-        for i, value in (extra or {}).items():
+        for i, value in (extra_bytes or {}).items():
             data[i] = value
-        if kind & CAN_ERR_ACK:
+        if error_class & CAN_ERR_ACK:
             data[3] = LOC_ACK
         data[6] = min(MAX_REPORTED_ERROR_COUNT, self.tx_errors)
         data[7] = self.rx_errors
-        self.on_receive(Frame(ERROR_FLAG | CAN_ERR_CNT | kind, bytes(data)), t_ns)
+        self.on_receive(Frame(ERROR_FLAG | CAN_ERR_CNT | error_class, bytes(data)), t_ns)

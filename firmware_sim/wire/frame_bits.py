@@ -75,16 +75,20 @@ def arbitration_number(can_id: int) -> int:
 
 
 @lru_cache(maxsize=1 << 12)
-def _frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int, int]:
+def _frame_bits(
+    can_id: int, data: bytes, flags: int, counts_actual_stuffing: bool
+) -> tuple[int, int]:
     """Count the bits of a frame at the nominal and at the fast bit rate."""
     return (
-        _fd_frame_bits(can_id, data, flags, actual)
+        _fd_frame_bits(can_id, data, flags, counts_actual_stuffing)
         if flags & FDF
-        else _classical_frame_bits(can_id, data, actual)
+        else _classical_frame_bits(can_id, data, counts_actual_stuffing)
     )
 
 
-def _classical_frame_bits(can_id: int, data: bytes, actual: bool) -> tuple[int, int]:
+def _classical_frame_bits(
+    can_id: int, data: bytes, counts_actual_stuffing: bool
+) -> tuple[int, int]:
     """Count the bits of a classical frame.
 
     All bits of a classical frame have the nominal bit rate.
@@ -97,19 +101,25 @@ def _classical_frame_bits(can_id: int, data: bytes, actual: bool) -> tuple[int, 
     body += "" if can_id & REMOTE_FLAG else "".join(format(byte, "08b") for byte in data)
     exposed = body + _crc15(body)
     return len(exposed) + (
-        _stuff_bit_count(exposed) if actual else (len(exposed) - 1) // 4
+        _stuff_bit_count(exposed) if counts_actual_stuffing else (len(exposed) - 1) // 4
     ) + TAIL_BITS, 0
 
 
-def _fd_frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int, int]:
+def _fd_frame_bits(
+    can_id: int, data: bytes, flags: int, counts_actual_stuffing: bool
+) -> tuple[int, int]:
     """Count the bits of an FD frame at the nominal and at the fast bit rate."""
     size = next(length for length in FD_LENGTHS if length >= len(data))
     fast_bits = bool(flags & BRS)
     head = _identifier_bits(can_id) + "10" + ("1" if fast_bits else "0")  # FDF, reserved, BRS
     body = "0" + format(FD_LENGTHS.index(size), "04b")  # ESI, DLC
     body += "".join(format(byte, "08b") for byte in data.ljust(size, b"\0"))
-    in_head = _stuff_bit_count(head) if actual else (len(head) - 1) // 4
-    in_all = _stuff_bit_count(head + body) if actual else (len(head) + len(body) - 1) // 4
+    in_head = _stuff_bit_count(head) if counts_actual_stuffing else (len(head) - 1) // 4
+    in_all = (
+        _stuff_bit_count(head + body)
+        if counts_actual_stuffing
+        else (len(head) + len(body) - 1) // 4
+    )
     # The CRC has 17 bits for a payload of up to 16 bytes, and 21 bits for a longer payload. The
     # stuff count and the CRC have one fixed stuff bit before every four bits.
     check = 4 + (17 if size <= 16 else 21)
@@ -135,7 +145,7 @@ def _identifier_bits(can_id: int) -> str:
     return "0" + format(can_id & 0x7FF, "011b") + remote + "0"
 
 
-def _stuff_bit_count(bits: str) -> int:
+def _stuff_bit_count(bit_string: str) -> int:
     """Count the stuff bits of a bit string.
 
     After five equal bits, the opposite bit is inserted. Counting continues with the inserted bit.
@@ -143,7 +153,7 @@ def _stuff_bit_count(bits: str) -> int:
     last = ""
     run = 0
     count = 0
-    for bit in bits:
+    for bit in bit_string:
         run = run + 1 if bit == last else 1
         last = bit
         if run == 5:
@@ -153,10 +163,10 @@ def _stuff_bit_count(bits: str) -> int:
     return count
 
 
-def _crc15(bits: str) -> str:
+def _crc15(bit_string: str) -> str:
     """Compute the CRC of a classical frame from a sequence of bits, as 15 binary digits."""
     register = 0
-    for bit in bits:
+    for bit in bit_string:
         # This line is one step of the CRC's shift register, with the feedback of the top bit and
         # the input bit.
         out = register >> 14 ^ (bit == "1")

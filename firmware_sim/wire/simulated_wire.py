@@ -78,17 +78,19 @@ class SimulatedWire:
         self._restarts: list[tuple[int, CanController]] = []
 
     def add(
-        self, on_receive: Callable[[Frame, int], None] | None = None, queue: int | None = None
+        self, on_receive: Callable[[Frame, int], None] | None = None, queue_depth: int | None = None
     ) -> CanController:
         """Create a CAN controller, and connect the controller to the wire.
 
         Args:
             on_receive: function called with each received frame and its time [ns], None to ignore
                 received frames.
-            queue: capacity of the controller's queue [frames]. If None, the options of the
+            queue_depth: capacity of the controller's queue [frames]. If None, the options of the
                 wire decide.
         """
-        controller = CanController(self.options.queue if queue is None else queue, on_receive)
+        controller = CanController(
+            self.options.queue if queue_depth is None else queue_depth, on_receive
+        )
         self._controllers.append(controller)
         return controller
 

@@ -168,7 +168,7 @@ def _cache_folder() -> Path | None:
         return None
     if not os.access(folder, os.W_OK):
         return None
-    _remove_old(folder.parent)
+    _remove_old_kernels(folder.parent)
     return folder
 
 
@@ -188,11 +188,11 @@ def _source_hash() -> str:
     return digest.hexdigest()
 
 
-def _remove_old(root: Path) -> None:
+def _remove_old_kernels(cache_folder: Path) -> None:
     """Delete the compiled code of old versions, except the last `MAX_CACHE_FOLDERS` versions that were used."""
     with contextlib.suppress(OSError):
         folders = sorted(
-            root.glob("kernels-*"), key=lambda path: path.stat().st_mtime, reverse=True
+            cache_folder.glob("kernels-*"), key=lambda path: path.stat().st_mtime, reverse=True
         )
         for path in folders[MAX_CACHE_FOLDERS:]:
             shutil.rmtree(path, ignore_errors=True)
@@ -248,7 +248,9 @@ def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> An
 _borrow: Any = intrinsic(_without_owner)
 
 
-def borrowed_array(flat: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[Any]:
+def borrowed_array(
+    flat_array: NDArray[Any], first_element: int, shape: tuple[int, ...]
+) -> NDArray[Any]:
     """Return a part of a contiguous array in another shape, without counting references to the array.
 
     If a function is called with an array, numba counts the references to the array with atomic
@@ -258,11 +260,11 @@ def borrowed_array(flat: NDArray[Any], first: int, shape: tuple[int, ...]) -> ND
     ordinary view.
 
     Args:
-        flat: contiguous array.
-        first: index of the first element of the part of the array.
+        flat_array: contiguous array.
+        first_element: index of the first element of the part of the array.
         shape: shape of the result.
     """
-    return flat.reshape(-1)[first : first + math.prod(shape)].reshape(shape)
+    return flat_array.reshape(-1)[first_element : first_element + math.prod(shape)].reshape(shape)
 
 
 @overload(borrowed_array, inline="always")
@@ -324,7 +326,7 @@ def _compiled_count(folder: Path, kernels: Sequence[_UncompiledKernel]) -> int:
 
 
 def _compile_together(
-    folder: Path, waiting: Sequence[_UncompiledKernel], report: Callable[[int, int], None]
+    folder: Path, waiting_kernels: Sequence[_UncompiledKernel], report: Callable[[int, int], None]
 ) -> None:
     """Compile kernels into a folder, with one process for each processor core.
 
@@ -334,20 +336,20 @@ def _compile_together(
 
     Args:
         folder: folder of the compiled code.
-        waiting: kernels whose code is not in the folder yet.
+        waiting_kernels: kernels whose code is not in the folder yet.
         report: function that reports progress, like the argument ``progress`` of
             ``compile_kernels``.
     """
     order = sorted(
-        range(len(waiting)),
-        key=lambda i: len(waiting[i].code.py_func.__code__.co_names),
+        range(len(waiting_kernels)),
+        key=lambda i: len(waiting_kernels[i].code.py_func.__code__.co_names),
         reverse=True,
     )
     with contextlib.suppress(OSError), open(folder / "lock", "w") as lock:
-        while not _try_lock(lock):
-            report(_compiled_count(folder, waiting), len(waiting))
+        while not _try_file_lock(lock):
+            report(_compiled_count(folder, waiting_kernels), len(waiting_kernels))
             time.sleep(COMPILER_POLL_PERIOD_S)
-        if _compiled_count(folder, waiting) == len(waiting):
+        if _compiled_count(folder, waiting_kernels) == len(waiting_kernels):
             return
         with _cached_in(
             folder
@@ -360,26 +362,28 @@ def _compile_together(
         )  # a number in the pipe stands for one kernel, and the worker that reads the number compiles this kernel
         os.close(giving)
         workers = [
-            _start_compiler_process(todo, waiting)
+            _start_compiler_process(todo, waiting_kernels)
             for _ in range(min(os.cpu_count() or 1, MAX_COMPILER_PROCESSES))
         ]
         os.close(todo)
         while workers:
             workers = [one for one in workers if os.waitpid(one, os.WNOHANG)[0] == 0]
-            report(_compiled_count(folder, waiting), len(waiting))
+            report(_compiled_count(folder, waiting_kernels), len(waiting_kernels))
             time.sleep(COMPILER_POLL_PERIOD_S)
 
 
-def _try_lock(lock: IO[str]) -> bool:
+def _try_file_lock(lock_file: IO[str]) -> bool:
     """Try to lock the folder with the compiled code, and return True on success."""
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     return True
 
 
-def _start_compiler_process(todo: int, waiting: Sequence[_UncompiledKernel]) -> int:
+def _start_compiler_process(
+    remaining_count: int, waiting_kernels: Sequence[_UncompiledKernel]
+) -> int:
     """Fork a process that compiles one waiting kernel after the other, until all are compiled.
 
     Return the process id.
@@ -388,7 +392,7 @@ def _start_compiler_process(todo: int, waiting: Sequence[_UncompiledKernel]) -> 
     if process:
         return process
     try:
-        while number := os.read(todo, 1):
-            waiting[number[0]].code.compile(waiting[number[0]].types)
+        while number := os.read(remaining_count, 1):
+            waiting_kernels[number[0]].code.compile(waiting_kernels[number[0]].types)
     finally:
         os._exit(0)

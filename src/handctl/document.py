@@ -65,7 +65,7 @@ def validate_content(content: Mapping[str, Any], model: type[DocumentT], source:
 
 
 def _error_line(
-    error: ValidationError, model: type[BaseModel], content: Mapping[str, Any], source: str
+    error: ValidationError, model: type[BaseModel], file_content: Mapping[str, Any], source: str
 ) -> ConfigError:
     """Return the most specific of the errors that pydantic has found in a document.
 
@@ -75,10 +75,10 @@ def _error_line(
     meant.
     """
     details = error.errors(include_url=False)
-    deepest = max(details, key=lambda d: len(_without_tags(content, d["loc"], d["type"])))
+    deepest = max(details, key=lambda d: len(_without_tags(file_content, d["loc"], d["type"])))
     detail = next((d for d in details if d["type"] == "extra_forbidden"), deepest)
-    location = _without_tags(content, detail["loc"], detail["type"])
-    where = f"{source}: {key_path(content, location)}" if location else source
+    location = _without_tags(file_content, detail["loc"], detail["type"])
+    where = f"{source}: {key_path(file_content, location)}" if location else source
     if detail["type"] == "extra_forbidden":
         return ConfigError(
             "unknown key", where, _expected_key(str(location[-1]), model, detail["loc"][:-1])
@@ -97,56 +97,62 @@ def _error_line(
     )
 
 
-def _without_tags(content: Any, location: Sequence[str | int], kind: str) -> tuple[str | int, ...]:
+def _without_tags(
+    file_content: Any, key_location: Sequence[str | int], kind: str
+) -> tuple[str | int, ...]:
     """Remove from the location of an error the names that pydantic adds for the models of a union.
 
     All parts of the resulting location exist in the content. If the error is a missing key, the
     last part is this key.
     """
     path: list[str | int] = []
-    for position, part in enumerate(location):
-        last = kind == "missing" and position == len(location) - 1
-        known = isinstance(part, int) or (isinstance(content, Mapping) and part in content)
-        if not known and not (last and isinstance(content, Mapping)):
+    for position, part in enumerate(key_location):
+        last = kind == "missing" and position == len(key_location) - 1
+        known = isinstance(part, int) or (
+            isinstance(file_content, Mapping) and part in file_content
+        )
+        if not known and not (last and isinstance(file_content, Mapping)):
             continue
         path.append(part)
         try:
-            content = content[part]
+            file_content = file_content[part]
         except (KeyError, IndexError, TypeError):
-            content = None
+            file_content = None
     return tuple(path)
 
 
-def _expected_key(key: str, model: type[BaseModel], location: Sequence[str | int]) -> str:
+def _expected_key(key: str, model: type[BaseModel], key_location: Sequence[str | int]) -> str:
     """Return the key that was probably meant, or all keys that are allowed in the same table."""
-    valid = sorted(_keys_at(model, location) or _keys_at(model, ()))
+    valid = sorted(_keys_at(model, key_location) or _keys_at(model, ()))
     near = similar_name(key, valid)
     if near:
         return f"{near}?"
     return f"one of {', '.join(valid)}" if len(valid) <= MAX_LISTED_KEYS else "a documented key"
 
 
-def _keys_at(annotation: Any, location: Sequence[str | int]) -> set[str]:
+def _keys_at(type_annotation: Any, key_location: Sequence[str | int]) -> set[str]:
     """Return the keys of the table at a location of a document.
 
     Args:
-        annotation: type of the content, as annotated in the model of the document.
-        location: location of the table as pydantic reports it, with the names of the models of
+        type_annotation: type of the content, as annotated in the model of the document.
+        key_location: location of the table as pydantic reports it, with the names of the models of
             unions.
     """
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        fields = {field.alias or name: field for name, field in annotation.model_fields.items()}
-        if not location:
+    if isinstance(type_annotation, type) and issubclass(type_annotation, BaseModel):
+        fields = {
+            field.alias or name: field for name, field in type_annotation.model_fields.items()
+        }
+        if not key_location:
             return set(fields)
-        first, *rest = location
+        first, *rest = key_location
         if first in fields:
             return _keys_at(fields[str(first)].annotation, rest)
-        return _keys_at(annotation, rest) if _is_alternative(annotation, first) else set()
-    arguments = get_args(annotation)
+        return _keys_at(type_annotation, rest) if _is_alternative(type_annotation, first) else set()
+    arguments = get_args(type_annotation)
     # A list or a table adds a part to the location. A union or an annotated type adds none.
-    is_container = get_origin(annotation) in (tuple, list, dict)
-    below = location[1:] if is_container else location
-    if is_container and not location:
+    is_container = get_origin(type_annotation) in (tuple, list, dict)
+    below = key_location[1:] if is_container else key_location
+    if is_container and not key_location:
         return set()
     return set[str]().union(*(_keys_at(argument, below) for argument in arguments))
 

@@ -49,11 +49,11 @@ class NoSimulatorError(BusError):
         command: command that starts a suitable simulator. The text is empty if the hand is unknown.
     """
 
-    def __init__(self, bus: str, why: str, command: str = "") -> None:
-        self.bus, self.why = bus, why
+    def __init__(self, bus: str, reason: str, command: str = "") -> None:
+        self.bus, self.why = bus, reason
         start = command or f"handctl sim --bus {bus}"
         super().__init__(
-            f"no simulator serves this bus: {why}", bus, f"a simulator there; type: {start}"
+            f"no simulator serves this bus: {reason}", bus, f"a simulator there; type: {start}"
         )
 
 
@@ -79,9 +79,9 @@ class UnconfirmedError(PowerError, BusError):
         why: event that occurred in place of the confirmation.
     """
 
-    def __init__(self, bus: str, word: str, why: str) -> None:
+    def __init__(self, bus: str, request_word: str, reason: str) -> None:
         super().__init__(
-            f"no confirmation from the controller: switch the power off ({word}: {why})",
+            f"no confirmation from the controller: switch the power off ({request_word}: {reason})",
             f"bus {bus}",
         )
 

@@ -29,17 +29,17 @@ class MissingExtraError(ConfigError):
         package: import name of the package.
     """
 
-    def __init__(self, user: str, package: str) -> None:
+    def __init__(self, feature: str, package: str) -> None:
         super().__init__(
-            f"{user} needs {package}: pip install 'handctl[{EXTRA_BY_MODULE[package]}]'"
+            f"{feature} needs {package}: pip install 'handctl[{EXTRA_BY_MODULE[package]}]'"
         )
 
 
-def require_extra(user: str, *packages: str) -> None:
+def require_extra(feature: str, *packages: str) -> None:
     """Check that optional packages are installed, but do not import them.
 
     Args:
-        user: command or function that needs the packages.
+        feature: command or function that needs the packages.
         packages: import names of the packages, which are keys of ``EXTRA_BY_MODULE``.
 
     Raises:
@@ -47,7 +47,7 @@ def require_extra(user: str, *packages: str) -> None:
     """
     for package in packages:
         if not is_installed(package):
-            raise MissingExtraError(user, package)
+            raise MissingExtraError(feature, package)
 
 
 def is_installed(package: str) -> bool:
@@ -67,11 +67,11 @@ def extras_installed() -> dict[str, bool]:
     }
 
 
-def missing_extra(user: str, error: ImportError) -> MissingExtraError | None:
+def missing_extra(feature: str, error: ImportError) -> MissingExtraError | None:
     """Convert the error of a failed import to an error that names the extra to install.
 
     Args:
-        user: command or function that needs the package.
+        feature: command or function that needs the package.
         error: error of the failed import.
 
     Returns:
@@ -79,4 +79,4 @@ def missing_extra(user: str, error: ImportError) -> MissingExtraError | None:
         handctl.
     """
     package = (error.name or "").partition(".")[0]
-    return MissingExtraError(user, package) if package in EXTRA_BY_MODULE else None
+    return MissingExtraError(feature, package) if package in EXTRA_BY_MODULE else None

@@ -23,7 +23,7 @@ FIGURE_SUFFIXES = {".png", ".svg", ".pdf"}
 
 
 @contextmanager
-def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
+def atomic_path(path: Path, must_be_new: bool = False) -> Iterator[Path]:
     """Yield a temporary path.
 
     When the new content is on the disk, the temporary file is moved to ``path``.
@@ -34,25 +34,25 @@ def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
 
     Args:
         path: path of the output.
-        new: True to refuse a path that already exists.
+        must_be_new: True to refuse a path that already exists.
 
     Raises:
         ConfigError: the path cannot be written.
         OSError: the content could not be written. The error message contains ``path`` instead of
             the temporary path.
     """
-    target = _resolve_target(path, new)
+    target = _resolve_target(path, must_be_new)
     if target.exists() and not target.is_file():
-        with _with_user_path(path, target), _check_pipe_reader(target, path):
+        with _error_with_user_path(path, target), _check_pipe_reader(target, path):
             yield target
         return
     beside = target.with_name(f".{os.getpid()}{target.suffix}")
     try:
-        with _with_user_path(path, beside):
+        with _error_with_user_path(path, beside):
             yield beside
             if beside.exists():
                 _fsync_file(beside)
-                _move_into_place(beside, target, new)
+                _move_into_place(beside, target, must_be_new)
                 _fsync_file(target.parent)
     finally:
         if beside.is_dir():
@@ -72,9 +72,9 @@ def path_with_suffix(path: Path, suffix: str) -> Path:
     return path.with_suffix(suffix)
 
 
-def write_text_atomically(path: Path, text: str, new: bool = False) -> None:
+def write_text_atomically(path: Path, text: str, must_be_new: bool = False) -> None:
     """Write text to a file atomically, see ``atomic_path``."""
-    with atomic_path(path, new) as part:
+    with atomic_path(path, must_be_new) as part:
         part.write_text(text, encoding="utf-8")
 
 
@@ -94,13 +94,13 @@ def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
         figure.savefig(part, dpi=dpi, format=kind, metadata=metadata[kind])
 
 
-def check_output(path: Path, what: str, *read: Path | None) -> None:
+def check_output(path: Path, content_name: str, *read_paths: Path | None) -> None:
     """Check an output path by the rules of ``atomic_path``, before the work begins.
 
     Args:
         path: path of the output.
-        what: name of the output in the error message, e.g. the name of the option.
-        read: paths of the input files of the same command.
+        content_name: name of the output in the error message, e.g. the name of the option.
+        read_paths: paths of the input files of the same command.
 
     Raises:
         ConfigError: the path cannot be written, or is the path of an input file.
@@ -108,9 +108,9 @@ def check_output(path: Path, what: str, *read: Path | None) -> None:
     try:
         target = _resolve_target(path, False)
     except ConfigError as error:
-        raise ConfigError(error.what, f"{what} {path}", error.right) from None
-    if any(one and _is_same_file(target, one) for one in read):
-        raise ConfigError("is what is read", f"{what} {path}", "another name")
+        raise ConfigError(error.what, f"{content_name} {path}", error.right) from None
+    if any(one and _is_same_file(target, one) for one in read_paths):
+        raise ConfigError("is what is read", f"{content_name} {path}", "another name")
 
 
 def _is_same_file(target: Path, other: Path) -> bool:
@@ -119,12 +119,12 @@ def _is_same_file(target: Path, other: Path) -> bool:
     return target.samefile(other) if there else str(target) == os.path.realpath(other)
 
 
-def _resolve_target(path: Path, new: bool) -> Path:
+def _resolve_target(path: Path, must_be_new: bool) -> Path:
     """Check the path of an output, and return the path of the file to which it leads."""
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise ConfigError("no such folder", str(path), "a name in a folder that exists")
-    if new and os.path.lexists(path):
+    if must_be_new and os.path.lexists(path):
         raise ConfigError("is there already", str(path), "a new name")
     if target.is_dir():
         raise ConfigError("is a folder", str(path), "a file")
@@ -162,31 +162,31 @@ def _is_log(path: Path) -> bool:
 
 
 @contextmanager
-def _with_user_path(path: Path, written: Path) -> Iterator[None]:
+def _error_with_user_path(path: Path, temporary_path: Path) -> Iterator[None]:
     """Replace the temporary path in errors by the path that the user has given."""
     try:
         yield
     except OSError as error:
-        if error.filename not in (None, str(written), written):
+        if error.filename not in (None, str(temporary_path), temporary_path):
             raise
         text = os.strerror(error.errno) if error.errno else str(error)
         raise OSError(error.errno, text, str(path)) from None
 
 
-def _move_into_place(beside: Path, target: Path, new: bool) -> None:
+def _move_into_place(temporary_path: Path, target: Path, must_be_new: bool) -> None:
     """Move a finished file to the path of the output.
 
     If the output must be a new file, a file that another process has created is never replaced.
     """
-    if new and beside.is_file():
+    if must_be_new and temporary_path.is_file():
         try:
-            os.link(beside, target)
+            os.link(temporary_path, target)
         except OSError as error:
             if error.errno not in NO_HARD_LINK_ERRNOS:
                 raise
         else:
             return
-    os.replace(beside, target)
+    os.replace(temporary_path, target)
 
 
 def _fsync_file(path: Path) -> None:

@@ -19,16 +19,18 @@ OMISSION_MARK = " [...] "
 """Text that replaces the middle of a longer message."""
 
 
-def escape_text(text: str, kept: str = "") -> str:
+def escape_text(text: str, kept_characters: str = "") -> str:
     """Replace the characters of a text that are not printable by escape sequences.
 
     Args:
         text: text to escape.
-        kept: characters that stay as they are, such as line ends.
+        kept_characters: characters that stay as they are, such as line ends.
     """
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() or c in kept else _escaped_character(c) for c in text)
+    return "".join(
+        c if c.isprintable() or c in kept_characters else _escaped_character(c) for c in text
+    )
 
 
 def _escaped_character(character: str) -> str:
@@ -41,7 +43,7 @@ def printable_text(text: str, max_characters: int = 200) -> str:
     return escape_text(text[:max_characters]) + ("..." if len(text) > max_characters else "")
 
 
-def similar_name(word: str, names: Iterable[str], cutoff: float = 0.6) -> str:
+def similar_name(word: str, names: Iterable[str], min_similarity: float = 0.6) -> str:
     """Return the valid name that is most similar to a given word.
 
     If no name is similar enough, the result is an empty text.
@@ -49,9 +51,11 @@ def similar_name(word: str, names: Iterable[str], cutoff: float = 0.6) -> str:
     Args:
         word: word of any length, which a user typed or a file contains.
         names: the valid names.
-        cutoff: lowest similarity at which a name is accepted, from 0 (no similarity) to 1 (equal).
+        min_similarity: lowest similarity at which a name is accepted, from 0 (no similarity) to 1 (equal).
     """
-    near = difflib.get_close_matches(word[:MAX_WORD_CHARACTERS], list(names), n=1, cutoff=cutoff)
+    near = difflib.get_close_matches(
+        word[:MAX_WORD_CHARACTERS], list(names), n=1, cutoff=min_similarity
+    )
     return near[0] if near else ""
 
 

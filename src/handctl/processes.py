@@ -11,13 +11,13 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_in_forked_copy(work: Callable[[], str]) -> tuple[int, int]:
+def run_in_forked_copy(forked_function: Callable[[], str]) -> tuple[int, int]:
     """Run a function in a forked copy of this process.
 
     The copy ends without running the exit handlers of this process.
 
     Args:
-        work: function that returns a text, which the copy writes into a pipe.
+        forked_function: function that returns a text, which the copy writes into a pipe.
 
     Returns:
         the process id of the copy, and the end of the pipe from which this process reads the
@@ -34,7 +34,7 @@ def run_in_forked_copy(work: Callable[[], str]) -> tuple[int, int]:
     code = 1
     try:
         with os.fdopen(writing, "w") as pipe:
-            pipe.write(work())
+            pipe.write(forked_function())
         code = 0
     finally:
         if code:

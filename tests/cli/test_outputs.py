@@ -150,7 +150,7 @@ def test_interrupted_write_leaves_only_the_old_file(work_folder, interruption):
 
     with pytest.raises(interruption), atomic_path(work_folder / "file") as part:
         write_half(part)
-    with pytest.raises(interruption), atomic_path(work_folder / "new", new=True) as part:
+    with pytest.raises(interruption), atomic_path(work_folder / "new", must_be_new=True) as part:
         write_half(part / "deep")
 
 
@@ -181,7 +181,7 @@ def test_a_link_stays_a_link(work_folder):
 def test_a_loop_of_symbolic_links_is_refused_as_output(work_folder):
     (work_folder / "loop").symlink_to("loop")
     with pytest.raises((ConfigError, OSError)):
-        write_text_atomically(work_folder / "loop", "text", new=True)
+        write_text_atomically(work_folder / "loop", "text", must_be_new=True)
     (work_folder / "loop").unlink()
 
 

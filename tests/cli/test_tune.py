@@ -298,7 +298,9 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
         SimpleNamespace(failure="", progress=SimpleNamespace(finished=True)),
     )
     outcome = SimpleNamespace(state=ended, check_finished=lambda where: None)
-    monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
+    monkeypatch.setattr(
+        "handctl.cli.tuning.identify._identify_in_lockstep", lambda *words: (made, outcome)
+    )
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
     monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: {})
     assert main(["identify", "--lockstep", "--json"]) == 0
@@ -341,7 +343,7 @@ def _replace_identification(monkeypatch, calibration, digit_results):
     """Make ``handctl identify --lockstep`` use a given calibration and given results of the identification."""
     outcome = SimpleNamespace(check_finished=lambda where: None)
     monkeypatch.setattr(
-        "handctl.cli.tuning.identify._in_lockstep", lambda *words: (calibration, outcome)
+        "handctl.cli.tuning.identify._identify_in_lockstep", lambda *words: (calibration, outcome)
     )
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
     monkeypatch.setattr(

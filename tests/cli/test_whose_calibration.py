@@ -171,7 +171,7 @@ def test_a_calibration_is_used_for_a_day(work_folder, hours, reason):
     made = datetime.datetime.now(datetime.UTC) + datetime.timedelta(hours=hours)
     write_calibration(path, bench.commission("made").model_copy(update={"made": made.isoformat()}))
     bench.peer.close()
-    calibration, why = find_calibration(path, bench.plan.hand, named=True)
+    calibration, why = find_calibration(path, bench.plan.hand, is_named=True)
     assert (calibration is None) == bool(reason)
     assert reason in why
 

@@ -51,7 +51,7 @@ def source_tree(tmp_path: Path) -> Path:
 def test_the_script_counts_names_docstrings_and_shape(
     language_check: ModuleType, source_tree: Path
 ) -> None:
-    tally = language_check.count_all(source_tree)["src"]
+    tally = language_check.count_all_folders(source_tree)["src"]
     counted = {count: tally.counts[count] for count in language_check.QUANTITY_PER_COUNT}
     assert counted == {
         "names": 5,  # the words are: told twice, most, Wishes twice
@@ -73,24 +73,26 @@ def test_the_script_counts_names_docstrings_and_shape(
 def test_quoted_code_of_a_document_is_no_prose(
     language_check: ModuleType, source_tree: Path
 ) -> None:
-    tally = language_check.count_all(source_tree)["documents"]
+    tally = language_check.count_all_folders(source_tree)["documents"]
     assert (tally.counts["what"], tally.counts["ropes"], tally.counts["semicolons"]) == (1, 1, 1)
 
 
 def test_a_count_above_its_limit_is_reported_and_limits_are_only_lowered(
     language_check: ModuleType, source_tree: Path
 ) -> None:
-    before = language_check.count_all(source_tree)
+    before = language_check.count_all_folders(source_tree)
     limits = language_check.lowered_limits(before, {})
     assert list(language_check.limit_excesses(before, limits)) == []
     (source_tree / "src" / "two.py").write_text("class Wishes:\n    told = asked = heard = 1\n")
-    after = language_check.count_all(source_tree)
+    after = language_check.count_all_folders(source_tree)
     (line,) = (line for line in language_check.limit_excesses(after, limits) if "names" in line)
     assert line.startswith("src: names ")
     assert language_check.lowered_limits(after, limits)["src"]["names"] == limits["src"]["names"]
     (source_tree / "src" / "two.py").write_text("")
     assert (
-        language_check.lowered_limits(language_check.count_all(source_tree), limits)["src"]["names"]
+        language_check.lowered_limits(language_check.count_all_folders(source_tree), limits)["src"][
+            "names"
+        ]
         < limits["src"]["names"]
     )
 
@@ -98,5 +100,5 @@ def test_a_count_above_its_limit_is_reported_and_limits_are_only_lowered(
 def test_limits_are_read_as_they_were_written(
     language_check: ModuleType, source_tree: Path
 ) -> None:
-    limits = language_check.lowered_limits(language_check.count_all(source_tree), {})
+    limits = language_check.lowered_limits(language_check.count_all_folders(source_tree), {})
     assert tomllib.loads(language_check.to_toml(limits)) == limits

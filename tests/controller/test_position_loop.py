@@ -360,7 +360,7 @@ def test_missed_ticks_are_no_fault_of_a_drive_that_moves_its_target(seed: int) -
     with begin_to_and_fro(hand_with_position_loop(protocol="moteus"), seed) as run:
         apart = []
         for _ in range(1200):
-            run.run_tick(skip=int(draw.integers(0, 4)) if draw.random() < 0.1 else 0)
+            run.run_tick(skipped_ticks=int(draw.integers(0, 4)) if draw.random() < 0.1 else 0)
             apart.append(run.state.view("servo_report") - run.state.view("measured_force"))
         assert run.state.latched == ()
         assert run.state.mode == HandMode.ACTIVE

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
-from tools.figures.numbers import TABLE_PATTERN, rows_of
+from tools.figures.numbers import TABLE_PATTERN, rows_of_result
 from tools.figures.runs import DEMO_COMMAND
 
 REPOSITORY_ROOT = Path(__file__).parents[2]
@@ -23,7 +23,7 @@ RELATIVE_TOLERANCE, ROUNDING_TOLERANCE = 0.1, 0.051
 def test_the_numbers_are_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*DEMO_COMMAND, "--log", str(tmp_path / "demo.mcap")]) == 0
     right = " ".join(
-        f"{name} {value}" for name, value in rows_of(json.loads(capsys.readouterr().out))
+        f"{name} {value}" for name, value in rows_of_result(json.loads(capsys.readouterr().out))
     )
     for page in PAGES_WITH_NUMBERS:
         places = [match[2] for match in TABLE_PATTERN.finditer(page.read_text(encoding="utf-8"))]

@@ -23,7 +23,7 @@ def closing_hand(hand_name: str, with_mj_step: bool = True, with_kernel: bool = 
     At the start, the tendons are slack. The tendons become taut while the hand closes. Each motor
     follows a torque, a position, or a moving position.
     """
-    plant = Plant(load_hand(hand_name), load_scene("cylinder"), seed=3, compiled=with_kernel)
+    plant = Plant(load_hand(hand_name), load_scene("cylinder"), seed=3, is_compiled=with_kernel)
     if not with_mj_step:
         plant._addresses = None
     for i, motor in enumerate(plant.motors.values()):

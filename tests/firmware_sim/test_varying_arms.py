@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from firmware_sim.hand_description import load_hand
-from firmware_sim.plant.drivetrain import _taken_up, step_drivetrain
+from firmware_sim.plant.drivetrain import _taken_up_length, step_drivetrain
 from firmware_sim.plant.motor import Motor
 from firmware_sim.plant.tendon import TendonRouting
 from tests.hand.varying_arms import hand_with_varying_arms
@@ -47,7 +47,7 @@ def test_the_joints_get_the_work_that_the_tendons_do(hand_name: str, tmp_path: P
         for row in routing.tendons:
             ends = [
                 sum(
-                    _taken_up(
+                    _taken_up_length(
                         routing.arms, i, q[routing.joints[i]] + sign * small * dq[routing.joints[i]]
                     )
                     for i in range(row.first, row.end)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from firmware_sim.hand_description import load_hand as load_simulated
-from firmware_sim.plant.drivetrain import _arm_at, _taken_up
+from firmware_sim.plant.drivetrain import _moment_arm_at, _taken_up_length
 from firmware_sim.plant.tendon import TendonRouting
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -89,8 +89,10 @@ def test_the_simulator_has_the_same_arms_from_its_own_polynomials(
             for n, tendon in enumerate(routing.tendons[digit.tendons]):
                 for i in range(tendon.first, tendon.end):
                     joint = routing.joints[i]
-                    arms[n, joint - digit.joints.start] = _arm_at(routing.arms, i, float(q[joint]))
-                    lengths[n] += _taken_up(routing.arms, i, float(q[joint]))
+                    arms[n, joint - digit.joints.start] = _moment_arm_at(
+                        routing.arms, i, float(q[joint])
+                    )
+                    lengths[n] += _taken_up_length(routing.arms, i, float(q[joint]))
             np.testing.assert_allclose(arms, digit.moment_arms_at(angles), atol=1e-12)
             np.testing.assert_allclose(lengths, excursions(digit, angles), atol=1e-12)
 

@@ -36,7 +36,7 @@ def replayed_logs(golden_folder: Path, tmp_path_factory: pytest.TempPathFactory)
     path = tmp_path_factory.mktemp("drive") / "again.mcap"
     with RunLog(golden_folder / "jamia-grasp.mcap") as before:
         state = short_runs.record_lockstep_run(
-            path, playback_program(before, 1 / 250, raw=False), rate_hz=250.0, seed=5
+            path, playback_program(before, 1 / 250, replays_tensions=False), rate_hz=250.0, seed=5
         )
     assert state.failure == ""
     return path

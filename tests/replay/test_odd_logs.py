@@ -79,7 +79,7 @@ def test_a_long_gap_is_refused_with_its_times(
         RunLog(path) as log,
         pytest.raises(LogError, match=r"no ticks between 1\.295 and 1\.505 s"),
     ):
-        playback_program(log, 0.005, raw=False)
+        playback_program(log, 0.005, replays_tensions=False)
     assert main(["replay", "drive", str(path), "--bus", "local:nobody", "--dry-run"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert main(["replay", "execute", str(path)]) == 1
@@ -103,7 +103,7 @@ def test_a_stopped_replay_is_compared_up_to_its_end(golden_folder: Path, tmp_pat
     rate = 250.0
     with RunLog(golden_folder / "jamia-grasp.mcap") as before:
         program, (start, end) = (
-            playback_program(before, 1 / rate, raw=False),
+            playback_program(before, 1 / rate, replays_tensions=False),
             active_interval(before),
         )
         short_runs.record_lockstep_run(

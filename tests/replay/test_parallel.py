@@ -52,7 +52,7 @@ def execute_both_ways(recorded_grasp_log: Path, monkeypatch: pytest.MonkeyPatch)
         monkeypatch.setattr(Controller, "tick", tick)
         monkeypatch.setattr(parallel_execution, "MIN_TICKS_PER_PROCESS", 50)
         with RunLog(recorded_grasp_log) as log:
-            return execute_log(log), execute_log(log, workers=3)
+            return execute_log(log), execute_log(log, worker_count=3)
 
     return run
 
@@ -191,7 +191,7 @@ def test_a_wrong_snapshot_is_not_used_as_a_start(
         other = dict.fromkeys(runner.snapshots, b"x" * 40)
         assert len(parallel_execution.split_log(replace(runner, snapshots=other), 3)) == 1
         monkeypatch.setattr(RunLog, "snapshots", bent)
-        assert execute_log(log, workers=3).differing_ticks == 0
+        assert execute_log(log, worker_count=3).differing_ticks == 0
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from handctl.cli.main import main
-from handctl.cli.tuning.tune_verify import _gains_label, _print_rounds, return_text
+from handctl.cli.tuning.tune_verify import _gains_label, _print_rounds, gains_return_text
 from handctl.core.gains.gains import Gains, MotionGains, TensionGains
 from handctl.core.tick_types import HandMode, PackedTelemetry, TelemetryPlaces, TickOut
 from handctl.hand.description import Hand
@@ -208,7 +208,7 @@ def test_the_page_about_tuning_quotes_the_report() -> None:
     page = Path(__file__).parents[2] / "docs" / "how-to" / "tuning.md"
     text = " ".join(page.read_text(encoding="utf-8").split())
     why = "motor torques oscillate by 60.9 N m/s, limit 60.0"
-    quote = return_text({"t_s": 13.298, "k": 6649, "amplitude": 0.3, "why": why})
+    quote = gains_return_text({"t_s": 13.298, "k": 6649, "amplitude": 0.3, "why": why})
     assert f'"{quote}"' in text
     rounds = round_amplitudes(1.0)
     later_rounds = {_gains_label(i, {"amplitude": rounds[2]}, rounds) for i in range(2, 5)}

@@ -48,9 +48,13 @@ def architecture_diagram() -> Any:
     draw_arrow(axes, [(12.9, 6.6), (12.9, 5.9)])
     draw_arrow(axes, [(14.2, 5.5), (14.5, 5.5), (14.5, 7.25), (14.8, 7.25)])
     draw_arrow(axes, [(14.2, 5.1), (14.8, 5.1)])
-    draw_arrow(axes, [(5.6, 3.0), (5.6, 1.7)], "SocketCAN", (6.5, 2.25), both=True)
+    draw_arrow(axes, [(5.6, 3.0), (5.6, 1.7)], "SocketCAN", (6.5, 2.25), two_heads=True)
     draw_arrow(
-        axes, [(9.5, 3.0), (9.5, 1.7)], "embedded bus,\nvcan, or lockstep", (11.1, 2.25), both=True
+        axes,
+        [(9.5, 3.0), (9.5, 1.7)],
+        "embedded bus,\nvcan, or lockstep",
+        (11.1, 2.25),
+        two_heads=True,
     )
     return figure
 
@@ -158,7 +162,7 @@ def wiring_diagram() -> Any:
     axes.plot([9.1, 9.1], [6.6, 5.7], color=FAULT_COLOUR, linewidth=1.6)
     axes.plot([12.6, 12.6], [6.6, 5.7], color=FAULT_COLOUR, linewidth=1.6)
     draw_note(axes, (9.3, 6.15), "motor power, switched", color=FAULT_COLOUR)
-    draw_arrow(axes, [(2.9, 3.35), (4.0, 3.35)], "USB", (3.45, 3.6), both=True)
+    draw_arrow(axes, [(2.9, 3.35), (4.0, 3.35)], "USB", (3.45, 3.6), two_heads=True)
     axes.plot([5.4, 5.4], [2.6, 2.4], color=INK_COLOUR, linewidth=1.1)
     axes.plot([5.4, 16.6], [2.4, 2.4], color=INK_COLOUR, linewidth=2.2)
     for x in (5.4, 16.6):

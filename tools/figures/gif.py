@@ -30,10 +30,10 @@ ARROW_M_PER_N = 0.006
 """Length of the arrow for a contact force, per newton of the force [m/N]."""
 
 
-def rgba(colour: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
+def rgba(colour: str, opacity: float = 1.0) -> tuple[float, float, float, float]:
     """Return red, green, blue and opacity of a colour such as #3b6fb6."""
     red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
-    return red, green, blue, alpha
+    return red, green, blue, opacity
 
 
 def write_gif(folder: Path, path: Path) -> None:

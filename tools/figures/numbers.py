@@ -16,24 +16,24 @@ TABLE_PATTERN = re.compile(
 """Pattern of the two marks in a page, with the table between them."""
 
 
-def numbers_table(result: dict[str, Any]) -> str:
+def numbers_table(demo_result: dict[str, Any]) -> str:
     """Return the Markdown table for a result that ``handctl demo --lockstep --json`` has printed."""
-    rows = "\n".join(f"| {name} | {value} |" for name, value in rows_of(result))
+    rows = "\n".join(f"| {name} | {value} |" for name, value in rows_of_result(demo_result))
     return f"| `handctl demo --lockstep` prints, among others | |\n|---|---|\n{rows}\n"
 
 
-def rows_of(result: dict[str, Any]) -> list[tuple[str, str]]:
+def rows_of_result(demo_result: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the rows of the table: the name and the value of each result."""
-    assumed = result["joint_angles"]["index"]["error_deg"]
-    tracking = math.degrees(result["tracking_rmse_rad"])
+    assumed = demo_result["joint_angles"]["index"]["error_deg"]
+    tracking = math.degrees(demo_result["tracking_rmse_rad"])
     return [
-        ("ticks, missed", f"{result['ticks']} at {result['rate_hz']:g} Hz, {result['missed']}"),
+        ("ticks, missed", f"{demo_result['ticks']} at {demo_result['rate_hz']:g} Hz, {demo_result['missed']}"),
         ("tracking error in free motion, against the plant", f"{tracking:.2f} deg rms"),
         ("tension against the plant: estimate, raw load cell",
-         f"{result['tension_rmse_n']:.2f} N, {result['tension_raw_rmse_n']:.2f} N rms"),
-        ("true tension against the command while holding", f"{result['tension_hold_error_n']:.2f} N"),
+         f"{demo_result['tension_rmse_n']:.2f} N, {demo_result['tension_raw_rmse_n']:.2f} N rms"),
+        ("true tension against the command while holding", f"{demo_result['tension_hold_error_n']:.2f} N"),
         ("object moved while the table sank by "
-         f"{result['table_sunk_mm']:.0f} mm", f"{result['object_slid_mm']:.1f} mm"),
+         f"{demo_result['table_sunk_mm']:.0f} mm", f"{demo_result['object_slid_mm']:.1f} mm"),
         ("joint angles of a held finger: assumed, error", f"{assumed:.1f} deg rms"),
     ]  # fmt: skip
 

@@ -139,19 +139,20 @@ def tip_force(folder: Path) -> Any:
     return figure
 
 
-def _draw_tip_forces(row: Any, run: runs.RunRecording, commanded: Any) -> None:
+def _draw_tip_forces(digit_axes: Any, run: runs.RunRecording, commanded_forces: Any) -> None:
     """Draw the tip forces of each digit in a separate panel.
 
     Args:
-        row: axes of the digits.
+        digit_axes: axes of the digits.
         run: recording of a run. Its phases with a constant commanded force are named 0, 1 and so
-            on. commanded: commanded tip force of each of these phases and each digit [N].
+            on.
+        commanded_forces: commanded tip force of each of these phases and each digit [N].
     """
     phases = np.array(run.phase)
     part = run.t >= run.t[phases == "0"][0] - 0.4
-    for n, (axes, colour) in enumerate(zip(row, DIGIT_COLOURS.values(), strict=True)):
+    for n, (axes, colour) in enumerate(zip(digit_axes, DIGIT_COLOURS.values(), strict=True)):
         command = np.full(len(run.t), np.nan)
-        for i, force in enumerate(commanded[n]):
+        for i, force in enumerate(commanded_forces[n]):
             command[phases == str(i)] = force
         axes.plot(run.t[part], command[part], color=COMMAND_COLOUR, linestyle="--", label="command")
         axes.plot(

@@ -76,7 +76,7 @@ RECORDED_FIELDS = ("q", "tension", "motor_torque_goal", "tip_force")
 """Telemetry fields that a recording contains."""
 
 
-def record_run(run: SimulatedRun, seconds: float, until: str = "") -> RunRecording:
+def record_run(run: SimulatedRun, seconds: float, end_phase: str = "") -> RunRecording:
     """Continue a run and record it.
 
     The recording stops when a given phase begins, when the run is done, or when the time is over.
@@ -84,7 +84,7 @@ def record_run(run: SimulatedRun, seconds: float, until: str = "") -> RunRecordi
     Args:
         run: simulation to continue, in any phase.
         seconds: longest duration of the recording [s].
-        until: name of the phase whose start ends the recording.
+        end_phase: name of the phase whose start ends the recording.
     """
     rows: dict[str, list[Array]] = {
         name: [] for name in (*RECORDED_FIELDS, "true_tension", "true_torque", "true_contact")
@@ -108,7 +108,7 @@ def record_run(run: SimulatedRun, seconds: float, until: str = "") -> RunRecordi
         made.phase.append(out.phase)
         made.mode.append(out.mode)
         made.events += [(t, event.text) for event in out.events]
-        if out.mode == HandMode.DONE or (until and out.phase == until):
+        if out.mode == HandMode.DONE or (end_phase and out.phase == end_phase):
             break
     made.t = np.array(times)
     made.values = {name: np.array(values) for name, values in rows.items()}
@@ -218,7 +218,7 @@ def tip_in_grasp() -> RunRecording:
 
 
 def _record_press(
-    scene: str, opened: Any, closed: Any, holds: list[dict[str, Any]]
+    scene: str, opened_angles: Any, closed_angles: Any, hold_phases: list[dict[str, Any]]
 ) -> RunRecording:
     """Close the hand ``TIP_HAND`` on the object of a scene, hold the object, and record the run.
 
@@ -226,11 +226,11 @@ def _record_press(
     """
     hand = load_hand(TIP_HAND)
     phases: list[dict[str, Any]] = [
-        {"kind": "move", "angle_deg": opened, "duration_s": 0.8},
-        {"kind": "close", "angle_deg": closed, "speed_deg_s": 50.0},
+        {"kind": "move", "angle_deg": opened_angles, "duration_s": 0.8},
+        {"kind": "close", "angle_deg": closed_angles, "speed_deg_s": 50.0},
         *(
             {"kind": "hold", "name": str(i), **hold, "duration_s": 1.5}
-            for i, hold in enumerate(holds)
+            for i, hold in enumerate(hold_phases)
         ),
     ]
     task = Task.model_validate_json(json.dumps({"schema": 1, "name": "tip", "phase": phases}))

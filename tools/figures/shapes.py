@@ -81,7 +81,7 @@ def draw_arrow(
     text: str = "",
     at: PlanePoint | None = None,
     colour: str = INK_COLOUR,
-    both: bool = False,
+    two_heads: bool = False,
 ) -> None:
     """Draw an arrow along a line of points.
 
@@ -92,12 +92,12 @@ def draw_arrow(
         at: position of the label's middle. The default is just above the middle of the longest part
             of the line.
         colour: colour of line and label.
-        both: True for an arrow with a tip at each end.
+        two_heads: True for an arrow with a tip at each end.
     """
     xs, ys = zip(*points[:-1], strict=True) if len(points) > 2 else ((), ())
     if xs:
         axes.plot(xs, ys, color=colour, linewidth=1.1, solid_capstyle="round")
-    style = {"arrowstyle": "<|-|>" if both else "-|>", "color": colour, "linewidth": 1.1, "mutation_scale": 9,
+    style = {"arrowstyle": "<|-|>" if two_heads else "-|>", "color": colour, "linewidth": 1.1, "mutation_scale": 9,
              "shrinkA": 0, "shrinkB": 0}  # fmt: skip
     axes.annotate("", xy=points[-1], xytext=points[-2], arrowprops=style)
     if text:
@@ -111,13 +111,13 @@ def draw_arrow(
         )
 
 
-def draw_note(axes: Any, place: PlanePoint, text: str, **how: Any) -> None:
+def draw_note(axes: Any, place: PlanePoint, text: str, **text_style: Any) -> None:
     """Write a text at a place in the diagram."""
     axes.text(
         *place,
         text,
         **{"ha": "left", "va": "center", "fontsize": 7.5, "color": INK_COLOUR, "linespacing": 1.3}
-        | how,
+        | text_style,
     )
 
 

@@ -34,9 +34,9 @@ BLOCK_PATTERN = re.compile(
 """Pattern of a block in a page, with the two marks around it."""
 
 
-def pages_with_blocks(root: Path) -> Iterator[tuple[Path, str, str]]:
+def pages_with_blocks(repository_folder: Path) -> Iterator[tuple[Path, str, str]]:
     """Yield the path, the present text and the newly generated text of each page that contains a block."""
-    for path in sorted([root / "README.md", *root.glob("docs/**/*.md")]):
+    for path in sorted([repository_folder / "README.md", *repository_folder.glob("docs/**/*.md")]):
         text = path.read_text(encoding="utf-8")
         if BLOCK_PATTERN.search(text):
             yield path, text, filled_page(text)
@@ -53,20 +53,20 @@ def filled_page(text: str) -> str:
     )
 
 
-def stale_pages(root: Path) -> list[str]:
+def stale_pages(repository_folder: Path) -> list[str]:
     """Return the pages whose blocks differ from the code."""
     return [
-        path.relative_to(root).as_posix()
-        for path, text, right in pages_with_blocks(root)
+        path.relative_to(repository_folder).as_posix()
+        for path, text, right in pages_with_blocks(repository_folder)
         if text != right
     ]
 
 
-def written_pages(root: Path) -> list[str]:
+def written_pages(repository_folder: Path) -> list[str]:
     """Write the pages whose blocks differ from the code, and return their names."""
     names = []
-    for path, text, right in pages_with_blocks(root):
+    for path, text, right in pages_with_blocks(repository_folder):
         if text != right:
             path.write_text(right, encoding="utf-8")
-            names.append(path.relative_to(root).as_posix())
+            names.append(path.relative_to(repository_folder).as_posix())
     return names

@@ -195,14 +195,16 @@ def request_sections() -> str:
     return "\n\n".join(parts)
 
 
-def _field_rows(model: type[BaseModel], do: str) -> Iterable[tuple[str, str, str, str]]:
+def _field_rows(model: type[BaseModel], request_word: str) -> Iterable[tuple[str, str, str, str]]:
     """Yield a row for each field of a request, except the fields that all requests have."""
     schema = model.model_json_schema()["properties"]
     for name, field in model.model_fields.items():
         if name == "do" or name in CommandBase.model_fields:
             continue
         default = "required" if field.is_required() else str(field.default).removesuffix(".0")
-        meaning = prose_markdown(key_description(model, name)) or KEY_MEANINGS[f"{do}.{name}"]
+        meaning = (
+            prose_markdown(key_description(model, name)) or KEY_MEANINGS[f"{request_word}.{name}"]
+        )
         yield quoted_code(name), _bounds_text(schema[name]), default, meaning
 
 

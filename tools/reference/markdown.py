@@ -33,9 +33,13 @@ def quoted_code(text: object) -> str:
     return "`" + " ".join(str(text).split()) + "`"
 
 
-def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+def markdown_table(column_titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a Markdown table of a head and rows."""
-    lines = [head, ["---"] * len(head), *([table_cell(value) for value in row] for row in rows)]
+    lines = [
+        column_titles,
+        ["---"] * len(column_titles),
+        *([table_cell(value) for value in row] for row in rows),
+    ]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
@@ -66,9 +70,9 @@ def docstring_markdown(value: object) -> str:
     return re.sub(r"\n{3,}", "\n\n", prose_markdown("\n".join(lines))).strip()
 
 
-def attribute_docstrings(kind: type) -> dict[str, str]:
+def attribute_docstrings(class_type: type) -> dict[str, str]:
     """Return the docstring below each attribute of a class as Markdown prose, by the name of the attribute."""
-    body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+    body = ast.parse(textwrap.dedent(inspect.getsource(class_type))).body[0]
     assert isinstance(body, ast.ClassDef)
     texts: dict[str, str] = {}
     name = ""

@@ -102,15 +102,15 @@ def topic_table() -> str:
     return markdown_table(("topic", "message type", "rate", "content"), rows)
 
 
-def _linked_type(kind: str) -> str:
+def _linked_type(type_name: str) -> str:
     """Return the name of a message type.
 
     The name is a link if the page contains the definition of this message type.
     """
-    name = kind.replace("/msg/", "/")
+    name = type_name.replace("/msg/", "/")
     if name not in MESSAGE_DEFINITIONS or not name.startswith(PRINTED_TYPES):
-        return quoted_code(kind)
-    return f"[{quoted_code(kind)}](#{re.sub('[^a-z_]', '', name.lower())})"
+        return quoted_code(type_name)
+    return f"[{quoted_code(type_name)}](#{re.sub('[^a-z_]', '', name.lower())})"
 
 
 def topic_content(topic: str, note: str) -> tuple[str, str]:

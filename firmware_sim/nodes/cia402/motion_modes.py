@@ -140,17 +140,17 @@ class MotionModes:
         elif object_index == 0x607A and self._mode == CYCLIC_POSITION:
             self._rest_s = self._node.objects[0x60C2, 1] * 10.0 ** self._node.objects[0x60C2, 2]
 
-    def _take_control(self, word: int) -> None:
+    def _take_control(self, control_word: int) -> None:
         """Apply the bits of a control word that belong to the active mode.
 
         Bit 4 starts a motion only on its rising edge.
         """
-        edge = word & ~self._control & NEW_SETPOINT_BIT
-        self._control = word
+        edge = control_word & ~self._control & NEW_SETPOINT_BIT
+        self._control = control_word
         if self._mode == HOMING_MODE:
             if edge:
                 self._start_homing()
-            elif not word & NEW_SETPOINT_BIT:
+            elif not control_word & NEW_SETPOINT_BIT:
                 self._homing = False
             return
         if self._mode != PROFILE_POSITION:
@@ -159,9 +159,9 @@ class MotionModes:
             return
         objects = self._node.objects
         target = float(objects[0x607A, 0])
-        if word & RELATIVE_BIT:
+        if control_word & RELATIVE_BIT:
             target += self._target
-        if word & CHANGE_IMMEDIATELY_BIT or self._bits & TARGET_REACHED_BIT:
+        if control_word & CHANGE_IMMEDIATELY_BIT or self._bits & TARGET_REACHED_BIT:
             self._target = self._within_position_limits(target)
             self._next = None
         elif self._next is None:

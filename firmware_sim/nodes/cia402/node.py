@@ -225,13 +225,13 @@ class Cia402Node:
         self._unsolicited = []
         return unsolicited
 
-    def _nmt_command(self, command: int) -> None:
+    def _nmt_command(self, nmt_command: int) -> None:
         """Execute a command of the CANopen network management (NMT)."""
-        if command in (0x81, 0x82):
+        if nmt_command in (0x81, 0x82):
             self._reset(sends_boot_message=True)
             return
         state = {0x01: OPERATIONAL_STATE, 0x02: STOPPED_STATE, 0x80: PRE_OPERATIONAL}.get(
-            command, self.nmt
+            nmt_command, self.nmt
         )
         left = self.nmt == OPERATIONAL_STATE != state
         self.nmt = state
@@ -318,11 +318,11 @@ class Cia402Node:
         self._segments = [text[i : i + 7] for i in range(0, len(text), 7)]
         return b"\x41" + name + len(text).to_bytes(4, "little")
 
-    def _next_segment(self, toggle: int) -> bytes:
+    def _next_segment(self, toggle_bit: int) -> bytes:
         """Return the reply with the next segment of a text.
 
         Args:
-            toggle: toggle bit of the request.
+            toggle_bit: toggle bit of the request.
 
         Raises:
             SdoAbort: no upload of a text is in progress.
@@ -332,7 +332,7 @@ class Cia402Node:
         segment = self._segments.pop(0)
         # Bit 4 is the toggle bit. Bits 3..1 are the number of unused bytes. Bit 0 marks the last
         # segment.
-        head = toggle << 4 | (7 - len(segment)) << 1 | (not self._segments)
+        head = toggle_bit << 4 | (7 - len(segment)) << 1 | (not self._segments)
         return bytes((head,)) + segment.ljust(7, b"\0")
 
     def _write_object(self, key: tuple[int, int], value_bytes: bytes) -> None:
@@ -368,10 +368,10 @@ class Cia402Node:
         self.motion.take(key[0])
         self._apply_torque()
 
-    def _apply_control_word(self, word: int) -> None:
+    def _apply_control_word(self, control_word: int) -> None:
         """Apply a control word to the power stage."""
         before = self.power.state
-        self.power.command(word)
+        self.power.command(control_word)
         if before == FAULT_STATE != self.power.state:
             self.objects[0x603F, 0] = self.objects[0x1001, 0] = 0
             self._send_emergency(0)
@@ -384,7 +384,7 @@ class Cia402Node:
             self._update_measured_objects()
             self._unsolicited += self.pdos.on_event()
 
-    def _process_rpdo(self, can_id: int, data: bytes) -> bool:
+    def _process_rpdo(self, can_id: int, payload: bytes) -> bool:
         """Process an RPDO of this node, and ignore any other frame.
 
         Returns:
@@ -394,7 +394,7 @@ class Cia402Node:
             return False
         if self.nmt != OPERATIONAL_STATE:
             return True
-        keys = self.pdos.unpack(can_id, data)
+        keys = self.pdos.unpack(can_id, payload)
         if keys is None:
             self.malformed += 1
             self._send_emergency(RPDO_SHORT)

@@ -61,18 +61,18 @@ class SdoAbort(Exception):  # noqa: N818 - the standard's word
         self.code = code
 
 
-def sdo_reply(data: bytes, access: Callable[[bytes, ObjectKey], bytes]) -> bytes:
+def sdo_reply(request: bytes, access_object: Callable[[bytes, ObjectKey], bytes]) -> bytes:
     """Return the payload with which an SDO server replies to a request.
 
     Args:
-        data: payload of the SDO request, 8 bytes.
-        access: function that executes the request on an object of the node. The function returns
+        request: payload of the SDO request, 8 bytes.
+        access_object: function that executes the request on an object of the node. The function returns
             the payload of the reply, or raises ``SdoAbort``.
     """
     try:
-        return access(data, (int.from_bytes(data[1:3], "little"), data[3]))
+        return access_object(request, (int.from_bytes(request[1:3], "little"), request[3]))
     except SdoAbort as abort:
-        return b"\x80" + data[1:4] + abort.code.to_bytes(4, "little")
+        return b"\x80" + request[1:4] + abort.code.to_bytes(4, "little")
 
 
 class ObjectDictionary:
@@ -83,12 +83,12 @@ class ObjectDictionary:
         values: values of all other objects. The objects in ``kernels.CYCLIC_OBJECTS`` come first.
     """
 
-    def __init__(self, node_id: int, memory: Any = None) -> None:
+    def __init__(self, node_id: int, object_memory: Any = None) -> None:
         """Read the EDS file, and set all objects to the default values.
 
         Args:
             node_id: node number. The default identifiers depend on this number.
-            memory: memory for ``kernels.VALUE_CAPACITY`` values. If None, a list is
+            object_memory: memory for ``kernels.VALUE_CAPACITY`` values. If None, a list is
                 allocated.
         """
         parser = configparser.ConfigParser(interpolation=None)
@@ -101,7 +101,7 @@ class ObjectDictionary:
         self._indices_of: dict[ObjectKey, int] = {
             key: place for place, key in enumerate(CYCLIC_OBJECTS)
         }
-        self.values: Any = [0] * VALUE_CAPACITY if memory is None else memory
+        self.values: Any = [0] * VALUE_CAPACITY if object_memory is None else object_memory
         for name in parser.sections():
             if not parser.has_option(name, "DataType"):
                 continue

@@ -68,10 +68,10 @@ class NodePdos:
         if sum(self._objects[mapping_index, i + 1] & 0xFF for i in range(entry_count)) > 64:
             raise SdoAbort(PDO_TOO_LONG)
 
-    def _mapped_objects(self, mapping: int) -> Iterator[tuple[ObjectKey, int]]:
+    def _mapped_objects(self, mapping_index: int) -> Iterator[tuple[ObjectKey, int]]:
         """Iterate over the objects in a mapping, with sizes [bytes]."""
-        for i in range(self._objects[mapping, 0]):
-            entry = self._objects[mapping, i + 1]
+        for i in range(self._objects[mapping_index, 0]):
+            entry = self._objects[mapping_index, i + 1]
             yield (entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8
 
     def _rpdo_index(self, can_id: int) -> int:
@@ -85,26 +85,26 @@ class NodePdos:
         """Return True if an RPDO has this identifier."""
         return self._rpdo_index(can_id) >= 0
 
-    def unpack(self, can_id: int, data: bytes) -> list[ObjectKey] | None:
+    def unpack(self, can_id: int, payload: bytes) -> list[ObjectKey] | None:
         """Write the objects of an RPDO at once, or keep the RPDO until the next SYNC frame.
 
         Returns:
             The objects that were written at once, or None if the RPDO is too short.
         """
         number = self._rpdo_index(can_id)
-        if len(data) < sum(size for _, size in self._mapped_objects(0x1600 + number)):
+        if len(payload) < sum(size for _, size in self._mapped_objects(0x1600 + number)):
             return None
         if self._objects[0x1400 + number, 2] <= MAX_SYNCHRONOUS_TYPE:
-            self._waiting[number] = data
+            self._waiting[number] = payload
             return []
-        return self._store_rpdo(number, data)
+        return self._store_rpdo(number, payload)
 
-    def _store_rpdo(self, pdo_number: int, data: bytes) -> list[ObjectKey]:
+    def _store_rpdo(self, pdo_number: int, payload: bytes) -> list[ObjectKey]:
         """Write the objects of an RPDO and return their keys."""
         keys = []
         offset = 0
         for key, size in self._mapped_objects(0x1600 + pdo_number):
-            self._objects.write(key, data[offset : offset + size])
+            self._objects.write(key, payload[offset : offset + size])
             keys.append(key)
             offset += size
         return keys

@@ -22,17 +22,17 @@ _STATUS_WORD_BITS = (0x40, 0x21, 0x23, 0x27, 0x08)
 
 
 @kernel_helper
-def status_word(power: Any) -> int:
+def status_word(power_stage: Any) -> int:
     """Return the status word of a drive.
 
     Bit 4 is *voltage enabled*, bit 9 *remote*, and bit 12 *drive follows the target torque*. The
     other bits of the status word encode the state.
     """
     return (
-        _STATUS_WORD_BITS[power.state]
+        _STATUS_WORD_BITS[power_stage.state]
         | 1 << 4
         | 1 << 9
-        | (1 << 12 if power.state == ENABLED_STATE else 0)
+        | (1 << 12 if power_stage.state == ENABLED_STATE else 0)
     )
 
 
@@ -49,23 +49,23 @@ class PowerStage:
         self.state = OFF_STATE
         self.reset_bit = False
 
-    def command(self, word: int) -> None:
+    def command(self, control_word: int) -> None:
         """Apply a control word.
 
         The bit fault reset acts on its rising edge. All other bits act by their level.
         """
-        edge = bool(word & 0x80) and not self.reset_bit
-        self.reset_bit = bool(word & 0x80)
+        edge = bool(control_word & 0x80) and not self.reset_bit
+        self.reset_bit = bool(control_word & 0x80)
         if self.state == FAULT_STATE:
             self.state = OFF_STATE if edge else FAULT_STATE
             return
-        if not word & 0x02 or not word & 0x04:
+        if not control_word & 0x02 or not control_word & 0x04:
             self.state = OFF_STATE  # The control word commands *disable voltage* or *quick stop*.
-        elif word & 0x07 == 0x06:
+        elif control_word & 0x07 == 0x06:
             self.state = READY_STATE
-        elif self.state != OFF_STATE and word & 0x0F == 0x0F:
+        elif self.state != OFF_STATE and control_word & 0x0F == 0x0F:
             self.state = ENABLED_STATE
-        elif self.state != OFF_STATE and word & 0x0F == 0x07:
+        elif self.state != OFF_STATE and control_word & 0x0F == 0x07:
             self.state = ON_STATE
 
     def fail(self) -> None:

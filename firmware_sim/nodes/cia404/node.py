@@ -131,14 +131,14 @@ class AmplifierNode:
         load_cells: LoadCellAmplifiers,
         spec: SensorSpec,
         node_id: int,
-        cells: range,
+        cell_indices: range,
         serial: int,
     ) -> None:
         """Set up the amplifier in the state after power-up."""
         self._load_cells = load_cells
         self._range = spec.full_range
         self.node_id = node_id
-        self.cells = cells
+        self.cells = cell_indices
         self.serial = serial
         self.malformed = 0
         self._now_ns = 0
@@ -200,14 +200,14 @@ class AmplifierNode:
                 suppressed[frame.can_id]()
         return [frame for frame in out if frame.can_id not in suppressed]
 
-    def _nmt_command(self, command: int) -> None:
+    def _nmt_command(self, nmt_command: int) -> None:
         """Execute a command of the CANopen network management (NMT)."""
-        if command in (0x81, 0x82):
+        if nmt_command in (0x81, 0x82):
             self.restart()
             return
         before = self.nmt
         self.nmt = {0x01: OPERATIONAL_STATE, 0x02: STOPPED_STATE, 0x80: PRE_OPERATIONAL}.get(
-            command, before
+            nmt_command, before
         )
         if self.nmt == OPERATIONAL_STATE != before:
             self._syncs = 0

@@ -94,10 +94,10 @@ class AmplifierObjects:
         self._sizes: dict[ObjectKey, int] = {}
         self._values: dict[ObjectKey, int] = {}
         self._fixed: set[ObjectKey] = set()
-        self._add_object((0x1000, 0), 4, 0x0002_0194, fixed=True)
+        self._add_object((0x1000, 0), 4, 0x0002_0194, is_fixed=True)
         self._add_object((0x1005, 0), 4, 0x080)
         self._add_object((0x1017, 0), 2, 0)
-        self._add_object((0x1018, 4), 4, serial, fixed=True)
+        self._add_object((0x1018, 4), 4, serial, is_fixed=True)
         for i in range(TPDO_COUNT):
             mapped = [
                 INT32_VALUE_INDEX << 16 | c << 8 | 32
@@ -110,16 +110,18 @@ class AmplifierObjects:
             self._add_object((0x1A00 + i, 0), 1, len(mapped))
             for sub in range(1, 9):
                 self._add_object((0x1A00 + i, sub), 4, mapped[sub - 1] if sub <= len(mapped) else 0)
-        self._add_object((0x6131, 0), 1, channels, fixed=True)
+        self._add_object((0x6131, 0), 1, channels, is_fixed=True)
         for channel in range(1, channels + 1):
             self._add_object((0x6131, channel), 4, AS_DELIVERED)
             self._add_object((0x6132, channel), 1, 2)
 
-    def _add_object(self, key: ObjectKey, size: int, value: int, fixed: bool = False) -> None:
+    def _add_object(
+        self, key: ObjectKey, byte_count: int, value: int, is_fixed: bool = False
+    ) -> None:
         """Add an object to the dictionary. A fixed object is read-only for hosts."""
-        self._sizes[key] = size
+        self._sizes[key] = byte_count
         self._values[key] = value
-        if fixed:
+        if is_fixed:
             self._fixed.add(key)
 
     def __getitem__(self, key: ObjectKey) -> int:
@@ -180,9 +182,9 @@ class AmplifierObjects:
         if not sub and sum(self[index, i + 1] & 0xFF for i in range(value)) > 64:
             raise SdoAbort(PDO_TOO_LONG)
 
-    def payload(self, tpdo: int) -> bytes:
+    def payload(self, tpdo_number: int) -> bytes:
         """Return the payload of a TPDO with the present readings."""
-        entries = [self[0x1A00 + tpdo, i + 1] for i in range(self[0x1A00 + tpdo, 0])]
+        entries = [self[0x1A00 + tpdo_number, i + 1] for i in range(self[0x1A00 + tpdo_number, 0])]
         return b"".join(self._measured_bytes(entry >> 16, entry >> 8 & 0xFF) for entry in entries)
 
     def _channel_status(self, channel: int) -> int:

@@ -115,11 +115,13 @@ def from_code(code: int, limit: float, bits: int) -> float:
 
 
 @compiled("count", "real", "real", "real")
-def read_command(word: int, position: float, velocity: float, torque: float) -> tuple[float, ...]:
+def read_command(
+    command_word: int, position: float, velocity: float, torque: float
+) -> tuple[float, ...]:
     """Decode an MIT command.
 
     Args:
-        word: payload of the command as an integer.
+        command_word: payload of the command as an integer.
         position: position range [rad].
         velocity: velocity range [rad/s].
         torque: torque range [N m].
@@ -128,11 +130,11 @@ def read_command(word: int, position: float, velocity: float, torque: float) -> 
         The fields of ``MitCommand``.
     """
     return (
-        from_code(word >> 48 & 0xFFFF, position, 16),
-        from_code(word >> 36 & 0xFFF, velocity, 12),
-        (word >> 24 & 0xFFF) * KP_MAX / 4095.0,
-        (word >> 12 & 0xFFF) * KD_MAX / 4095.0,
-        from_code(word & 0xFFF, torque, 12),
+        from_code(command_word >> 48 & 0xFFFF, position, 16),
+        from_code(command_word >> 36 & 0xFFF, velocity, 12),
+        (command_word >> 24 & 0xFFF) * KP_MAX / 4095.0,
+        (command_word >> 12 & 0xFFF) * KD_MAX / 4095.0,
+        from_code(command_word & 0xFFF, torque, 12),
     )
 
 
@@ -145,7 +147,7 @@ def _degrees(value: float) -> int:
 @compiled("count", *("real",) * 8)
 def write_feedback(
     state_and_id: int, p: float, v: float, t: float, position: float, velocity: float, torque: float,
-    mosfet: float, winding: float,
+    mosfet_temperature: float, winding_temperature: float,
 ) -> int:  # fmt: skip
     """Encode the feedback of an MIT drive.
 
@@ -157,8 +159,8 @@ def write_feedback(
         position: position range, register 21 [rad].
         velocity: velocity range, register 22 [rad/s].
         torque: torque range, register 23 [N m].
-        mosfet: temperature of the MOSFETs [degC].
-        winding: temperature of the winding [degC].
+        mosfet_temperature: temperature of the MOSFETs [degC].
+        winding_temperature: temperature of the winding [degC].
 
     Returns:
         Payload of the feedback as an integer.
@@ -169,20 +171,25 @@ def write_feedback(
     # The most significant byte is first converted to a signed byte. In compiled code, the shift of
     # an unsigned byte above 127 would overflow 64 bits.
     signed = state_and_id - 256 if state_and_id > 127 else state_and_id
-    return signed << 56 | motion << 16 | _degrees(mosfet) << 8 | _degrees(winding)
+    return (
+        signed << 56
+        | motion << 16
+        | _degrees(mosfet_temperature) << 8
+        | _degrees(winding_temperature)
+    )
 
 
 @kernel_helper
-def apply_command(node: Any, servo: Any, word: int) -> None:
+def apply_command(node: Any, servo: Any, command_word: int) -> None:
     """Apply an MIT command to the servo of an enabled drive.
 
     Args:
         node: simulated drive, as an array row or as a Python object.
         servo: servo of the drive's rotor.
-        word: payload of the command as an integer.
+        command_word: payload of the command as an integer.
     """
     ranges = node.position_range, node.velocity_range, node.torque_range
-    position, velocity, servo.kp, servo.kd, torque = read_command(word, *ranges)
+    position, velocity, servo.kp, servo.kd, torque = read_command(command_word, *ranges)
     # An angle in a frame is converted to the spool: subtract the encoder offset, and then apply the
     # direction of the motor.
     servo.position = node.direction * (position - node.offset)
@@ -191,15 +198,17 @@ def apply_command(node: Any, servo: Any, word: int) -> None:
 
 
 @kernel_helper
-def feedback_word(node: Any, rotor: Any, angle: float, mosfet: float, winding: float) -> int:
+def feedback_word(
+    node: Any, rotor: Any, angle: float, mosfet_temperature: float, winding_temperature: float
+) -> int:
     """Encode the present feedback of a drive.
 
     Args:
         node: simulated drive, as an array row or as a Python object.
         rotor: rotor of the drive.
         angle: spool angle that the encoder measures [rad].
-        mosfet: temperature of the MOSFETs [degC].
-        winding: temperature of the winding [degC].
+        mosfet_temperature: temperature of the MOSFETs [degC].
+        winding_temperature: temperature of the winding [degC].
 
     Returns:
         Payload of the feedback as an integer.
@@ -210,7 +219,7 @@ def feedback_word(node: Any, rotor: Any, angle: float, mosfet: float, winding: f
     v = sign * rotor.velocity
     t = sign * rotor.torque
     ranges = node.position_range, node.velocity_range, node.torque_range
-    return write_feedback(head, p, v, t, *ranges, mosfet, winding)
+    return write_feedback(head, p, v, t, *ranges, mosfet_temperature, winding_temperature)
 
 
 @kernel_helper

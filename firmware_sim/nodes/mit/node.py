@@ -223,24 +223,24 @@ class MitNode:
             apply_command(self, self.motor.servo, PAYLOAD_WORD_STRUCT.unpack(data)[0])
         return self.feedback()
 
-    def _process_motion_command(self, kind: int, data: bytes, t_ns: int) -> bytes | None:
+    def _process_motion_command(self, mode_number: int, data: bytes, t_ns: int) -> bytes | None:
         """Process a command of the position-velocity (1), velocity (2) or force-position mode (3).
 
         Returns:
             Payload of the feedback, or None if the command is malformed.
         """
-        layout = _MOTION_STRUCTS[kind]
+        layout = _MOTION_STRUCTS[mode_number]
         if len(data) < layout.size:
             return None
         self.watchdog_fed_ns = t_ns
-        if self.state != _ENABLED or self.mode != kind + 1:
+        if self.state != _ENABLED or self.mode != mode_number + 1:
             return self.feedback()
         values = layout.unpack_from(data)
         if not all(map(math.isfinite, values)):
             return None
-        if kind == 2:
+        if mode_number == 2:
             self._motion_modes.follow_velocity(values[0])
-        elif kind == 1:
+        elif mode_number == 1:
             self._motion_modes.follow_position(values[0], abs(values[1]))
         else:
             speed, current = values[1:]

@@ -62,16 +62,16 @@ class PayloadReader:
         """Return True if bytes of the payload are left."""
         return self._at < len(self._data)
 
-    def take(self, length: int) -> bytes:
+    def take(self, byte_count: int) -> bytes:
         """Return the next bytes of the payload.
 
         Raises:
             MalformedPayload: the payload has fewer bytes left than requested.
         """
-        part = self._data[self._at : self._at + length]
-        if len(part) != length:
+        part = self._data[self._at : self._at + byte_count]
+        if len(part) != byte_count:
             raise MalformedPayload
-        self._at += length
+        self._at += byte_count
         return part
 
     def varuint(self) -> int:
@@ -97,15 +97,23 @@ def encode_varuint(value: int) -> bytes:
     return bytes([128 | value & 127]) + encode_varuint(value >> 7)
 
 
-def decode_register(raw: bytes, value_type: int, steps: tuple[float, float, float]) -> float:
+def decode_register(
+    register_bytes: bytes, value_type: int, resolution_steps: tuple[float, float, float]
+) -> float:
     """Decode the bytes of a register value. The most negative integer means NaN."""
-    (number,) = REGISTER_STRUCTS[value_type].unpack(raw)
+    (number,) = REGISTER_STRUCTS[value_type].unpack(register_bytes)
     if value_type == FLOAT:
         return float(number)
-    return math.nan if number < -MAX_COUNTS[value_type] else float(number * steps[value_type])
+    return (
+        math.nan
+        if number < -MAX_COUNTS[value_type]
+        else float(number * resolution_steps[value_type])
+    )
 
 
-def encode_register(value: float, value_type: int, steps: tuple[float, float, float]) -> bytes:
+def encode_register(
+    value: float, value_type: int, resolution_steps: tuple[float, float, float]
+) -> bytes:
     """Encode a register value, limited to the range of its type and truncated towards 0."""
     if value_type == FLOAT:
         return REGISTER_STRUCTS[FLOAT].pack(value)
@@ -113,7 +121,7 @@ def encode_register(value: float, value_type: int, steps: tuple[float, float, fl
         return REGISTER_STRUCTS[value_type].pack(-MAX_COUNTS[value_type] - 1)
     # The quotient is rounded to float32, because the drive does the same. In float64, 0.00003 /
     # 1e-5 would be slightly less than 3.
-    count = struct.unpack("<f", struct.pack("<f", value / steps[value_type]))[0]
+    count = struct.unpack("<f", struct.pack("<f", value / resolution_steps[value_type]))[0]
     return REGISTER_STRUCTS[value_type].pack(
         int(max(-MAX_COUNTS[value_type], min(MAX_COUNTS[value_type], count)))
     )

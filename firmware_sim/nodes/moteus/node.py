@@ -196,14 +196,14 @@ class MoteusNode:
                 out += b"\x30" + mp.encode_varuint(number) + mp.encode_varuint(error)
         return out
 
-    def _read_registers(self, value_type: int, count: int, first: int) -> bytes:
+    def _read_registers(self, value_type: int, count: int, first_register: int) -> bytes:
         """Return the reply to a request that reads registers.
 
         If a register has no value, the reply ends with an error for this register.
         """
         values = list[bytes]()
         error = b""
-        for number in range(first, first + min(count, 64)):
+        for number in range(first_register, first_register + min(count, 64)):
             raw = self._read_register(number, value_type)
             if raw is None:
                 error = (
@@ -214,27 +214,28 @@ class MoteusNode:
                 break
             values.append(raw)
         return (
-            mp.subframe_head(0x20, value_type, len(values), first) + b"".join(values)
+            mp.subframe_head(0x20, value_type, len(values), first_register) + b"".join(values)
             if values
             else b""
         ) + error
 
-    def _write_register(self, register: int, value_type: int, raw: bytes) -> int:
+    def _write_register(self, register: int, value_type: int, register_bytes: bytes) -> int:
         """Write a register, and return an error number, 0 without an error."""
         register = reg.SHADOW_REGISTERS.get(register, register)
         if register == reg.MODE:
-            mode = mp.decode_register(raw, value_type, mp.UNSCALED_STEPS)
+            mode = mp.decode_register(register_bytes, value_type, mp.UNSCALED_STEPS)
             if mode not in COMMANDABLE_MODES:
                 return reg.INVALID_VALUE_ERROR
             self._pending = int(mode)
             self.command = dict(reg.REGISTER_DEFAULTS)
         elif register in reg.COMMAND_REGISTER_STEPS:
             self.command[register] = mp.decode_register(
-                raw, value_type, reg.COMMAND_REGISTER_STEPS[register]
+                register_bytes, value_type, reg.COMMAND_REGISTER_STEPS[register]
             )
         elif register in (reg.SET_NEAREST, reg.SET_EXACT):
             self._set_position(
-                mp.decode_register(raw, value_type, mp.POSITION_STEPS), register == reg.SET_NEAREST
+                mp.decode_register(register_bytes, value_type, mp.POSITION_STEPS),
+                register == reg.SET_NEAREST,
             )
         elif register == reg.RECAPTURE:
             self._apply_mode(self.mode, self._t_ns)

@@ -78,9 +78,9 @@ class TextChannel:
         self.items = dict(self.saved)
         self.out = self._line = b""
 
-    def _execute_command_line(self, words: list[str]) -> str:
+    def _execute_command_line(self, command_words: list[str]) -> str:
         """Execute a command line, and return the answer without its line end."""
-        match words:
+        match command_words:
             case ["conf", "get", name]:
                 return self._item_text(name) if name in self.items else "ERR error reading"
             case ["conf", "set", name, value]:

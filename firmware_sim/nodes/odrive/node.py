@@ -232,9 +232,9 @@ class OdriveNode:
         self.malformed = 0
         self.wake_ns = 0
 
-    def _set_modes(self, control: int, input_mode: int) -> None:
+    def _set_modes(self, control_mode: int, input_mode: int) -> None:
         """Set the control mode and the input mode."""
-        self.control_mode = control
+        self.control_mode = control_mode
         self.input_mode = input_mode
 
     def _update_derived(self) -> None:
@@ -372,10 +372,10 @@ class OdriveNode:
         has_error = self.active_errors or self.disarm_reason
         return state in CALIBRATION_NS and self.state == IDLE_STATE and not has_error
 
-    def _set_mode(self, control: int, input_mode: int) -> None:
+    def _set_mode(self, control_mode: int, input_mode: int) -> None:
         """Set the control mode and the input mode, but only while the axis is idle."""
         if self.state == IDLE_STATE:
-            self._set_modes(control, input_mode)
+            self._set_modes(control_mode, input_mode)
 
     def _set_motion(self, command: int, data: bytes) -> None:
         """Apply a message that sets limits of trajectories or gains."""
@@ -383,11 +383,11 @@ class OdriveNode:
         self.motion.set(command, values)
         self.velocity_gain = self.motion.settings.velocity_gain
 
-    def _set_limits(self, velocity: float, current: float) -> None:
+    def _set_limits(self, velocity: float, current_limit: float) -> None:
         """Set the velocity limit [turn/s] and the current limit [A], if both values are positive."""
-        if velocity > 0.0 and current > 0.0:
+        if velocity > 0.0 and current_limit > 0.0:
             self.velocity_limit = velocity
-            self.current_limit = current
+            self.current_limit = current_limit
 
     def _set_torque(self, torque: float, t_ns: int) -> None:
         """Set a torque setpoint [N m], or disarm the axis if the setpoint is not finite."""
@@ -467,12 +467,14 @@ class OdriveNode:
             "calibrated": self.calibrated,
         }
 
-    def _reboot(self, action: int) -> None:
+    def _reboot(self, reboot_action: int) -> None:
         """Restart with the saved settings.
 
         Action 1 saves the present settings first, and action 2 erases them.
         """
-        self._saved = {1: self._storable_settings(), 2: self._factory}.get(action, self._saved)
+        self._saved = {1: self._storable_settings(), 2: self._factory}.get(
+            reboot_action, self._saved
+        )
         self._release_axis(SUCCESS_RESULT)
         self.active_errors = self.disarm_reason = 0
         self._set_modes(*self._saved["modes"])
@@ -489,13 +491,13 @@ class OdriveNode:
         self.endpoints = dict(saved["endpoints"])
         self._update_derived()
 
-    def _release_axis(self, result: int) -> None:
+    def _release_axis(self, procedure_result: int) -> None:
         """Enter the axis state idle with a procedure result. The motor turns freely."""
         self.motor.servo.release()
         self.motion_due_ns = 0
         self.state = IDLE_STATE
         self.busy_until_ns = 0
-        self.result = result
+        self.result = procedure_result
         self.setpoint = 0.0
 
     def disarm(self, error_bit: int) -> None:

@@ -148,12 +148,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _run_and_report_errors(words)
 
 
-def _run_and_report_errors(words: list[str]) -> int:
+def _run_and_report_errors(command_words: list[str]) -> int:
     """Run a command line. If there is an error, print it. Return the exit code."""
     try:
         with terminate_on_signals():
-            check_words(words)
-            code = _run_command_line(words)
+            check_words(command_words)
+            code = _run_command_line(command_words)
             flush_stdout()
             return code
     except IncomparableError as error:
@@ -184,19 +184,23 @@ def _run_and_report_errors(words: list[str]) -> int:
         return _report_error(str(error) or "interrupted", ExitCode.INTERRUPTED)
 
 
-def _run_command_line(words: list[str]) -> int:
+def _run_command_line(command_words: list[str]) -> int:
     """Run a command line, and return the exit code.
 
     Exceptions of the verb are not caught.
     """
     while (
-        words[1:]
-        and words[0] in VERBOSITY_OPTIONS
-        and words[1] in VERB_HELP.keys() | VERBOSITY_OPTIONS
+        command_words[1:]
+        and command_words[0] in VERBOSITY_OPTIONS
+        and command_words[1] in VERB_HELP.keys() | VERBOSITY_OPTIONS
     ):
-        words = [words[1], words[0], *words[2:]] if words[1] in VERB_HELP else words[1:]
-    if words and words[0] in VERB_HELP:
-        return _run_verb(words[0], words[1:])
+        command_words = (
+            [command_words[1], command_words[0], *command_words[2:]]
+            if command_words[1] in VERB_HELP
+            else command_words[1:]
+        )
+    if command_words and command_words[0] in VERB_HELP:
+        return _run_verb(command_words[0], command_words[1:])
     parser = VerbParser(
         prog="handctl",
         usage="handctl VERB ... [--help]",
@@ -204,10 +208,10 @@ def _run_command_line(words: list[str]) -> int:
         epilog=f"{_verb_table()}{HELP_EPILOG}",
     )
     parser.add_argument("--version", action="store_true", help="print the version")
-    if words and not words[0].startswith("-"):
-        what = f"unknown verb {printable_text(words[0])!r}{did_you_mean(words[0], VERB_HELP)}"
+    if command_words and not command_words[0].startswith("-"):
+        what = f"unknown verb {printable_text(command_words[0])!r}{did_you_mean(command_words[0], VERB_HELP)}"
         raise ConfigError(what, "the command line", "one that handctl --help lists")
-    args = parser.parse_args(words)
+    args = parser.parse_args(command_words)
     if args.version:
         print(_version_text())
         return ExitCode.DONE
@@ -264,9 +268,9 @@ def parser_of_all_verbs() -> VerbParser:
     return parser
 
 
-def _run_verb(name: str, words: list[str]) -> int:
+def _run_verb(name: str, command_words: list[str]) -> int:
     """Run one verb, and return the exit code."""
-    args = verb_parser(name).parse_args(words)
+    args = verb_parser(name).parse_args(command_words)
     with use_verbosity(args):
         require_extra(name, *optional_packages(name, args))
         start_s = time.monotonic()

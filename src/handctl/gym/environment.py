@@ -192,11 +192,11 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         """
         return None
 
-    def action_requests(self, action: Vector) -> list[str]:
+    def action_requests(self, action_vector: Vector) -> list[str]:
         """Return the requests that a step sends in addition to the target of the stream."""
         return []
 
-    def streamed_names(self, action: Vector) -> tuple[str, ...]:
+    def names_of_targets(self, action_vector: Vector) -> tuple[str, ...]:
         """Return the names of the joints or digits for which a step sends targets."""
         return self.names
 
@@ -358,14 +358,14 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             [(digit.joints_to_coordinates @ q[digit.joints]).mean() for digit in self.model.digits]
         )
 
-    def _step_requests(self, action: Vector) -> list[TickRequest]:
+    def _step_requests(self, action_vector: Vector) -> list[TickRequest]:
         """Return all requests of a step.
 
         If this step and the last step send targets for different joints or digits, the first
         request opens a new stream.
         """
-        requests: list[TickRequest] = list(self.action_requests(action))
-        names = self.streamed_names(action)
+        requests: list[TickRequest] = list(self.action_requests(action_vector))
+        names = self.names_of_targets(action_vector)
         if names and names != self._last_streamed_names:
             opening = {
                 "do": "stream", "stream": STREAM_NAME, "space": self._space, "names": list(names),
@@ -373,14 +373,14 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             }  # fmt: skip
             requests.append(json.dumps(opening))
         self._last_streamed_names = names
-        return [*requests, self._next_target(action)] if names else requests
+        return [*requests, self._next_target(action_vector)] if names else requests
 
-    def _next_target(self, action: Vector) -> StreamTarget:
+    def _next_target(self, action_vector: Vector) -> StreamTarget:
         """Return the next target of the stream.
 
         This target is closer to the target of the action, and obeys the largest rate of change.
         """
-        change = self.angles_deg(action) - self._target_deg
+        change = self.angles_deg(action_vector) - self._target_deg
         self._target_deg = self._target_deg + np.clip(
             change, -self._largest_step_deg, self._largest_step_deg
         )

@@ -121,12 +121,12 @@ class GraspEnv(HandEnv):
         self._pressing = 0.0
         self._held: dict[str, float] = {}
 
-    def action_requests(self, action: Vector) -> list[str]:
+    def action_requests(self, action_vector: Vector) -> list[str]:
         """Return a request that changes the tensions of digits.
 
         If an action changes no tension, return no request.
         """
-        tension = self._demanded_tensions(action).tolist()
+        tension = self._demanded_tensions(action_vector).tolist()
         held = {
             name: value
             for name, value in zip(self.hand.digit_names, tension, strict=True)
@@ -140,22 +140,22 @@ class GraspEnv(HandEnv):
             else []
         )
 
-    def streamed_names(self, action: Vector) -> tuple[str, ...]:
+    def names_of_targets(self, action_vector: Vector) -> tuple[str, ...]:
         """Return the joints or digits of an action that follow targets.
 
         The other digits hold a tension.
         """
-        moves = self._demanded_tensions(action) <= 0.0
+        moves = self._demanded_tensions(action_vector) <= 0.0
         return tuple(
             name for name, d in zip(self.names, self._digit_of_coordinate, strict=True) if moves[d]
         )
 
-    def _demanded_tensions(self, action: Vector) -> Vector:
+    def _demanded_tensions(self, action_vector: Vector) -> Vector:
         """Return the tension of each digit in an action (D,) [N].
 
         A digit with a value of 0 or less follows its targets instead.
         """
-        tensions: Vector = np.round(action[len(self.names) :] * self._max_tension_N, 3)
+        tensions: Vector = np.round(action_vector[len(self.names) :] * self._max_tension_N, 3)
         return tensions
 
     def judge_step(self) -> tuple[float, bool, dict[str, Any]]:

@@ -54,14 +54,16 @@ class ObservationLayout:
         high = np.repeat(np.array([part.high for part in parts], np.float32), sizes)
         self.space = Box(low, high, dtype=np.float32)
 
-    def vector(self, values: Callable[[str], Any]) -> Float32Array:
+    def vector(self, value_of_field: Callable[[str], Any]) -> Float32Array:
         """Return the observation as a vector.
 
         Args:
-            values: function that takes the name of a part and returns its values. An unknown value
+            value_of_field: function that takes the name of a part and returns its values. An unknown value
                 (NaN) becomes 0.
         """
-        row = np.concatenate([np.asarray(values(part.name), np.float64) for part in self.parts])
+        row = np.concatenate(
+            [np.asarray(value_of_field(part.name), np.float64) for part in self.parts]
+        )
         inside = np.clip(
             np.nan_to_num(row, nan=0.0).astype(np.float32), self.space.low, self.space.high
         )

@@ -53,9 +53,9 @@ class CommandCollector:
         differs = (mode != log.mode) | (action != log.action)
         return int(np.argmax(differs)) if differs.any() else len(differs)
 
-    def faults_at(self, tick: int) -> list[str]:
+    def faults_at(self, tick_index: int) -> list[str]:
         """Return the texts of the faults that became active in the tick with a given index."""
-        return [event.text for at, event in self._faults if at == tick]
+        return [event.text for at, event in self._faults if at == tick_index]
 
     @property
     def motor_torques(self) -> Array:
@@ -69,17 +69,17 @@ class CommandCollector:
 
 
 def command_change(
-    log: RunLog, commands: CommandCollector, ticks: int
+    log: RunLog, commands: CommandCollector, tick_count: int
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return the RMS and the peak of the difference between new and logged commands, per motor [N m] and tendon [N].
 
     Args:
         log: log of the run.
         commands: commands that the controller gave with the new gains.
-        ticks: number of ticks to compare, see ``CommandCollector.comparable_ticks``.
+        tick_count: number of ticks to compare, see ``CommandCollector.comparable_ticks``.
     """
-    torque = (commands.motor_torques - log.field("motor_torque_goal"))[:ticks]
-    tension = (commands.tendon_tensions - log.field("tension_goal"))[:ticks]
+    torque = (commands.motor_torques - log.field("motor_torque_goal"))[:tick_count]
+    tension = (commands.tendon_tensions - log.field("tension_goal"))[:tick_count]
     return {
         "motor_torque_N_m": {
             name: rms_and_peak(torque[:, i]) for i, name in enumerate(log.header.motors)
@@ -91,7 +91,7 @@ def command_change(
 
 
 def draw_commands(
-    path: Path, log: RunLog, commands: CommandCollector, ticks: int, title: str
+    path: Path, log: RunLog, commands: CommandCollector, tick_count: int, title: str
 ) -> None:
     """Draw the logged commands, and the commands with other gains, as PNG: tension and torque of each tendon.
 
@@ -102,7 +102,7 @@ def draw_commands(
         path: PNG file to write.
         log: log of the run.
         commands: commands that the controller gave with the other gains.
-        ticks: number of comparable ticks.
+        tick_count: number of comparable ticks.
         title: title of the figure.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -132,8 +132,10 @@ def draw_commands(
             axes = rows[i, column]
             axes.plot(log.times, was[:, i], color=LOGGED_COLOR, linewidth=0.9, label="as logged")
             axes.plot(log.times, now[:, i], color=OTHER_COLOR, linewidth=0.7, label="these gains")
-            if ticks < len(log.times):
-                axes.axvspan(log.times[ticks], log.times[-1], color="0.85", label="not comparable")
+            if tick_count < len(log.times):
+                axes.axvspan(
+                    log.times[tick_count], log.times[-1], color="0.85", label="not comparable"
+                )
             axes.set_ylabel(f"{name}\n{unit}", fontsize=8)
             axes.grid(alpha=0.3)
             axes.margins(x=0)

@@ -46,13 +46,17 @@ MAX_INFO_BYTES = 1 << 24
 
 
 def find_episode(
-    dataset: Path, episode: int, hand: Hand, period: float, speed_deg_s: float | None = None
+    dataset_folder: Path,
+    episode_index: int,
+    hand: Hand,
+    period: float,
+    speed_deg_s: float | None = None,
 ) -> RecordedGoals:
     """Return the motion of an episode: a smooth curve of joint angles with one value for each control period.
 
     Args:
-        dataset: folder of the dataset, with `meta` and `data`.
-        episode: number of the episode, from 0.
+        dataset_folder: folder of the dataset, with `meta` and `data`.
+        episode_index: number of the episode, from 0.
         hand: hand that will follow the episode.
         period: control period of the hand [s].
         speed_deg_s: limit of the speed of each joint from frame to frame [deg/s]. Higher speeds are
@@ -63,7 +67,7 @@ def find_episode(
         ConfigError: the dataset or the episode does not exist, the episode contains no angles for
             some joint of the hand, or an angle or a speed is out of range.
     """
-    info = _read_info(dataset)
+    info = _read_info(dataset_folder)
     rate = info.get("fps")
     if (
         not isinstance(rate, int | float)
@@ -71,14 +75,14 @@ def find_episode(
     ):
         raise ConfigError(
             _value_text(rate),
-            f"{_info_path(dataset)}: fps",
+            f"{_info_path(dataset_folder)}: fps",
             f"{FRAME_RATE_RANGE_HZ[0]:g} to {FRAME_RATE_RANGE_HZ[1]:g} Hz",
         )
-    where = f"{dataset}: episode {episode}"
-    actions = _read_actions(dataset, info, episode)
+    where = f"{dataset_folder}: episode {episode_index}"
+    actions = _read_actions(dataset_folder, info, episode_index)
     if not 2 <= len(actions) <= MAX_EPISODE_S * rate:
         raise ConfigError(f"{len(actions)} frames", where, f"2 to {MAX_EPISODE_S * rate:.0f}")
-    angles = _clip_to_range(_joint_angles(actions, info, hand, dataset), hand, where)
+    angles = _clip_to_range(_joint_angles(actions, info, hand, dataset_folder), hand, where)
     if speed_deg_s is not None:
         if not 0.0 < speed_deg_s <= FOLLOW_SPEED_DEG_S:
             raise ConfigError(
@@ -90,18 +94,18 @@ def find_episode(
     return _smooth_curve(angles, float(rate), hand, period, where)
 
 
-def _info_path(dataset: Path) -> Path:
+def _info_path(dataset_folder: Path) -> Path:
     """Return the path of `info.json`, the file that describes a dataset."""
-    return dataset / "meta" / "info.json"
+    return dataset_folder / "meta" / "info.json"
 
 
-def _read_info(dataset: Path) -> Mapping[str, Any]:
+def _read_info(dataset_folder: Path) -> Mapping[str, Any]:
     """Read the description of a dataset from the file `info.json`.
 
     Raises:
         ConfigError: the file does not describe a dataset of codebase version 3.
     """
-    path = _info_path(dataset)
+    path = _info_path(dataset_folder)
     right = "a LeRobot dataset (3.0)"
     try:
         if path.stat().st_size > MAX_INFO_BYTES:
@@ -117,51 +121,59 @@ def _read_info(dataset: Path) -> Mapping[str, Any]:
     return dict(info)
 
 
-def _read_actions(dataset: Path, info: Mapping[str, Any], episode: int) -> Array:
+def _read_actions(
+    dataset_folder: Path, dataset_info: Mapping[str, Any], episode_index: int
+) -> Array:
     """Return the actions (frames, n) of an episode, in the order of the episode's frames.
 
     Raises:
         ConfigError: the dataset does not have the episode, or a file of the dataset is damaged.
     """
-    rows = _read_episodes(dataset)
+    rows = _read_episodes(dataset_folder)
     numbers = rows["episode_index"].to_pylist()
-    if episode not in numbers:
+    if episode_index not in numbers:
         present = f"{min(numbers)} to {max(numbers)}" if numbers else "a recorded episode"
-        raise ConfigError(f"no episode {episode}", str(dataset), present)
-    at = numbers.index(episode)
+        raise ConfigError(f"no episode {episode_index}", str(dataset_folder), present)
+    at = numbers.index(episode_index)
     numbers = {name: rows[f"data/{name}"][at].as_py() for name in ("chunk_index", "file_index")}
     try:
-        path = dataset / str(info["data_path"]).format(**numbers)
+        path = dataset_folder / str(dataset_info["data_path"]).format(**numbers)
     except (KeyError, ValueError, IndexError, AttributeError):
         raise ConfigError(
-            _value_text(info.get("data_path")), f"{_info_path(dataset)}: data_path", "a path"
+            _value_text(dataset_info.get("data_path")),
+            f"{_info_path(dataset_folder)}: data_path",
+            "a path",
         ) from None
     table = _read_table(path, ["episode_index", "frame_index", "action"])
-    table = table.filter(pa.compute.equal(table["episode_index"], episode)).sort_by("frame_index")
+    table = table.filter(pa.compute.equal(table["episode_index"], episode_index)).sort_by(
+        "frame_index"
+    )
     length = len(table)
     if table["frame_index"].to_pylist() != list(range(length)):
         raise ConfigError(
-            f"frames of episode {episode} are missing", str(path), "frames 0, 1, 2 ..."
+            f"frames of episode {episode_index} are missing", str(path), "frames 0, 1, 2 ..."
         )
     try:
         values = np.array(table["action"].to_pylist(), np.float64)
     except (ValueError, TypeError):
         raise ConfigError(
-            f"actions of episode {episode}", str(path), "vectors of one length"
+            f"actions of episode {episode_index}", str(path), "vectors of one length"
         ) from None
     return values.reshape(length, -1)
 
 
-def _read_episodes(dataset: Path) -> pa.Table:
+def _read_episodes(dataset_folder: Path) -> pa.Table:
     """Return the table of all episodes of a dataset.
 
     Raises:
         ConfigError: the table is missing or damaged.
     """
-    paths = sorted((dataset / "meta" / "episodes").glob("*/*.parquet"))
+    paths = sorted((dataset_folder / "meta" / "episodes").glob("*/*.parquet"))
     if not paths:
         raise ConfigError(
-            "no table of episodes", str(dataset / "meta" / "episodes"), "chunk-000/file-000.parquet"
+            "no table of episodes",
+            str(dataset_folder / "meta" / "episodes"),
+            "chunk-000/file-000.parquet",
         )
     columns = ["episode_index", "data/chunk_index", "data/file_index"]
     return pa.concat_tables([_read_table(path, columns) for path in paths])
@@ -185,16 +197,18 @@ def _read_table(path: Path, columns: list[str]) -> pa.Table:
     return table
 
 
-def _joint_angles(actions: Array, info: Mapping[str, Any], hand: Hand, dataset: Path) -> Array:
+def _joint_angles(
+    actions: Array, dataset_info: Mapping[str, Any], hand: Hand, dataset_folder: Path
+) -> Array:
     """Return the joint angles (frames, J) in actions, in the order of the hand's joints [rad].
 
     Raises:
         ConfigError: the actions lack a joint of the hand.
     """
-    where = f"{_info_path(dataset)}: features.action.names"
+    where = f"{_info_path(dataset_folder)}: features.action.names"
     wanted = position_names(hand.joints, hand.prismatic_joints)
     try:
-        names = list(info["features"]["action"]["names"])
+        names = list(dataset_info["features"]["action"]["names"])
     except (KeyError, TypeError):
         raise ConfigError("no names", where, f"{wanted[0]} and so on") from None
     if len(names) != actions.shape[1]:
@@ -206,7 +220,7 @@ def _joint_angles(actions: Array, info: Mapping[str, Any], hand: Hand, dataset: 
     return actions[:, [names.index(name) for name in wanted]]
 
 
-def _clip_to_range(angles: Array, hand: Hand, where: str) -> Array:
+def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Array:
     """Return the angles (frames, J).
 
     Angles that are slightly outside of the range of their joint are clipped.
@@ -216,28 +230,28 @@ def _clip_to_range(angles: Array, hand: Hand, where: str) -> Array:
     """
     low, high = hand.joint_limits
     units = hand.display_units
-    beyond = units.displayed(np.maximum(low - angles, angles - high))
+    beyond = units.displayed(np.maximum(low - angles_of_frames, angles_of_frames - high))
     wrong = ~(beyond <= MAX_CLIPPED_DEG)  # this negated comparison also finds NaN
     if wrong.any():
         frame, joint = (int(index) for index in np.argwhere(wrong)[0])
         unit = units.names[joint]
-        given = units.displayed(angles[frame])[joint]
+        given = units.displayed(angles_of_frames[frame])[joint]
         least, most = units.displayed(hand.joint_limits)[:, joint]
         problem = f"{given:.6g} {unit} for {hand.joints[joint]} in frame {frame}"
-        raise ConfigError(problem, where, f"{least:g} to {most:g} {unit}")
-    return np.clip(angles, low, high)
+        raise ConfigError(problem, episode_name, f"{least:g} to {most:g} {unit}")
+    return np.clip(angles_of_frames, low, high)
 
 
-def _limit_rate(angles: Array, step: Array) -> Array:
-    """Return angles (frames, J) that follow the given angles, but change by at most `step` (J,) [rad] per frame."""
+def _limit_rate(angles: Array, max_step: Array) -> Array:
+    """Return angles (frames, J) that follow the given angles, but change by at most `max_step` (J,) [rad] per frame."""
     slowed = angles.copy()
     for i in range(1, len(slowed)):
-        slowed[i] = slowed[i - 1] + np.clip(angles[i] - slowed[i - 1], -step, step)
+        slowed[i] = slowed[i - 1] + np.clip(angles[i] - slowed[i - 1], -max_step, max_step)
     return slowed
 
 
 def _smooth_curve(
-    angles: Array, rate: float, hand: Hand, period: float, where: str
+    angles: Array, rate: float, hand: Hand, period: float, episode_name: str
 ) -> RecordedGoals:
     """Return a smooth curve through angles, with a point for each control period. The curve begins and ends at rest.
 
@@ -255,7 +269,7 @@ def _smooth_curve(
         fastest = per_degree * rates.max()
         problem = f"{hand.joints[joint]} with {fastest:.0f} {unit}/s after {at[tick]:.2f} s"
         limit = f"{per_degree * FOLLOW_SPEED_DEG_S:.4g}"
-        raise ConfigError(problem, where, f"at most {limit} {unit}/s, or a limit by --speed")
+        raise ConfigError(problem, episode_name, f"at most {limit} {unit}/s, or a limit by --speed")
     return RecordedGoals(
         curve(at), curve(at, 1), curve(at, 2), np.zeros((len(at), len(hand.tendon)))
     )

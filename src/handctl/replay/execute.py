@@ -75,7 +75,7 @@ def execute_log(
     gains: Gains | None = None,
     observer: TickObserver | None = None,
     progress: ProgressCallback | None = None,
-    workers: int = 1,
+    worker_count: int = 1,
 ) -> LogExecution:
     """Execute the controller of a recorded run again, on the inputs in the log.
 
@@ -84,7 +84,7 @@ def execute_log(
         gains: gains to use instead of the gains in the log.
         observer: function called with the input and the output of every tick.
         progress: function called at intervals with the number of ticks executed so far.
-        workers: number of processes. With other gains or with an observer, the log is executed in a
+        worker_count: number of processes. With other gains or with an observer, the log is executed in a
             single process. The result does not depend on the number of processes.
 
     Raises:
@@ -102,8 +102,8 @@ def execute_log(
             progress(done)
 
     with gc_disabled():
-        if workers > 1 and not gains and not observer:
-            tally = run_parallel(runner, workers, progress or _ignore_progress)
+        if worker_count > 1 and not gains and not observer:
+            tally = run_parallel(runner, worker_count, progress or _ignore_progress)
         else:
             _, tally = runner.execute_part(
                 0, len(log), runner.controller.initial_state(), observer, add_progress

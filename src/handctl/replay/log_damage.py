@@ -124,15 +124,19 @@ def _chunk_ticks(
         )
 
 
-def _last_intact_tick_text(before: bytes) -> str:
+def _last_intact_tick_text(intact_content: bytes) -> str:
     """Return a text about the last undamaged tick before the damage."""
     return (
-        f"after tick {int.from_bytes(before[:8], 'little', signed=True)}"
-        if before
+        f"after tick {int.from_bytes(intact_content[:8], 'little', signed=True)}"
+        if intact_content
         else "before the first tick"
     )
 
 
-def _tick_range_text(ticks: list[_StoredTick]) -> str:
+def _tick_range_text(stored_ticks: list[_StoredTick]) -> str:
     """Return a text with the first and the last tick of a chunk."""
-    return f"ticks {ticks[0].k} to {ticks[-1].k}" if ticks else "before the first tick"
+    return (
+        f"ticks {stored_ticks[0].k} to {stored_ticks[-1].k}"
+        if stored_ticks
+        else "before the first tick"
+    )

@@ -133,8 +133,8 @@ class LogRunner:
 
     def execute_part(
         self,
-        start: int,
-        stop: int,
+        first_tick: int,
+        end_tick: int,
         state: ControllerState,
         observer: TickObserver | None,
         progress: ProgressCallback | None,
@@ -142,8 +142,8 @@ class LogRunner:
         """Execute the controller on the inputs of a part of the log.
 
         Args:
-            start: index of the first tick of the part.
-            stop: index after the last tick of the part.
+            first_tick: index of the first tick of the part.
+            end_tick: index after the last tick of the part.
             state: state of the controller before the first tick.
             observer: function called with the input and the output of every tick.
             progress: function called at intervals with the number of ticks executed since the last
@@ -157,7 +157,7 @@ class LogRunner:
         """
         tally = DifferenceTally()
         tick = self.controller.tick
-        for logged, numbers in self._logged_ticks(start, stop):
+        for logged, numbers in self._logged_ticks(first_tick, end_tick):
             try:
                 state, out = tick(state, logged.tick_in)
             except ValueError as error:
@@ -176,15 +176,15 @@ class LogRunner:
                     tally.first_state_difference = self._state_difference(logged, state)
         return state, tally
 
-    def _logged_ticks(self, start: int, stop: int) -> Iterator[tuple[TickRecord, bytes]]:
-        """Yield the logged ticks from index `start` up to, but not including, `stop`, each with its telemetry."""
+    def _logged_ticks(self, first_tick: int, end_tick: int) -> Iterator[tuple[TickRecord, bytes]]:
+        """Yield the logged ticks from index `first_tick` to `end_tick` - 1, each with its telemetry."""
         firsts = self.log.first_of_chunk
         # A chunk of the log is always read as a whole. The ticks of a chunk that do not belong to
         # the part are dropped below.
-        chunk, last = np.searchsorted(firsts, (start, stop), side="right") - 1
+        chunk, last = np.searchsorted(firsts, (first_tick, end_tick), side="right") - 1
         chunks = slice(int(chunk), int(last) + 1)
         both = zip(self.log.ticks(chunks), self.log.packed_telemetry(chunks), strict=True)
-        return islice(both, start - int(firsts[chunk]), stop - int(firsts[chunk]))
+        return islice(both, first_tick - int(firsts[chunk]), end_tick - int(firsts[chunk]))
 
     def _state_difference(
         self, logged: TickRecord, state: ControllerState

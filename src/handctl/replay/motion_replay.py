@@ -92,33 +92,33 @@ def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
         _interpolate_field(log, name, times) for name in ("q_goal", "dq_goal", "tension_goal")
     )
     ddq = np.gradient(log.field("dq_goal"), log.times, axis=0)
-    rate = _interpolate(log, ddq, times)
+    rate = _interpolate_columns(log, ddq, times)
     return RecordedGoals(q, dq, np.where(np.isnan(q), np.nan, np.nan_to_num(rate)), tension)
 
 
-def _interpolate_field(log: RunLog, name: str, times: Array) -> Array:
+def _interpolate_field(log: RunLog, name: str, sample_times: Array) -> Array:
     """Return a telemetry field of a log, interpolated at the given times."""
-    return _interpolate(log, log.field(name), times)
+    return _interpolate_columns(log, log.field(name), sample_times)
 
 
-def _interpolate(log: RunLog, values: Array, times: Array) -> Array:
+def _interpolate_columns(log: RunLog, values: Array, sample_times: Array) -> Array:
     """Interpolate values (ticks, n) of a log at the given times [s].
 
     If the value before or after a given time is NaN, the result is NaN. Before the first tick and
     after the last tick, the result is the value of the nearest tick.
     """
-    return np.column_stack([np.interp(times, log.times, column) for column in values.T])
+    return np.column_stack([np.interp(sample_times, log.times, column) for column in values.T])
 
 
-def playback_program(log: RunLog, period: float, raw: bool) -> PlaybackProgram:
+def playback_program(log: RunLog, period: float, replays_tensions: bool) -> PlaybackProgram:
     """Return the program that repeats the motion of a recorded run.
 
     Args:
         log: log of the recorded run.
         period: the control period of the hand that repeats the motion [s].
-        raw: True to follow the recorded tensions instead of the recorded joint trajectories.
+        replays_tensions: True to follow the recorded tensions instead of the recorded joint trajectories.
     """
-    return PlaybackProgram(recorded_targets(log, period), raw)
+    return PlaybackProgram(recorded_targets(log, period), replays_tensions)
 
 
 def compare_replay(before: RunLog, after: RunLog) -> dict[str, Any]:

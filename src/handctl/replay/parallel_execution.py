@@ -62,7 +62,7 @@ class ProgressCounts:
         self._done: NDArray[np.int64] = np.frombuffer(mmap.mmap(-1, 8 * processes), np.int64)
         self._progress = progress
 
-    def counter_of_process(self, process: int) -> Callable[[int], None]:
+    def counter_of_process(self, process_index: int) -> Callable[[int], None]:
         """Return a function that counts the executed ticks of a process.
 
         In the first process, which is the calling process, this function also reports the total
@@ -70,8 +70,8 @@ class ProgressCounts:
         """
 
         def count_ticks(ticks: int) -> None:
-            self._done[process] += ticks
-            if process == 0:
+            self._done[process_index] += ticks
+            if process_index == 0:
                 self.report_total()
 
         return count_ticks
@@ -82,7 +82,7 @@ class ProgressCounts:
 
 
 def run_parallel(
-    runner: LogRunner, workers: int, progress: Callable[[int], None]
+    runner: LogRunner, worker_count: int, progress: Callable[[int], None]
 ) -> DifferenceTally:
     """Execute a whole log in several processes.
 
@@ -90,10 +90,10 @@ def run_parallel(
 
     Args:
         runner: log and controller to execute.
-        workers: largest number of processes.
+        worker_count: largest number of processes.
         progress: function called at intervals with the number of ticks executed so far.
     """
-    parts = split_log(runner, workers)
+    parts = split_log(runner, worker_count)
     counts = ProgressCounts(len(parts), progress)
     running = [
         _start_worker(runner, part, counts.counter_of_process(i))
@@ -125,7 +125,7 @@ def run_parallel(
             _kill_worker(worker)
 
 
-def split_log(runner: LogRunner, workers: int) -> list[LogPart]:
+def split_log(runner: LogRunner, worker_count: int) -> list[LogPart]:
     """Divide a log into consecutive parts of about equal length, and return them.
 
     Each part begins at the start of the log or just after a snapshot.
@@ -139,20 +139,20 @@ def split_log(runner: LogRunner, workers: int) -> list[LogPart]:
         for index, tick in zip(at, snapshot_ticks, strict=True)
         if index < ticks and k[index] == tick
     ]
-    count = min(workers, max(ticks // MIN_TICKS_PER_PROCESS, 1), len(usable) + 1)
+    count = min(worker_count, max(ticks // MIN_TICKS_PER_PROCESS, 1), len(usable) + 1)
     nearest = [
         min(usable, key=lambda start: abs(start - ticks * i / count)) for i in range(1, count)
     ]
     starts = {0: runner.controller.initial_state()}
     for start in nearest:
-        state = _state_after(runner, start - 1)
+        state = _state_after_tick(runner, start - 1)
         if state is not None:
             starts[start] = state
     ends = [*sorted(starts), ticks]
     return [LogPart(start, stop, starts[start]) for start, stop in pairwise(ends)]
 
 
-def _state_after(runner: LogRunner, index: int) -> ControllerState | None:
+def _state_after_tick(runner: LogRunner, tick_index: int) -> ControllerState | None:
     """Return the controller's state in the snapshot after a tick.
 
     Returns:
@@ -161,26 +161,28 @@ def _state_after(runner: LogRunner, index: int) -> ControllerState | None:
     """
     try:
         state = restore_state(
-            runner.controller.derived.layout, runner.snapshots[int(runner.log.k[index])]
+            runner.controller.derived.layout, runner.snapshots[int(runner.log.k[tick_index])]
         )
     except ValueError:
         return None
-    return state if state.digest() == runner.log.state_hash[index].tobytes() else None
+    return state if state.digest() == runner.log.state_hash[tick_index].tobytes() else None
 
 
-def _start_worker(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> WorkerProcess:
+def _start_worker(
+    runner: LogRunner, part: LogPart, count_ticks: Callable[[int], None]
+) -> WorkerProcess:
     """Start the execution of a part in a forked copy of this process."""
-    return WorkerProcess(*run_in_forked_copy(lambda: _result_json(runner, part, count)), part)
+    return WorkerProcess(*run_in_forked_copy(lambda: _result_json(runner, part, count_ticks)), part)
 
 
-def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> str:
+def _result_json(runner: LogRunner, part: LogPart, count_ticks: Callable[[int], None]) -> str:
     """Execute a part of a log, and return the result as JSON. If the log is damaged, the text is empty.
 
     If the text is empty, the calling process executes the part itself, finds the damage and reports
     the error.
     """
     try:
-        state, tally = runner.execute_part(*part, None, count)
+        state, tally = runner.execute_part(*part, None, count_ticks)
     except LogError:
         return ""
     return json.dumps({"state": snapshot_bytes(state).hex(), "tally": astuple(tally)})

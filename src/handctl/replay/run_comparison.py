@@ -35,65 +35,65 @@ COMPARED_SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendo
 """Axis, factor from the field's unit to the printed unit, and printed unit, for each compared telemetry field."""
 
 
-def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
+def check_same_hand(log: RunLog, name: str, hand_identity: str, where: str) -> None:
     """Raise an error if a log was recorded with another hand than the given hand.
 
     Args:
-        a: log to check.
+        log: log to check.
         name: name of the given hand.
-        identity: identity of the given hand.
+        hand_identity: identity of the given hand.
         where: file of the given hand, for the error message.
 
     Raises:
         IncomparableError: the identity of the hand in the log differs from the given identity.
     """
-    logged_identity = a.header.metadata.get("identity", "?")
-    logged_name = a.header.metadata.get("hand", "?")
-    if logged_identity != identity:
+    logged_identity = log.header.metadata.get("identity", "?")
+    logged_name = log.header.metadata.get("hand", "?")
+    if logged_identity != hand_identity:
         raise IncomparableError(
-            f"the log is of hand {logged_name} {logged_identity[:12]}, not of {name} {identity[:12]}",
+            f"the log is of hand {logged_name} {logged_identity[:12]}, not of {name} {hand_identity[:12]}",
             where,
             "the same hand",
         )
 
 
 def compare_signals(
-    names: tuple[str, ...], before: Array, after: Array, period: float
+    names: tuple[str, ...], signal_before: Array, signal_after: Array, period: float
 ) -> dict[str, dict[str, float]]:
     """Compare two signals, where equal rows belong to equal times.
 
     Args:
         names: names of the columns of both signals.
-        before: (ticks, n) first signal, with NaN for unknown values.
-        after: (ticks, n) second signal, with NaN for unknown values.
+        signal_before: (ticks, n) first signal, with NaN for unknown values.
+        signal_after: (ticks, n) second signal, with NaN for unknown values.
         period: time between two rows [s].
 
     Returns:
         By name of the column: rms and peak of the difference in the unit of the signals, and
-        delay_s, by which `after` lags behind `before` [s]. The delay of a constant signal is NaN.
+        delay_s, by which `signal_after` lags behind `signal_before` [s]. The delay of a constant signal is NaN.
     """
-    rows = min(len(before), len(after))
-    change = after[:rows] - before[:rows]
+    rows = min(len(signal_before), len(signal_after))
+    change = signal_after[:rows] - signal_before[:rows]
     return {
         name: rms_and_peak(change[:, i])
-        | {"delay_s": signal_delay(before[:rows, i], after[:rows, i], period)}
+        | {"delay_s": signal_delay(signal_before[:rows, i], signal_after[:rows, i], period)}
         for i, name in enumerate(names)
     }
 
 
-def rms_and_peak(change: Array) -> dict[str, float]:
+def rms_and_peak(signal_difference: Array) -> dict[str, float]:
     """Return the RMS and the peak of a difference. NaN values are ignored.
 
     If all values are NaN, the RMS and the peak are NaN.
     """
-    finite = change[~np.isnan(change)]
+    finite = signal_difference[~np.isnan(signal_difference)]
     if not finite.size:
         return {"rms": float("nan"), "peak": float("nan")}
     return {"rms": float(np.sqrt(np.mean(finite**2))), "peak": float(np.abs(finite).max())}
 
 
-def signal_delay(before: Array, after: Array, period: float) -> float:
-    """Return the delay of the signal `after` behind the signal `before` [s].
+def signal_delay(signal_before: Array, signal_after: Array, period: float) -> float:
+    """Return the delay of the signal `signal_after` behind the signal `signal_before` [s].
 
     The delay is the time shift for which the variance of the remaining difference is smallest. The
     best shift is refined by a parabola through three neighbouring shifts.
@@ -102,23 +102,23 @@ def signal_delay(before: Array, after: Array, period: float) -> float:
         The result is NaN if the signal moves no more than noise, if no shift up to `MAX_DELAY_S`
         explains the difference, or if a signal contains NaN.
     """
-    if np.isnan(before).any() or np.isnan(after).any():
+    if np.isnan(signal_before).any() or np.isnan(signal_after).any():
         return float("nan")
-    reach = min(round(MAX_DELAY_S / period), len(before) // 4)
-    if reach < 1 or not np.ptp(before) > MIN_SIGNAL_SPAN * np.abs(before).max():
+    reach = min(round(MAX_DELAY_S / period), len(signal_before) // 4)
+    if reach < 1 or not np.ptp(signal_before) > MIN_SIGNAL_SPAN * np.abs(signal_before).max():
         return float("nan")
-    inner = slice(reach, len(before) - reach)
+    inner = slice(reach, len(signal_before) - reach)
     # `roll` moves rows from one end of a signal to the other end. The slice `inner` excludes these
     # rows.
     residual = np.array(
         [
-            np.var(np.roll(after, -shift)[inner] - before[inner])
+            np.var(np.roll(signal_after, -shift)[inner] - signal_before[inner])
             for shift in range(-reach, reach + 1)
         ]
     )
     best = int(np.argmin(residual))
     if not 0 < best < 2 * reach or not residual[best] < MAX_UNEXPLAINED_FRACTION * np.var(
-        before[inner]
+        signal_before[inner]
     ):
         return float("nan")
     earlier, lowest, later = residual[best - 1 : best + 2]
@@ -198,6 +198,6 @@ def difference_lines(comparison: dict[str, Any]) -> Iterator[str]:
                 yield f"{name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}"
 
 
-def _delay_text(ms: float) -> str:
+def _delay_text(delay_ms: float) -> str:
     """Return a delay [ms] as text."""
-    return f"{abs(ms):.1f} ms {'behind' if ms > 0 else 'ahead'}"
+    return f"{abs(delay_ms):.1f} ms {'behind' if delay_ms > 0 else 'ahead'}"

@@ -59,12 +59,12 @@ class TelemetryColumns(NamedTuple):
         )
 
 
-def distance_in_ulps(a: float, b: float) -> int:
+def distance_in_ulps(first_float: float, second_float: float) -> int:
     """Return the distance between two numbers in units in the last place.
 
     Two neighbouring float64 numbers have the distance 1.
     """
-    return abs(_float_ordinal(a) - _float_ordinal(b))
+    return abs(_float_ordinal(first_float) - _float_ordinal(second_float))
 
 
 def _float_ordinal(value: float) -> int:
@@ -79,7 +79,7 @@ def _float_ordinal(value: float) -> int:
 
 
 def differing_fields(
-    columns: TelemetryColumns, logged: TickRecord, numbers: bytes, computed: TickOut
+    columns: TelemetryColumns, logged: TickRecord, logged_telemetry: bytes, computed: TickOut
 ) -> Iterator[TickDifference]:
     """Yield every field in which a logged tick and a computed tick differ.
 
@@ -88,7 +88,7 @@ def differing_fields(
     Args:
         columns: names of the telemetry columns.
         logged: the logged tick.
-        numbers: packed telemetry of the logged tick.
+        logged_telemetry: packed telemetry of the logged tick.
         computed: the computed tick.
     """
     k = logged.tick_in.k
@@ -103,9 +103,9 @@ def differing_fields(
     yield from text_difference("phase", logged.phase, computed.phase)
     yield from text_difference("events", _events_text(logged.events), _events_text(computed.events))
     # logs of earlier versions do not have the last fields
-    packed = computed.telemetry.packed()[: len(numbers)]
-    if packed != numbers:
-        for column, was, now in _changed_numbers(numbers, packed):
+    packed = computed.telemetry.packed()[: len(logged_telemetry)]
+    if packed != logged_telemetry:
+        for column, was, now in _changed_numbers(logged_telemetry, packed):
             yield TickDifference(
                 k,
                 t_s,
@@ -149,12 +149,12 @@ def state_difference(
     return None
 
 
-def are_outputs_equal(logged: TickRecord, numbers: bytes, computed: TickOut) -> bool:
+def are_outputs_equal(logged: TickRecord, logged_telemetry: bytes, computed: TickOut) -> bool:
     """Return True if every byte of a tick's output is the same in the log and in the re-execution."""
     return (
         logged.state_hash == computed.state_hash
         and logged.frames.records.tobytes() == frames_as_records(computed.frames).records.tobytes()
-        and numbers == computed.telemetry.packed()[: len(numbers)]
+        and logged_telemetry == computed.telemetry.packed()[: len(logged_telemetry)]
         and (logged.mode, logged.action, logged.phase, logged.events)
         == (computed.mode, computed.action, computed.phase, computed.events)
     )
@@ -190,12 +190,12 @@ def _frame_text(frame: Frame) -> str:
     return f"bus {frame.bus} {frame.can_id:03X}#{flags}{frame.data.hex().upper()}{at}"
 
 
-def _changed_numbers(was: bytes, now: bytes) -> list[tuple[int, float, float]]:
+def _changed_numbers(logged_bytes: bytes, computed_bytes: bytes) -> list[tuple[int, float, float]]:
     """Return (column, old, new) for every float64 of the telemetry whose bits differ.
 
     A number that has become NaN also counts as changed.
     """
-    old: NDArray[np.float64] = np.frombuffer(was, "<f8")
-    new: NDArray[np.float64] = np.frombuffer(now, "<f8")
+    old: NDArray[np.float64] = np.frombuffer(logged_bytes, "<f8")
+    new: NDArray[np.float64] = np.frombuffer(computed_bytes, "<f8")
     at = np.flatnonzero(old.view(np.uint64) != new.view(np.uint64))
     return [(int(i), float(old[i]), float(new[i])) for i in at]

@@ -76,29 +76,29 @@ _ACTION_BY_NUMBER = {int(action): action for action in SafetyAction}
 
 
 def judge_tick(
-    latched: tuple[LatchedFault, ...],
+    latched_faults: tuple[LatchedFault, ...],
     reported_faults: tuple[CountedFault, ...],
-    detected: Sequence[FaultFinding],
-    demanded: int,
-    reports: Iterable[EventReport],
+    detected_faults: Sequence[FaultFinding],
+    demanded_action: int,
+    event_reports: Iterable[EventReport],
 ) -> TickVerdict:
     """Judge a tick: count the reported faults, latch faults, and choose the most severe reaction.
 
     Args:
-        latched: latched faults of the last tick.
+        latched_faults: latched faults of the last tick.
         reported_faults: faults that were reported in the last tick.
-        detected: faults that became active in this tick according to the detectors, from
+        detected_faults: faults that became active in this tick according to the detectors, from
             ``faults_counting_since_now``.
-        demanded: most severe reaction to all active faults that the detectors have found.
-        reports: reports of buses, host and recorder in this tick, for ``locate_reports``.
+        demanded_action: most severe reaction to all active faults that the detectors have found.
+        event_reports: reports of buses, host and recorder in this tick, for ``locate_reports``.
     """
-    action = demanded
-    findings = list(detected)
+    action = demanded_action
+    findings = list(detected_faults)
     present = []
     # A reported fault without a report in this tick is dropped. If the fault is reported again
     # later, the count starts again at 1.
     before = {(report.id, report.instance): report.ticks for report in reported_faults}
-    for fault, where, value in locate_reports(reports):
+    for fault, where, value in locate_reports(event_reports):
         ticks = before.get((fault.id, where), 0) + 1
         present.append(CountedFault(fault.id, where, ticks))
         if ticks >= fault.debounce:
@@ -106,11 +106,13 @@ def judge_tick(
         if ticks == fault.debounce:
             findings.append(FaultFinding(fault, where, value))
     # A detector may find a latched fault again, but the log gets no second entry.
-    new = [finding for finding in findings if _latch_of(finding) not in latched]
-    latched += tuple(dict.fromkeys(_latch_of(finding) for finding in new if finding.fault.latched))
-    action = max([action, *(FAULT_BY_ID[mark.id].action for mark in latched)])
+    new = [finding for finding in findings if _latch_of(finding) not in latched_faults]
+    latched_faults += tuple(
+        dict.fromkeys(_latch_of(finding) for finding in new if finding.fault.latched)
+    )
+    action = max([action, *(FAULT_BY_ID[mark.id].action for mark in latched_faults)])
     new.sort(key=lambda finding: _CATALOGUE_POSITION[finding.fault.id])
-    return TickVerdict(_ACTION_BY_NUMBER[action], tuple(new), latched, tuple(present))
+    return TickVerdict(_ACTION_BY_NUMBER[action], tuple(new), latched_faults, tuple(present))
 
 
 def _latch_of(finding: FaultFinding) -> LatchedFault:
@@ -143,7 +145,7 @@ def faults_counting_since_now(
     return findings
 
 
-def _instance_name(limits: SafetyLimits, fault: Fault, kind: str, i: int) -> str:
+def _instance_name(limits: SafetyLimits, fault: Fault, fault_place: str, i: int) -> str:
     """Return the name of the motor, tendon, joint, or node with a fault."""
     names = {
         TENDON_INSTANCE: limits.tendons,
@@ -151,16 +153,16 @@ def _instance_name(limits: SafetyLimits, fault: Fault, kind: str, i: int) -> str
         JOINT_INSTANCE: limits.joints,
         NODE_INSTANCE: limits.nodes,
     }
-    return names[kind][i] if kind in names else fault.name
+    return names[fault_place][i] if fault_place in names else fault.name
 
 
-def locate_reports(reports: Iterable[EventReport]) -> list[tuple[Fault, str, float]]:
+def locate_reports(event_reports: Iterable[EventReport]) -> list[tuple[Fault, str, float]]:
     """Return the fault, the location and the value of each report of a bus, the host or the recorder.
 
     If a fault is reported several times at the same location, only the last report is returned.
     """
     faults: dict[tuple[str, str], tuple[Fault, str, float]] = {}
-    for kind, where, value in reports:
+    for kind, where, value in event_reports:
         # The location of a recorder event is the kind of the event ("disk_full"). So the key
         # contains the kind as well as the fault.
         key = f"{kind}:{where}" if kind == "recorder" else kind
@@ -175,16 +177,18 @@ def locate_reports(reports: Iterable[EventReport]) -> list[tuple[Fault, str, flo
 _CATALOGUE_POSITION = {id_: position for position, id_ in enumerate(FAULT_BY_ID)}
 
 
-def filter_error_frames(reports: Iterable[EventReport], any_node_heard: bool) -> list[EventReport]:
+def filter_error_frames(
+    event_reports: Iterable[EventReport], any_node_heard: bool
+) -> list[EventReport]:
     """Drop error frames from the reports, except the first unacknowledged frame (B18).
 
     Args:
-        reports: reports of buses, host and recorder in the tick.
+        event_reports: reports of buses, host and recorder in the tick.
         any_node_heard: True if any node has ever answered, or if a motor may make torque. The fault
             B18 cannot occur if this is True.
     """
     kept, error = [], None
-    for one in reports:
+    for one in event_reports:
         if one[0] != "error_frame":
             kept.append(one)
         elif (
@@ -196,6 +200,6 @@ def filter_error_frames(reports: Iterable[EventReport], any_node_heard: bool) ->
     return [*kept, error] if error else kept
 
 
-def second_controller_reports(signs: Iterable[str]) -> list[EventReport]:
+def second_controller_reports(sign_texts: Iterable[str]) -> list[EventReport]:
     """Return a report of the fault H13 for each sign of a second controller on the bus."""
-    return [(FOREIGN_CONTROLLER_EVENT, sign, 1.0) for sign in signs]
+    return [(FOREIGN_CONTROLLER_EVENT, sign, 1.0) for sign in sign_texts]

@@ -8,7 +8,7 @@ from handctl.runtime.buses.bus_opening import check_bus_spec, real_buses
 from handctl.session.defaults import DEFAULT_HAND
 
 
-def named_buses(arguments: Sequence[str]) -> dict[str, str]:
+def named_buses(bus_arguments: Sequence[str]) -> dict[str, str]:
     """Return the specification of each bus by the name of the bus, from the words after ``--bus``.
 
     A word has the form NAME=SPEC, or is only the specification SPEC. A bus without a name is named
@@ -18,7 +18,7 @@ def named_buses(arguments: Sequence[str]) -> dict[str, str]:
         ConfigError: a name is given twice or is not a valid bus name.
     """
     specs: dict[str, str] = {}
-    for number, text in enumerate(arguments):
+    for number, text in enumerate(bus_arguments):
         head, equals, spec = text.partition("=")
         named = bool(equals) and ":" not in head
         name = head if named else "main" if number == 0 else f"bus{number}"
@@ -33,19 +33,19 @@ def named_buses(arguments: Sequence[str]) -> dict[str, str]:
     return specs
 
 
-def refuse_default_hand(specs: Sequence[str], where: str) -> None:
+def refuse_default_hand(bus_specs: Sequence[str], where: str) -> None:
     """Raise an error if the operator named no hand although a bus may have real motors.
 
     In this case the operator must name the hand, because the limits of the default hand belong to
     other motors and tendons.
 
     Args:
-        specs: specifications of the buses.
+        bus_specs: specifications of the buses.
         where: name of the argument that is missing, for the error message.
 
     Raises:
         ConfigError: a bus may have real motors.
     """
-    if real := real_buses(specs):
+    if real := real_buses(bus_specs):
         right = f"the file of the connected hand; the default {DEFAULT_HAND!r} is only for simulated buses"
         raise ConfigError(f"no hand is given, and {real[0]} may have real motors", where, right)

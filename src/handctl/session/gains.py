@@ -43,30 +43,35 @@ class LayeredGains:
 
 
 def layered_gains(
-    hand: Hand, file: Path | None, words: Sequence[str], tell: NoticeCallback = ignore_notice
+    hand: Hand,
+    gains_file: Path | None,
+    assignment_words: Sequence[str],
+    tell: NoticeCallback = ignore_notice,
 ) -> LayeredGains:
     """Return the gains that a run uses, and the source of each gain.
 
     Args:
         hand: description of the hand.
-        file: path of the gains file. If it is None, the file ``HAND.gains.toml`` is used where it
+        gains_file: path of the gains file. If it is None, the file ``HAND.gains.toml`` is used where it
             exists.
-        words: words KEY=VALUE from the command line. They override the values of every file.
+        assignment_words: words KEY=VALUE from the command line. They override the values of every file.
         tell: function that shows a notice to the operator.
 
     Raises:
         ConfigError: a file or a value cannot be used, or the gains are for another hand.
     """
     default = Path(f"{hand.name}.gains.toml")
-    file = file or (default if default.exists() else None)
-    loaded = read_gains_for_hand(hand, file, tell) if file else None
+    gains_file = gains_file or (default if default.exists() else None)
+    loaded = read_gains_for_hand(hand, gains_file, tell) if gains_file else None
     base = loaded.gains if loaded else packaged_gains(hand.name)
-    values = gain_assignments(words, "--gain")
+    values = gain_assignments(assignment_words, "--gain")
     gains = gains_with_values(base, values, "--gain") if values else base
-    origins = {key: _origin_of(base, key, file) for key in values_by_key(base)} | dict.fromkeys(
-        values, COMMAND_LINE_ORIGIN
+    origins = {
+        key: _origin_of(base, key, gains_file) for key in values_by_key(base)
+    } | dict.fromkeys(values, COMMAND_LINE_ORIGIN)
+    return LayeredGains(
+        gains, gains_file, loaded.provenance if loaded else GainsProvenance(), origins
     )
-    return LayeredGains(gains, file, loaded.provenance if loaded else GainsProvenance(), origins)
 
 
 def read_gains_for_hand(hand: Hand, path: Path, tell: NoticeCallback = ignore_notice) -> GainsFile:
@@ -88,23 +93,23 @@ def read_gains_for_hand(hand: Hand, path: Path, tell: NoticeCallback = ignore_no
     return file
 
 
-def _origin_of(gains: Gains, key: str, file: Path | None) -> str:
+def _origin_of(gains: Gains, key: str, gains_file: Path | None) -> str:
     """Return the source of a gain that the command line does not set: the gains file, or the packaged gains."""
     section, _, name = key.partition(".")
     in_file = tendon_key(key) is not None or (
         section in gains.model_fields_set and name in getattr(gains, section).model_fields_set
     )
-    return str(file) if file and in_file else PACKAGED_ORIGIN
+    return str(gains_file) if gains_file and in_file else PACKAGED_ORIGIN
 
 
-def gain_assignments(words: Sequence[str], where: str) -> dict[str, float]:
+def gain_assignments(assignment_words: Sequence[str], where: str) -> dict[str, float]:
     """Return the numbers that the words KEY=VALUE assign, by key.
 
     Raises:
         ConfigError: a word does not assign a number, or a key is assigned twice.
     """
     values: dict[str, float] = {}
-    for word in words:
+    for word in assignment_words:
         key, equals, text = word.partition("=")
         if key in values:
             raise ConfigError(f"{key} is given twice", where, "one value for each")

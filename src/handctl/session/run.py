@@ -343,8 +343,8 @@ def _build_loop(
     clock: TickClock,
     buses: Sequence[LoopBus],
     recorder: Recorder,
-    requests: Callable[[], tuple[TickRequest, ...]],
-    show: Callable[[TickIn, TickOut], None],
+    receive_requests: Callable[[], tuple[TickRequest, ...]],
+    show_tick: Callable[[TickIn, TickOut], None],
 ) -> ControlLoop[ControllerState]:
     def record_tick(entry: TickIn, out: TickOut) -> None:
         recorder.send_record(pack_tick_record(entry, out))
@@ -356,10 +356,10 @@ def _build_loop(
         buses=buses,
         begin_tick=controller.begin_tick,
         cut_frames=controller.cut_frames(),
-        take_requests=requests,
+        take_requests=receive_requests,
         take_host_events=lambda: [*recorder.take_events(), *slept()],
         record_tick=record_tick,
-        show_tick=show,
+        show_tick=show_tick,
         keep_snapshot=snapshot_recorder(recorder),
         disable_drives=partial(shutdown_step, controller),
         tick_priority=realtime_priority if isinstance(clock, RealClock) else nullcontext,

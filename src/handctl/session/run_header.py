@@ -91,12 +91,12 @@ def _name_and_version(dist: Distribution) -> str:
     return "==".join(values) if all(values) else f"{dist.name}=={dist.version}"
 
 
-def _flatten_table(table: dict[str, object], prefix: str = "") -> dict[str, str]:
+def _flatten_table(nested_table: dict[str, object], key_prefix: str = "") -> dict[str, str]:
     flat: dict[str, str] = {}
-    for key, value in table.items():
+    for key, value in nested_table.items():
         flat |= (
-            _flatten_table(value, f"{prefix}{key}.")
+            _flatten_table(value, f"{key_prefix}{key}.")
             if isinstance(value, dict)
-            else {f"{prefix}{key}": str(value)}
+            else {f"{key_prefix}{key}": str(value)}
         )
     return flat

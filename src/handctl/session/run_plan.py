@@ -165,11 +165,11 @@ def make_plan(
     )
 
 
-def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
+def chosen_time_scale(chosen_scale: float | None, buses: Sequence[str]) -> float:
     """Return the time scale of a run: the chosen scale, otherwise that of the simulator on the bus, otherwise 1.
 
     Args:
-        chosen: ratio of simulated time to wall time that the operator has chosen, or None if there
+        chosen_scale: ratio of simulated time to wall time that the operator has chosen, or None if there
             is no choice.
         buses: specification of each bus, empty in lockstep.
 
@@ -177,23 +177,25 @@ def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
         ConfigError: the chosen time scale is out of range, is not 1 although a bus is real, or
             differs from the time scale of the simulator.
     """
-    if chosen is not None and not 0.001 <= chosen <= 100:
-        raise ConfigError(f"{chosen:g}", "--time-scale", "0.001 to 100")
+    if chosen_scale is not None and not 0.001 <= chosen_scale <= 100:
+        raise ConfigError(f"{chosen_scale:g}", "--time-scale", "0.001 to 100")
     if real := real_buses(buses):
-        if chosen not in (None, 1.0):
+        if chosen_scale not in (None, 1.0):
             right = "1, or a simulated bus: local:NAME, socketcan:vcan0"
             raise ConfigError(
-                f"{chosen:g}, and {real[0]} may have real motors", "--time-scale", right
+                f"{chosen_scale:g}, and {real[0]} may have real motors", "--time-scale", right
             )
         return 1.0
     simulated = (
         simulated_time_scale(buses[0]) if buses else None
     )  # only the first bus has the simulator's socket for requests
-    if chosen is not None and simulated not in (None, chosen):
+    if chosen_scale is not None and simulated not in (None, chosen_scale):
         raise ConfigError(
-            f"{chosen:g}", "--time-scale", f"{simulated:g}, as the simulator on {buses[0]} has"
+            f"{chosen_scale:g}",
+            "--time-scale",
+            f"{simulated:g}, as the simulator on {buses[0]} has",
         )
-    return next((one for one in (chosen, simulated) if one is not None), 1.0)
+    return next((one for one in (chosen_scale, simulated) if one is not None), 1.0)
 
 
 def check_hand_ready(hand: Hand, where: str) -> None:
@@ -210,7 +212,7 @@ def check_hand_ready(hand: Hand, where: str) -> None:
         raise mistake.error(where)
 
 
-def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) -> float:
+def control_rate(requested_hz: float | None, hand: Hand, bus_loads: Sequence[BusLoad]) -> float:
     """Return the requested control rate [Hz].
 
     If no rate is requested, return the highest of the usual rates that the buses allow.
@@ -219,13 +221,13 @@ def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) 
         ConfigError: at this control rate, a single lost tick would trigger the watchdog of a drive,
             or a bus would be overloaded.
     """
-    best = highest_rate_of_buses(loads)
-    rate = best if requested is None else requested
+    best = highest_rate_of_buses(bus_loads)
+    rate = best if requested_hz is None else requested_hz
     lowest = TICKS_IN_WATCHDOG * 1e3 / min(motor.watchdog_ms for motor in hand.motor)
     if not lowest <= rate < math.inf:
-        what = f"{rate:g}" if requested is not None else f"the buses carry {rate:g}"
+        what = f"{rate:g}" if requested_hz is not None else f"the buses carry {rate:g}"
         raise ConfigError(what, "--rate", f"at least {lowest:g}, for the drives' watchdogs")
-    for name, load in zip(hand.bus_names, loads, strict=True):
+    for name, load in zip(hand.bus_names, bus_loads, strict=True):
         if load.load_at(rate) > MAX_BUS_LOAD:
             what = f"bus {name} would be {100 * load.load_at(rate):.0f} % full at {rate:g} Hz"
             raise ConfigError(what, "--rate", f"at most {best:g}")
@@ -244,9 +246,11 @@ def _check_log(log: Path | None) -> None:
         raise ConfigError(f"{log} exists already", "--log", "a new file ending in .mcap")
 
 
-def highest_rate_of_buses(loads: Sequence[BusLoad]) -> float:
+def highest_rate_of_buses(bus_loads: Sequence[BusLoad]) -> float:
     """Return the highest of the usual control rates at which no bus is overloaded [Hz]."""
-    return highest_rate((load.tick_s for load in loads), (load.timed_fraction for load in loads))
+    return highest_rate(
+        (load.tick_s for load in bus_loads), (load.timed_fraction for load in bus_loads)
+    )
 
 
 def default_rate(hand: Hand) -> float:
@@ -282,25 +286,29 @@ def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -
     HandModel.from_hand(hand, gains, rate_hz or default_rate(hand))
 
 
-def bus_specs(hand: Hand, arguments: Sequence[str]) -> tuple[str, ...]:
+def bus_specs(hand: Hand, bus_arguments: Sequence[str]) -> tuple[str, ...]:
     """Return the specification of each bus of a hand, from the words after ``--bus``.
 
     Raises:
         ConfigError: a bus is missing, given twice, or not part of the hand, or a specification is
             invalid.
     """
-    specs = _specs_by_name(hand.bus_names, arguments)
+    specs = _specs_by_name(hand.bus_names, bus_arguments)
     for spec in specs:
         check_bus_spec(spec)
     return specs
 
 
-def _specs_by_name(names: tuple[str, ...], arguments: Sequence[str]) -> tuple[str, ...]:
+def _specs_by_name(names: tuple[str, ...], bus_arguments: Sequence[str]) -> tuple[str, ...]:
     """Return the specifications that the arguments give for the named buses, in the order of the names."""
-    if len(names) == 1 and len(arguments) == 1 and "=" not in arguments[0].partition(":")[0]:
-        return (arguments[0],)
+    if (
+        len(names) == 1
+        and len(bus_arguments) == 1
+        and "=" not in bus_arguments[0].partition(":")[0]
+    ):
+        return (bus_arguments[0],)
     specs: dict[str, str] = {}
-    for text in arguments:
+    for text in bus_arguments:
         name, _, spec = text.partition("=")
         if name not in names or not spec or name in specs:
             raise ConfigError(repr(text), "--bus", " ".join(f"--bus {name}=SPEC" for name in names))
@@ -325,11 +333,15 @@ def commission_log(log: Path) -> Path:
     return path
 
 
-def default_log(hand: Hand, kind: str = "") -> Path:
+def default_log(hand: Hand, name_suffix: str = "") -> Path:
     """Return an unused path of the form logs/DATE-HAND.mcap, and create the folder of this path."""
     folder = Path("logs")
     folder.mkdir(exist_ok=True)
-    stem = time.strftime("%Y%m%d-%H%M%S") + f"-{hand.name}" + (f"-{kind}" if kind else "")
+    stem = (
+        time.strftime("%Y%m%d-%H%M%S")
+        + f"-{hand.name}"
+        + (f"-{name_suffix}" if name_suffix else "")
+    )
     number = 1
     path = folder / f"{stem}.mcap"
     while path.exists():

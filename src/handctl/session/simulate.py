@@ -49,7 +49,7 @@ class SimulatedHand(LockstepSimulator, Protocol):
 
     world: Any
 
-    def inject(self, text: str) -> None:
+    def inject(self, fault_text: str) -> None:
         """Inject the fault that a text describes."""
         ...
 
@@ -197,23 +197,23 @@ class SimulatedRun:
 
     def run_tick(
         self,
-        io: tuple[IoEvent, ...] = (),
+        io_events: tuple[IoEvent, ...] = (),
         requests: tuple[TickRequest, ...] = (),
         late_ns: int = 0,
-        skip: int = 0,
+        skipped_ticks: int = 0,
     ) -> TickOut:
         """Run one tick, and then advance the simulated hand to the next tick.
 
         Args:
-            io: additional events of buses and host for the controller in this tick.
+            io_events: additional events of buses and host for the controller in this tick.
             requests: requests of the operator in this tick.
             late_ns: lateness of the tick [ns].
-            skip: number of ticks to leave out before this tick, as if the host had missed their
+            skipped_ticks: number of ticks to leave out before this tick, as if the host had missed their
                 deadlines.
         """
-        for _ in range(skip):
+        for _ in range(skipped_ticks):
             self._step()
-        _, out = self._decide(io, requests, late_ns)
+        _, out = self._decide(io_events, requests, late_ns)
         self._step()
         return out
 
@@ -233,25 +233,27 @@ class SimulatedRun:
                 return
             self._step()
 
-    def run_until(self, reached: Callable[[TickOut], bool], timeout_s: float) -> bool:
+    def run_until(self, is_reached: Callable[[TickOut], bool], timeout_s: float) -> bool:
         """Run ticks until the output of a tick fulfils a condition, for at most ``timeout_s`` [s].
 
         Return True if an output fulfilled the condition.
         """
         for _ in range(round(timeout_s * 1e9 / self.period_ns)):
             out = self.run_tick()
-            if reached(out):
+            if is_reached(out):
                 return True
             if out.mode == HandMode.DONE:
                 return False
         return False
 
     def _decide(
-        self, io: tuple[IoEvent, ...], requests: tuple[TickRequest, ...], late_ns: int
+        self, io_events: tuple[IoEvent, ...], requests: tuple[TickRequest, ...], late_ns: int
     ) -> tuple[TickIn, TickOut]:
         frames = self._bus.drain()
         wires = tuple(IoEvent(*event) for event in self._bus.take_events())
-        entry = TickIn(self.k, self.k * self.period_ns, late_ns, frames, wires + io, requests)
+        entry = TickIn(
+            self.k, self.k * self.period_ns, late_ns, frames, wires + io_events, requests
+        )
         self.state, self.last_output = self.controller.tick(self.state, entry)
         if self.record_ticks:
             self.recorded_ticks.append((entry, self.last_output))

@@ -29,7 +29,7 @@ def judge_run(
     outcome: RunOutcome,
     log: Path,
     truth_file: Path | None,
-    picture: bool = True,
+    with_picture: bool = True,
     task: Task | None = None,
 ) -> dict[str, Any]:
     """Compute numbers that describe the performance of a run, and draw a picture next to the log.
@@ -43,7 +43,7 @@ def judge_run(
         log: log file of the run.
         truth_file: truth file of the simulator, which is copied to the folder of the log. The value
             is None for a real hand.
-        picture: True to draw the picture.
+        with_picture: True to draw the picture.
         task: task that the run has executed. If it is given, the grasp of the task is judged. The
             run then counts as failed if the hand did not hold the object.
     """
@@ -57,7 +57,7 @@ def judge_run(
         result = summarise_run(record, plan.hand, truth, outcome.offset_ns)
         result |= judge_lift(record, truth, outcome.offset_ns, _hold_phases(task))
         silent = frame_counts(record, plan.hand).silent_ticks
-        drawn = _draw_picture(plan, outcome, record, truth, log) if picture else None
+        drawn = _draw_picture(plan, outcome, record, truth, log) if with_picture else None
     stats = outcome.loop_stats
     result |= {
         "missed": stats.missed_ticks,

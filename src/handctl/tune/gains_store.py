@@ -196,7 +196,7 @@ class GainsStore:
             # The history is written first. So if the program crashes between the two writes, the
             # present gains have not changed.
             write_text_atomically(
-                self.history_folder / f"{written.number:04d}.toml", text, new=True
+                self.history_folder / f"{written.number:04d}.toml", text, must_be_new=True
             )
             write_text_atomically(self.path, text)
         except OSError as error:

@@ -162,10 +162,10 @@ def _check_nodes(
 
 
 def _duplicate_nodes(
-    result: BusScan, trips: list[tuple[DiscoveredNode, RoundTrip]]
+    result: BusScan, node_round_trips: list[tuple[DiscoveredNode, RoundTrip]]
 ) -> list[DiscoveredNode]:
     """Return the nodes whose node number more than one drive uses."""
-    twice = [node for node, trip in trips if trip.is_number_shared]
+    twice = [node for node, trip in node_round_trips if trip.is_number_shared]
     return [node for node in result.found_nodes if node.twins or node in twice]
 
 

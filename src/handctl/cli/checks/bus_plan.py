@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.DONE if result["fits"] and not wrong else ExitCode.FAILED
 
 
-def bus_plan_report(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
+def bus_plan_report(hand: Hand, loads: tuple[BusLoad, ...], rate_hz: float) -> dict[str, Any]:
     """Return the load of each bus for the report.
 
     If a bus is overloaded, also return a distribution of the motors over more buses.
@@ -51,12 +51,12 @@ def bus_plan_report(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict
     Args:
         hand: description of the hand.
         loads: worst-case load of each bus, in the order of the hand file.
-        rate: control rate [Hz].
+        rate_hz: control rate [Hz].
     """
-    fits = all(load.load_at(rate) <= MAX_BUS_LOAD for load in loads)
-    buses = [_bus_fields(load, rate) for load in loads]
-    return {"hand": hand.name, "rate_hz": rate, "most": MAX_BUS_LOAD, "fits": fits, "buses": buses,
-            "split": [] if fits else split_motors_over_buses(hand, rate)}  # fmt: skip
+    fits = all(load.load_at(rate_hz) <= MAX_BUS_LOAD for load in loads)
+    buses = [_bus_fields(load, rate_hz) for load in loads]
+    return {"hand": hand.name, "rate_hz": rate_hz, "most": MAX_BUS_LOAD, "fits": fits, "buses": buses,
+            "split": [] if fits else split_motors_over_buses(hand, rate_hz)}  # fmt: skip
 
 
 def bit_rate_errors(hand: Hand, specs: tuple[str, ...]) -> list[str]:
@@ -74,14 +74,14 @@ def bit_rate_errors(hand: Hand, specs: tuple[str, ...]) -> list[str]:
     return [line for line in lines if line]
 
 
-def _bus_fields(load: BusLoad, rate: float) -> dict[str, Any]:
+def _bus_fields(load: BusLoad, rate_hz: float) -> dict[str, Any]:
     max_rate = load.highest_rate_hz(MAX_BUS_LOAD)
     return {
         "name": load.name,
         "motors": load.motors,
         "tick_us": load.tick_s * 1e6,
         "by_time": load.timed_fraction,
-        "load": load.load_at(rate),
+        "load": load.load_at(rate_hz),
         "max_hz": max_rate if math.isfinite(max_rate) else None,
         "frames": [_row_fields(row) for row in load.rows],
     }
@@ -92,13 +92,15 @@ def _row_fields(row: BusLoadRow) -> dict[str, Any]:
             "per_second": row.per_second, "frame_us": row.frame_s * 1e6}  # fmt: skip
 
 
-def _print_loads(result: dict[str, Any], detail: bool) -> None:
-    print(f"{result['hand']} at {result['rate_hz']:g} Hz, at most {result['most']:.0%} of a bus:")
-    for bus in result["buses"]:
+def _print_loads(bus_plan: dict[str, Any], with_details: bool) -> None:
+    print(
+        f"{bus_plan['hand']} at {bus_plan['rate_hz']:g} Hz, at most {bus_plan['most']:.0%} of a bus:"
+    )
+    for bus in bus_plan["buses"]:
         limit = "nothing on it" if bus["max_hz"] is None else f"{bus['max_hz']:.0f} Hz at most"
         time = f"{bus['tick_us']:>7.0f} us a tick + {bus['by_time']:4.1%}"
         print(f"  {bus['name']:<12}{bus['motors']:>3} motors {time} {bus['load']:>7.1%}  {limit}")
-        for row in bus["frames"] if detail else ():
+        for row in bus["frames"] if with_details else ():
             rate = (
                 f"{row['per_tick']:g} a tick"
                 if row["per_tick"]
@@ -108,10 +110,10 @@ def _print_loads(result: dict[str, Any], detail: bool) -> None:
             print(
                 f"      {row['what']:<16}{kind:<10}{row['bytes']:>2} bytes {row['frame_us']:>6.1f} us  {rate}"
             )
-    for line in result["wrong_bit_rates"]:
+    for line in bus_plan["wrong_bit_rates"]:
         print(line)
-    if not result["fits"]:
-        _print_split(result["split"])
+    if not bus_plan["fits"]:
+        _print_split(bus_plan["split"])
 
 
 def _print_split(buses: list[list[str]]) -> None:

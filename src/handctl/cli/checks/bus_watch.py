@@ -157,12 +157,12 @@ def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
     }
 
 
-def _joint_reading(hand: Hand, index: int, value: float) -> dict[str, float]:
+def _joint_reading(hand: Hand, joint_index: int, value: float) -> dict[str, float]:
     """Return the reading of a joint encoder with its unit.
 
     The position of a prismatic joint is in m.
     """
-    return {("position_m" if hand.is_prismatic[index] else "angle_rad"): value}
+    return {("position_m" if hand.is_prismatic[joint_index] else "angle_rad"): value}
 
 
 def _drive_fields(
@@ -183,11 +183,11 @@ def _drive_fields(
     }  # fmt: skip
 
 
-def _readings_table(readings: dict[str, Any]) -> Any:
+def _readings_table(reading_fields: dict[str, Any]) -> Any:
     """Return the readings of a hand as a table with one row for each drive."""
     from rich.table import Table
 
-    cells = {row["tendon"]: row for row in readings["load_cells"]}
+    cells = {row["tendon"]: row for row in reading_fields["load_cells"]}
     table = Table(box=None, pad_edge=False)
     titles = (
         "motor",
@@ -201,7 +201,7 @@ def _readings_table(readings: dict[str, Any]) -> Any:
     )
     for title in titles:
         table.add_column(title, justify="left" if title in ("motor", "phase") else "right")
-    for row in readings["drives"]:
+    for row in reading_fields["drives"]:
         cell = cells.get(row["tendon"], {"tension_N": math.nan, "saturated": False})
         table.add_row(
             row["motor"], str(row["node_id"]), row["error"] or row["phase"],
@@ -209,7 +209,7 @@ def _readings_table(readings: dict[str, Any]) -> Any:
             _number_text(row["torque_N_m"], 3), _number_text(row["temperature_degC"], 0),
             _number_text(cell["tension_N"], 2) + (" end of range" if cell["saturated"] else ""),
         )  # fmt: skip
-    for row in readings["joint_encoders"]:
+    for row in reading_fields["joint_encoders"]:
         shown = (
             f"{_number_text(1e3 * row['position_m'], 2)} mm"
             if "position_m" in row

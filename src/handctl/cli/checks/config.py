@@ -161,11 +161,11 @@ def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], 
     ]
 
 
-def _report_errors(args: argparse.Namespace, errors: list[str]) -> int:
+def _report_errors(args: argparse.Namespace, error_texts: list[str]) -> int:
     """Print one line for each error in the files of a hand, and return the exit code."""
     if args.json:
-        print_json({"file": hand_path(args.hand).name, "errors": errors})
-    for error in errors:
+        print_json({"file": hand_path(args.hand).name, "errors": error_texts})
+    for error in error_texts:
         print_escaped(f"handctl: {error}", error=True)
     return ExitCode.BAD_INPUT
 
@@ -298,14 +298,14 @@ def _calibration_fields(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
     return {"file": str(path), "problem": "", "made": calibration.made, "identified": identified}
 
 
-def _calibration_lines(calibration: dict[str, Any]) -> list[str]:
+def _calibration_lines(calibration_fields: dict[str, Any]) -> list[str]:
     """Return the fields of ``_calibration_fields`` as lines of text."""
-    if calibration["problem"]:
-        return [f"calibration: {calibration['problem']}"]
-    return [f"calibration: {calibration['file']}, made {calibration['made']}"] + [
+    if calibration_fields["problem"]:
+        return [f"calibration: {calibration_fields['problem']}"]
+    return [f"calibration: {calibration_fields['file']}, made {calibration_fields['made']}"] + [
         f"{tendon}.{name} = {one['value']:.5g} +- {one['half_width']:.2g} {one['unit']}"
-        f"  ({calibration['file']}, identified {one['made']})"
-        for tendon, values in calibration["identified"].items()
+        f"  ({calibration_fields['file']}, identified {one['made']})"
+        for tendon, values in calibration_fields["identified"].items()
         for name, one in values.items()
     ]
 
@@ -319,7 +319,7 @@ def _export_hand(args: argparse.Namespace, hand: Hand) -> int:
     output = args.output or Path(f"{hand.name}.{'urdf' if args.urdf else 'xml'}")
     meshes = exported_meshes(hand, hand_path(args.hand).parent, output.parent)
     write_text_atomically(
-        output, urdf_text(hand, meshes) if args.urdf else mjcf_text(hand, meshes), new=True
+        output, urdf_text(hand, meshes) if args.urdf else mjcf_text(hand, meshes), must_be_new=True
     )
     if args.json:
         print_json({"hand": hand.name, "output": str(output)})
@@ -341,7 +341,7 @@ def _export_buses(args: argparse.Namespace, hand: Hand) -> int:
     for bus, name in enumerate(buses):
         path = output if len(buses) == 1 else path_with_suffix(output, f".{name}{output.suffix}")
         write_text_atomically(
-            path, dbc_of_bus(bus, drives, sensors, hand.tendon_names, hand.joints), new=True
+            path, dbc_of_bus(bus, drives, sensors, hand.tendon_names, hand.joints), must_be_new=True
         )
         written.append({"bus": name, "output": str(path)})
     if args.json:
@@ -358,7 +358,7 @@ def _write_schema(args: argparse.Namespace) -> int:
     if args.output is None:
         print(text, end="")
         return 0
-    write_text_atomically(args.output, text, new=True)
+    write_text_atomically(args.output, text, must_be_new=True)
     if args.json:
         print_json({"output": str(args.output)})
     else:
@@ -386,7 +386,7 @@ def _convert_file(args: argparse.Namespace) -> int:
             str(args.old),
             "a report of this as a bug",
         )
-    write_text_atomically(args.output, new, new=True)
+    write_text_atomically(args.output, new, must_be_new=True)
     lines = len(text.splitlines()), len(new.splitlines())
     if args.json:
         print_json({"output": str(args.output), "lines": lines, "identity": hand.identity})

@@ -103,13 +103,15 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def read_hand_description(path: Path, kind: str, output: Path) -> tuple[DescribedHand, list[str]]:
+def read_hand_description(
+    path: Path, kind: str, output_path: Path
+) -> tuple[DescribedHand, list[str]]:
     """Read a robot description, and return the hand that this description contains.
 
     Args:
         path: file of the description.
         kind: ``urdf`` or ``mjcf``.
-        output: folder in which the hand file will be written. The hand file contains the paths of
+        output_path: folder in which the hand file will be written. The hand file contains the paths of
             meshes relative to this folder.
 
     Returns:
@@ -122,11 +124,11 @@ def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Describe
     model = read_model_file(path, kind)
     notes = list(model["notes"])
     links = [
-        ModelLink.from_values(link, _mesh_of(link["name"], link["meshes"], output, notes))
+        ModelLink.from_values(link, _mesh_of_link(link["name"], link["meshes"], output_path, notes))
         for link in model["links"]
     ]
     digits, palm, origin = digits_of_links(links, str(path))
-    palm_mesh = _mesh_of("the palm", model["palm_meshes"], output, notes)
+    palm_mesh = _mesh_of_link("the palm", model["palm_meshes"], output_path, notes)
     gravity = model["gravity"]
     name = re.sub(r"\W+", "_", model["name"])
     described = DescribedHand(
@@ -141,8 +143,8 @@ def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Describe
     return described, notes
 
 
-def _mesh_of(
-    link: str, meshes: Sequence[Mapping[str, Any]], output: Path, notes: list[str]
+def _mesh_of_link(
+    link_name: str, meshes: Sequence[Mapping[str, Any]], output_path: Path, notes: list[str]
 ) -> ModelMesh | None:
     """Return the largest mesh of a link that a hand file can contain, or None if there is none.
 
@@ -154,25 +156,28 @@ def _mesh_of(
             corners = read_triangles(Path(mesh["file"])) * np.abs(mesh["scale"])
             sizes[i] = float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0)))
         except ValueError as error:
-            notes.append(f"mesh {Path(mesh['file']).name} of {link} is left out: {error}")
+            notes.append(f"mesh {Path(mesh['file']).name} of {link_name} is left out: {error}")
     if not sizes:
         return None
     largest = max(sizes, key=sizes.__getitem__)
     for i in sizes.keys() - {largest}:
         notes.append(
-            f"mesh {Path(meshes[i]['file']).name} of {link} is left out: a link can have only one mesh"
+            f"mesh {Path(meshes[i]['file']).name} of {link_name} is left out: a link can have only one mesh"
         )
     chosen = ModelMesh.from_values(meshes[largest])
-    return replace(chosen, file=relative_path(Path(chosen.file), output))
+    return replace(chosen, file=relative_path(Path(chosen.file), output_path))
 
 
-def _ask_questions(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
+def _ask_questions(answers: TendonAnswers, known_keys: set[str]) -> TendonAnswers:
     """Ask the questions that neither the options nor the description answer."""
     check_terminal()
     for question in IMPORT_QUESTIONS:
         if question.answer_field == SPRING_FIELD and answers.tendons == "one":
             continue  # if only one tendon closes a digit, springs must open it
-        if getattr(answers, question.answer_field) is None and question.answer_field not in known:
+        if (
+            getattr(answers, question.answer_field) is None
+            and question.answer_field not in known_keys
+        ):
             answers = replace(
                 answers,
                 **{question.answer_field: ask_question(question, UNMEASURED_PLACEHOLDER, None)},
@@ -197,7 +202,11 @@ def _check_answers(answers: TendonAnswers) -> None:
 
 
 def _unexpected_mistakes(
-    mistakes: Iterable[FileMistake], missing: list[FileMistake], output: Path
+    mistakes: Iterable[FileMistake], missing_values: list[FileMistake], output_path: Path
 ) -> list[str]:
     """Return one line for each mistake in the new hand file, but none for missing values."""
-    return [str(mistake.error(str(output))) for mistake in mistakes if mistake not in missing]
+    return [
+        str(mistake.error(str(output_path)))
+        for mistake in mistakes
+        if mistake not in missing_values
+    ]

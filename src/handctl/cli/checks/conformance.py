@@ -94,7 +94,7 @@ def _dry_run(args: argparse.Namespace) -> int:
 
 
 def _run_checks(
-    args: argparse.Namespace, drive: Drive, restoring: Drive
+    args: argparse.Namespace, drive: Drive, restoring_drive: Drive
 ) -> tuple[list[ConformanceCheck], bool]:
     """Run the checks of a drive, disable the drive, and restore the drive's torque range.
 
@@ -114,7 +114,7 @@ def _run_checks(
             if len(results) < len(CHECKED_REQUIREMENTS):
                 bus.send(drive.cut_frames())
             off = release_drive(
-                rig, WATCHDOG_MS / 1e3, restoring if restoring is not drive else None
+                rig, WATCHDOG_MS / 1e3, restoring_drive if restoring_drive is not drive else None
             )
             if not off and len(results) < len(
                 CHECKED_REQUIREMENTS
@@ -124,7 +124,10 @@ def _run_checks(
 
 
 def _result_fields(
-    args: argparse.Namespace, node: DiscoveredNode, results: list[ConformanceCheck], off: bool
+    args: argparse.Namespace,
+    node: DiscoveredNode,
+    check_results: list[ConformanceCheck],
+    is_off: bool,
 ) -> dict[str, Any]:
     return {
         "drive": args.protocol,
@@ -133,10 +136,10 @@ def _result_fields(
         "torque_limit_N_m": args.limit,
         "firmware": node.firmware,
         "serial": node.serial,
-        "confirmed_off": off,
+        "confirmed_off": is_off,
         "checks": [
             {"name": check.name, "verdict": check.verdict.value, "why": check.reason}
-            for check in results
+            for check in check_results
         ],
     }
 

@@ -87,35 +87,41 @@ def add_identities(
 
 
 def _add_identity(
-    drive: DiscoveredNode, numbers: dict[str, int], texts: dict[str, str]
+    drive: DiscoveredNode, identity_numbers: dict[str, int], identity_texts: dict[str, str]
 ) -> DiscoveredNode:
-    power = cia402_codec.power_state(numbers["status"]) if "status" in numbers else ""
+    power = (
+        cia402_codec.power_state(identity_numbers["status"]) if "status" in identity_numbers else ""
+    )
     notes = list(drive.notes)
-    if not numbers.get("modes", 0) >> 9 & 1:
+    if not identity_numbers.get("modes", 0) >> 9 & 1:
         notes.append("does not offer cyclic synchronous torque (0x6502 bit 9)")
     options: dict[str, bool | int | float | str] = {}
     origins: dict[str, str] = {}
-    if rated := numbers.get("rated_torque"):
+    if rated := identity_numbers.get("rated_torque"):
         options["rated_torque_N_m"] = rated * MILLI
         origins["rated_torque_N_m"] = f"from {rated} in 0x6076, if that is in mN m; EPOS4: uN m"
         notes.append(f"rated torque {rated} taken as mN m; EPOS4 counts in uN m: rated_torque_unit")
-    if counts := numbers.get("counts"):
+    if counts := identity_numbers.get("counts"):
         options["counts_per_turn"] = counts
     identity = (
-        [f"vendor {numbers['vendor']:#x}, product {numbers['product']:#x}"]
-        if "product" in numbers
+        [f"vendor {identity_numbers['vendor']:#x}, product {identity_numbers['product']:#x}"]
+        if "product" in identity_numbers
         else []
     )
     return dataclasses.replace(
         drive,
-        firmware=texts.get("software")
-        or (f"revision {numbers['revision']:#x}" if "revision" in numbers else ""),
-        serial=f"{numbers['serial']:#x}" if "serial" in numbers else "",
+        firmware=identity_texts.get("software")
+        or (
+            f"revision {identity_numbers['revision']:#x}" if "revision" in identity_numbers else ""
+        ),
+        serial=f"{identity_numbers['serial']:#x}" if "serial" in identity_numbers else "",
         state=", ".join(filter(None, (drive.state, power))),
-        error=cia402_codec.error_text(numbers["error"]) if numbers.get("error") else "",
+        error=cia402_codec.error_text(identity_numbers["error"])
+        if identity_numbers.get("error")
+        else "",
         options=options,
         origins=origins,
-        notes=tuple(filter(None, (texts.get("name", ""), *identity, *notes))),
+        notes=tuple(filter(None, (identity_texts.get("name", ""), *identity, *notes))),
     )
 
 
@@ -138,8 +144,10 @@ def _frame_text(frame: Frame) -> str:
     )
 
 
-def _print_scans(buses: dict[str, str], scans: dict[str, BusScan], piece: str) -> None:
-    for name, result in scans.items():
+def _print_scans(
+    buses: dict[str, str], scan_of_bus: dict[str, BusScan], hand_file_piece: str
+) -> None:
+    for name, result in scan_of_bus.items():
         print(
             f"{name} ({buses[name]}): {len(result.found_nodes)} nodes, {result.frame_count} frames received"
         )
@@ -158,8 +166,8 @@ def _print_scans(buses: dict[str, str], scans: dict[str, BusScan], piece: str) -
         for drive in result.found_nodes:
             _print_drive(drive)
     print(undiscoverable_protocols_text())
-    if any(result.found_nodes for result in scans.values()):
-        print(f"\n{piece}", end="")
+    if any(result.found_nodes for result in scan_of_bus.values()):
+        print(f"\n{hand_file_piece}", end="")
 
 
 def undiscoverable_protocols_text() -> str:

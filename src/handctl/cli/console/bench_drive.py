@@ -61,7 +61,7 @@ drive.
 """
 
 
-def parse_options(words: list[str]) -> dict[str, Any]:
+def parse_options(option_words: list[str]) -> dict[str, Any]:
     """Return the options of a drive from words with the form KEY=VALUE.
 
     A value is written as in TOML, but a text may be written without quotes.
@@ -70,7 +70,7 @@ def parse_options(words: list[str]) -> dict[str, Any]:
         ConfigError: a word is not TOML.
     """
     options: dict[str, Any] = {}
-    for word in words:
+    for word in option_words:
         options |= _option_from_word(word)
     return options
 

@@ -43,18 +43,22 @@ class DisplayProcess:
     """
 
     def __init__(
-        self, names: tuple[str, ...], ceiling: tuple[float, ...], rate_hz: float, load: float
+        self,
+        names: tuple[str, ...],
+        tension_limits: tuple[float, ...],
+        rate_hz: float,
+        bus_load: float,
     ) -> None:
         """Start the display process.
 
         Args:
             names: names of the tendons.
-            ceiling: tension limit of each tendon [N].
+            tension_limits: tension limit of each tendon [N].
             rate_hz: control rate [Hz].
-            load: worst-case load of the bus, from 0 to 1.
+            bus_load: worst-case load of the bus, from 0 to 1.
         """
         self.ticks_per_line = max(1, round(REFRESH_PERIOD_S * rate_hz))
-        head = {"names": names, "ceiling": ceiling, "rate_hz": rate_hz, "load": load}
+        head = {"names": names, "ceiling": tension_limits, "rate_hz": rate_hz, "load": bus_load}
         self.child = subprocess.Popen(
             [sys.executable, "-m", "handctl.cli.console.display"],
             stdin=subprocess.PIPE,
@@ -70,10 +74,13 @@ class DisplayProcess:
         os.set_blocking(self.pipe, False)
 
     @staticmethod
-    def start_display(hand: Hand, rate_hz: float, load: float) -> "DisplayProcess":
+    def start_display(hand: Hand, rate_hz: float, bus_load: float) -> "DisplayProcess":
         """Start the display of a run, and return the controller's end of the pipe to the display."""
         return DisplayProcess(
-            hand.tendon_names, tuple(tendon.tension_max_N for tendon in hand.tendon), rate_hz, load
+            hand.tendon_names,
+            tuple(tendon.tension_max_N for tendon in hand.tendon),
+            rate_hz,
+            bus_load,
         )
 
     def show_tick(self, entry: TickIn, out: TickOut) -> None:
@@ -129,9 +136,9 @@ class DisplayProcess:
         self.shown.add(advice)
         return f"{event.text}\n{'':19}what to do: {advice}"
 
-    def _write_line(self, line: dict[str, Any]) -> None:
+    def _write_line(self, status_fields: dict[str, Any]) -> None:
         try:
-            os.write(self.pipe, json.dumps(line).encode() + b"\n")
+            os.write(self.pipe, json.dumps(status_fields).encode() + b"\n")
         except OSError:
             return
 
@@ -153,7 +160,7 @@ def short_names(names: Sequence[str]) -> list[str]:
     return [name.removesuffix("_tendon") or name for name in names]
 
 
-def _print_lines(head: dict[str, Any]) -> None:
+def _print_lines(run_fields: dict[str, Any]) -> None:
     """Print each event, and once per second a line about the state of the hand."""
     last = -1.0
     for text in sys.stdin:
@@ -162,16 +169,16 @@ def _print_lines(head: dict[str, Any]) -> None:
             print(f"{line['t']:8.3f} s  {level:<5}  {event}", flush=True)
         if line["t"] - last >= 1.0:
             last = line["t"]
-            print(_tension_lines(head["names"], line), flush=True)
+            print(_tension_lines(run_fields["names"], line), flush=True)
 
 
-def _tension_lines(names: Sequence[str], line: dict[str, Any]) -> str:
+def _tension_lines(tendon_names: Sequence[str], status_fields: dict[str, Any]) -> str:
     """Return the state and the tensions of a hand as text.
 
     For a hand with many tendons, the text has several lines.
     """
-    start = f"{line['t']:8.3f} s  {line['mode']:<9} {line['phase']:<10} tension [N]  "
-    pairs = zip(short_names(names), line["tension"], strict=True)
+    start = f"{status_fields['t']:8.3f} s  {status_fields['mode']:<9} {status_fields['phase']:<10} tension [N]  "
+    pairs = zip(short_names(tendon_names), status_fields["tension"], strict=True)
     # A no-break space keeps a tendon's name and its tension on the same line.
     text = "  ".join(f"{name}{NO_BREAK_SPACE}{f:.1f}" for name, f in pairs)
     rows = textwrap.fill(
@@ -180,7 +187,7 @@ def _tension_lines(names: Sequence[str], line: dict[str, Any]) -> str:
     return rows.replace(NO_BREAK_SPACE, " ")
 
 
-def _draw_in_place(head: dict[str, Any]) -> None:
+def _draw_panel_in_place(run_fields: dict[str, Any]) -> None:
     """Draw the state of the hand in the terminal, always in the same place, with the package rich."""
     from rich.live import Live
 
@@ -190,10 +197,10 @@ def _draw_in_place(head: dict[str, Any]) -> None:
             line = json.loads(text)
             for level, event in line["events"]:
                 live.console.print(f"{line['t']:8.3f} s  {level:<5}  {event}")
-            live.update(_state_panel(head, line))
+            live.update(_state_panel(run_fields, line))
 
 
-def _state_panel(head: dict[str, Any], line: dict[str, Any]) -> Any:
+def _state_panel(run_fields: dict[str, Any], status_fields: dict[str, Any]) -> Any:
     from rich.console import Group
     from rich.progress_bar import ProgressBar
     from rich.table import Table
@@ -203,12 +210,22 @@ def _state_panel(head: dict[str, Any], line: dict[str, Any]) -> Any:
     for title in ("tendon", "tension", "goal", "of its limit"):
         table.add_column(title, justify="left" if title == "tendon" else "right", min_width=8)
     for name, f, goal, limit in zip(
-        head["names"], line["tension"], line["goal"], head["ceiling"], strict=True
+        run_fields["names"],
+        status_fields["tension"],
+        status_fields["goal"],
+        run_fields["ceiling"],
+        strict=True,
     ):
         bar = ProgressBar(total=limit, completed=min(f, limit), width=40)
         table.add_row(name, f"{f:.1f} N", "-" if goal is None else f"{goal:.1f} N", bar)
-    headline = Text(f"{line['mode']}  {line['phase']}  {line['t']:.1f} s", style="bold")
-    foot = f"{head['rate_hz']:g} Hz, worst lateness {line['late_us']:.0f} us, bus load {100 * head['load']:.0f} %"
+    headline = Text(
+        f"{status_fields['mode']}  {status_fields['phase']}  {status_fields['t']:.1f} s",
+        style="bold",
+    )
+    foot = (
+        f"{run_fields['rate_hz']:g} Hz, worst lateness {status_fields['late_us']:.0f} us, "
+        f"bus load {100 * run_fields['load']:.0f} %"
+    )
     return Group(headline, table, Text(foot, style="dim"))
 
 
@@ -217,7 +234,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     head = json.loads(sys.stdin.readline())
     with escaped_streams():
-        (_draw_in_place if sys.stdout.isatty() else _print_lines)(head)
+        (_draw_panel_in_place if sys.stdout.isatty() else _print_lines)(head)
 
 
 if __name__ == "__main__":

@@ -59,7 +59,7 @@ def announce_motion(
         )
 
 
-def _file_text(what: str, path: Path, made: str) -> str:
+def _file_text(file_kind: str, path: Path, made_at: str) -> str:
     """Return the kind, the path and the age of a file as one text.
 
     If a date is written in the file, the age is counted from this date. Otherwise the age is
@@ -67,8 +67,8 @@ def _file_text(what: str, path: Path, made: str) -> str:
     """
     then = path.stat().st_mtime
     with suppress(ValueError):
-        then = datetime.datetime.fromisoformat(made).timestamp()
-    return f"{what} {os.path.abspath(path)}, {age_text(time.time() - then)} old"
+        then = datetime.datetime.fromisoformat(made_at).timestamp()
+    return f"{file_kind} {os.path.abspath(path)}, {age_text(time.time() - then)} old"
 
 
 def age_text(seconds: float) -> str:
@@ -79,17 +79,17 @@ def age_text(seconds: float) -> str:
     return f"{max(0.0, seconds):.0f} s"
 
 
-def confirm_motion(warning: str, yes: bool) -> None:
+def confirm_motion(warning: str, is_confirmed: bool) -> None:
     """Ask the operator to confirm a motion, unless the command line includes ``--yes``.
 
     Args:
         warning: line that names the consequence of the confirmation for the operator.
-        yes: True if ``--yes`` was given.
+        is_confirmed: True if ``--yes`` was given.
 
     Raises:
         ConfigError: the operator does not confirm, or there is no terminal at which to ask.
     """
-    if yes:
+    if is_confirmed:
         return
     if not (sys.stdin and sys.stdin.isatty() and sys.stderr.isatty()):
         raise ConfigError(warning, "", "--yes, if nothing and nobody is near the hand")

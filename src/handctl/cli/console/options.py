@@ -45,24 +45,24 @@ def check_seed(seed: int) -> None:
         raise ConfigError(f"{seed}", "--seed", "0 or more")
 
 
-def checked_count(number: int, option: str, maximum: int) -> int:
+def checked_count(count: int, option: str, maximum: int) -> int:
     """Check a count from the command line, and return the count.
 
     Raises:
         ConfigError: the count is not between 1 and ``maximum``.
     """
-    if not 1 <= number <= maximum:
-        raise ConfigError(str(number), option, f"1 to {maximum}")
-    return number
+    if not 1 <= count <= maximum:
+        raise ConfigError(str(count), option, f"1 to {maximum}")
+    return count
 
 
-def add_protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:
+def add_protocol_option(parser: argparse.ArgumentParser, extra_help: str = "") -> None:
     """Declare --protocol and --motor-type.
 
     With ``--protocol``, all drives of the hand use this protocol instead of the one in the hand
     file.
     """
-    text = "drives of the simulated hand (default: as in its file)" + more
+    text = "drives of the simulated hand (default: as in its file)" + extra_help
     parser.add_argument("--protocol", choices=tuple(PROTOCOL_TRAITS), help=text)
     add_motor_type_option(parser)
 
@@ -87,24 +87,28 @@ def add_bus_option(parser: argparse.ArgumentParser, required: bool = True) -> No
     )
 
 
-def add_bitrate_options(parser: argparse.ArgumentParser, nominal: str, data: str) -> None:
+def add_bitrate_options(parser: argparse.ArgumentParser, nominal_help: str, data_help: str) -> None:
     """Declare --bitrate and --data-bitrate, with their help texts."""
     add = parser.add_argument
     add(
-        "--bitrate", type=_bit_rate, default=1_000_000, metavar="BIT/S", help=f"{nominal} (1000000)"
+        "--bitrate",
+        type=_bit_rate_from_text,
+        default=1_000_000,
+        metavar="BIT/S",
+        help=f"{nominal_help} (1000000)",
     )
-    add("--data-bitrate", type=_bit_rate, metavar="BIT/S", help=data)
+    add("--data-bitrate", type=_bit_rate_from_text, metavar="BIT/S", help=data_help)
 
 
-def _bit_rate(word: str) -> int:
+def _bit_rate_from_text(rate_text: str) -> int:
     """Return a bit rate from the command line [bit/s].
 
     It must be a bit rate that a hand file could contain.
     """
-    rate = int(word)
+    rate = int(rate_text)
     if not MIN_BITRATE_BIT_S <= rate <= MAX_BITRATE_BIT_S:
         raise argparse.ArgumentTypeError(
-            f"{word}; expected {MIN_BITRATE_BIT_S} to {MAX_BITRATE_BIT_S} bit/s"
+            f"{rate_text}; expected {MIN_BITRATE_BIT_S} to {MAX_BITRATE_BIT_S} bit/s"
         )
     return rate
 

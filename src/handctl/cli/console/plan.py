@@ -143,19 +143,19 @@ def find_calibration(
     return path, loaded, reason
 
 
-def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]:
+def check_perturb(args: argparse.Namespace, is_simulated: bool) -> dict[str, float]:
     """Return the factors of ``--perturb``, after a simulated hand has accepted these factors.
 
     Args:
         args: arguments with the hand and ``--perturb``.
-        simulated: True if the command simulates the hand.
+        is_simulated: True if the command simulates the hand.
 
     Raises:
         ConfigError: a word has not the form KEY=NUMBER, a key or a factor is invalid, or the
             command does not simulate a hand.
     """
     factors = gains.gain_assignments(args.perturb, "--perturb")
-    if factors and not simulated:
+    if factors and not is_simulated:
         raise ConfigError(
             "only with --lockstep",
             "--perturb",

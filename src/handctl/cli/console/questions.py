@@ -31,14 +31,14 @@ class HandQuestion(NamedTuple):
     expected_text: str
 
 
-def reader_of_choice(words: Collection[str]) -> Callable[[str], str]:
+def reader_of_choice(allowed_words: Collection[str]) -> Callable[[str], str]:
     """Return a function that accepts only the given words as an answer.
 
     For other texts, the function raises ValueError.
     """
 
     def read_choice(text: str) -> str:
-        if text not in words:
+        if text not in allowed_words:
             raise ValueError(text)
         return text
 
@@ -77,16 +77,16 @@ DRIVE_AND_SENSOR_QUESTIONS = (
 """Questions about the sensors, springs and drives of every new hand, in order."""
 
 
-def write_with_schema(output: Path, text: str) -> Path:
+def write_with_schema(output_path: Path, text: str) -> Path:
     """Write a new hand file.
 
     If the folder contains no JSON Schema of hand files yet, write the schema there too. Return the
     path of the schema.
     """
-    schema = output.parent / SCHEMA_FILE
-    write_text_atomically(output, text, new=True)
+    schema = output_path.parent / SCHEMA_FILE
+    write_text_atomically(output_path, text, must_be_new=True)
     if not schema.exists():
-        write_text_atomically(schema, hand_schema_text(), new=True)
+        write_text_atomically(schema, hand_schema_text(), must_be_new=True)
     return schema
 
 
@@ -102,7 +102,7 @@ def check_terminal() -> None:
         )
 
 
-def ask_question(question: HandQuestion, default_text: str, default: Any) -> Any:
+def ask_question(question: HandQuestion, default_text: str, default_answer: Any) -> Any:
     """Ask a question until the answer is valid or empty.
 
     Return the answer. If it is empty, return the default.
@@ -110,7 +110,7 @@ def ask_question(question: HandQuestion, default_text: str, default: Any) -> Any
     while True:
         text = input(f"{question.question_text} [{default_text}]: ").strip()
         if not text:
-            return default
+            return default_answer
         try:
             return question.read_answer(text)
         except ValueError:

@@ -7,59 +7,59 @@ from handctl.report.run_summary import angle_rows, tracking_text
 from handctl.session.run_plan import RunPlan
 
 
-def print_summary(result: dict[str, Any], plan: RunPlan) -> None:
+def print_summary(run_result: dict[str, Any], plan: RunPlan) -> None:
     """Print the table of results of a finished run."""
     from rich.table import Table
 
-    late = result["late_us"]
+    late = run_result["late_us"]
     rows = [
         (
             "ticks",
-            f"{result['ticks']} at {result['rate_hz']:g} Hz{_time_scale_text(result['time_scale'])}",
+            f"{run_result['ticks']} at {run_result['rate_hz']:g} Hz{_time_scale_text(run_result['time_scale'])}",
         ),
-        ("missed ticks", f"{result['missed']}"),
-        *_clock_text(result),
+        ("missed ticks", f"{run_result['missed']}"),
+        *_clock_text(run_result),
         (
             "lateness p50 / p99.9 / max",
             f"{late['p50']:.0f} / {late['p99_9']:.0f} / {late['max']:.0f} us",
         ),
         (
             "tracking error, free motion",
-            _value_with_unit(result["tracking_rmse_rad"], *tracking_text(result), 2),
+            _value_with_unit(run_result["tracking_rmse_rad"], *tracking_text(run_result), 2),
         ),
         (
             "tension estimate against truth",
-            _value_with_unit(result["tension_rmse_n"], 1.0, "N rms", 2),
+            _value_with_unit(run_result["tension_rmse_n"], 1.0, "N rms", 2),
         ),
         (
             "raw load cell against truth",
-            _value_with_unit(result["tension_raw_rmse_n"], 1.0, "N rms", 2),
+            _value_with_unit(run_result["tension_raw_rmse_n"], 1.0, "N rms", 2),
         ),
         (
             "tension while holding, error",
-            _value_with_unit(result["tension_hold_error_n"], 1.0, "N", 2),
+            _value_with_unit(run_result["tension_hold_error_n"], 1.0, "N", 2),
         ),
-        ("object moved while held", _value_with_unit(result["object_motion_mm"], 1.0, "mm", 3)),
-        *_lift_text(result),
-        *angle_rows(result["joint_angles"]),
-        *_forces_text(result),
-        ("bus load, worst case", f"{100 * result['bus_load']:.0f} %"),
-        ("frames sent / received", f"{result['frames_tx']} / {result['frames_rx']}"),
+        ("object moved while held", _value_with_unit(run_result["object_motion_mm"], 1.0, "mm", 3)),
+        *_lift_text(run_result),
+        *angle_rows(run_result["joint_angles"]),
+        *_forces_text(run_result),
+        ("bus load, worst case", f"{100 * run_result['bus_load']:.0f} %"),
+        ("frames sent / received", f"{run_result['frames_tx']} / {run_result['frames_rx']}"),
         (
             "frames late / lost",
-            f"{result['frames_late']} / {result['frames_lost']}{_pauses_text(result['silent_ticks'])}",
+            f"{run_result['frames_late']} / {run_result['frames_lost']}{_pauses_text(run_result['silent_ticks'])}",
         ),
-        ("log", f"{result['log']} ({result['log_bytes'] / 1e6:.1f} MB)"),
-        ("priority", result["priority"]),
+        ("log", f"{run_result['log']} ({run_result['log_bytes'] / 1e6:.1f} MB)"),
+        ("priority", run_result["priority"]),
     ]
-    table = Table(title=f"{plan.hand.name}: {result['failure'] or 'done'}", show_header=False)
+    table = Table(title=f"{plan.hand.name}: {run_result['failure'] or 'done'}", show_header=False)
     for name, value in rows:
         table.add_row(name, value)
     console = rich_console()
     console.print(table)
-    if result["picture"]:
-        console.print(f"picture: {result['picture']}", soft_wrap=True)
-    console.print(f"view the run: handctl view {result['log']}", soft_wrap=True)
+    if run_result["picture"]:
+        console.print(f"picture: {run_result['picture']}", soft_wrap=True)
+    console.print(f"view the run: handctl view {run_result['log']}", soft_wrap=True)
 
 
 def _pauses_text(silent_ticks: int) -> str:
@@ -74,19 +74,19 @@ def _pauses_text(silent_ticks: int) -> str:
     )
 
 
-def _clock_text(result: dict[str, Any]) -> list[tuple[str, str]]:
+def _clock_text(run_result: dict[str, Any]) -> list[tuple[str, str]]:
     """Return a table row with the total time for which the simulated clock waited for a slow machine.
 
     If the clock never waited, return no row.
     """
-    if not result["clock_pauses"]:
+    if not run_result["clock_pauses"]:
         return []
-    simulated_s = result["ticks"] / result["rate_hz"]
-    times = "once" if result["clock_pauses"] == 1 else f"{result['clock_pauses']} times"
+    simulated_s = run_result["ticks"] / run_result["rate_hz"]
+    times = "once" if run_result["clock_pauses"] == 1 else f"{run_result['clock_pauses']} times"
     return [
         (
             "clock paused for this machine",
-            f"{times}, {result['clock_paused_s']:.3f} s in {simulated_s:.1f} s",
+            f"{times}, {run_result['clock_paused_s']:.3f} s in {simulated_s:.1f} s",
         )
     ]
 
@@ -95,17 +95,17 @@ def _time_scale_text(scale: float) -> str:
     return "" if scale == 1 else f", at {scale:g} of real time"
 
 
-def _value_with_unit(value: float, scale: float, unit: str, digits: int) -> str:
-    return "-" if value != value else f"{value * scale:.{digits}f} {unit}"
+def _value_with_unit(value: float, unit_factor: float, unit: str, digits: int) -> str:
+    return "-" if value != value else f"{value * unit_factor:.{digits}f} {unit}"
 
 
-def _lift_text(result: dict[str, Any]) -> list[tuple[str, str]]:
+def _lift_text(run_result: dict[str, Any]) -> list[tuple[str, str]]:
     """Return a table row with two distances: how far the table sank, and how far the object then moved.
 
     If the table did not sink, return no row.
     """
-    sunk = result["table_sunk_mm"]
-    slid = result["object_slid_mm"]
+    sunk = run_result["table_sunk_mm"]
+    slid = run_result["object_slid_mm"]
     if sunk != sunk:
         return []
     return [
@@ -116,10 +116,10 @@ def _lift_text(result: dict[str, Any]) -> list[tuple[str, str]]:
     ]
 
 
-def _forces_text(result: dict[str, Any]) -> list[tuple[str, str]]:
+def _forces_text(run_result: dict[str, Any]) -> list[tuple[str, str]]:
     """Return a table row for each digit, with its estimated tip force and its simulated contact force."""
-    estimated = result["tip_equivalent_force_n"]
-    real = result["contact_force_n"]
+    estimated = run_result["tip_equivalent_force_n"]
+    real = run_result["contact_force_n"]
     rows = []
     for name, force in estimated.items():
         if force == force:

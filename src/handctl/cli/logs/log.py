@@ -165,7 +165,7 @@ def _export_log(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         logs = [stack.enter_context(RunLog(path)) for path in (args.log, *args.more)]
         out = args.output or path_with_suffix(args.log, f".{args.format}")
-        with atomic_path(out, new=True) as part, progress_bar("writing", quiet=args.json):
+        with atomic_path(out, must_be_new=True) as part, progress_bar("writing", quiet=args.json):
             count = _write_export(args, logs, part)
         code = max(
             warn_if_lossy(path, log.warning)
@@ -178,18 +178,18 @@ def _export_log(args: argparse.Namespace) -> int:
     return code
 
 
-def _write_export(args: argparse.Namespace, logs: list[RunLog], out: Path) -> int:
+def _write_export(args: argparse.Namespace, logs: list[RunLog], output_path: Path) -> int:
     form = args.format
     log = logs[0]
     if form == "rrd":
         from handctl.view.rerun_conversion import write_rrd
         from handctl.view.scene.run_info import RunInfo
 
-        return write_rrd(args.log, RunInfo.from_header(log.header, args.log.stem), out)
+        return write_rrd(args.log, RunInfo.from_header(log.header, args.log.stem), output_path)
     if form == "parquet":
         from handctl.log.export.parquet import export_parquet
 
-        return export_parquet(log, out)
+        return export_parquet(log, output_path)
     if form == "lerobot":
         from handctl.log.export.camera_video import make_cameras
         from handctl.log.export.lerobot import export_lerobot
@@ -197,11 +197,11 @@ def _write_export(args: argparse.Namespace, logs: list[RunLog], out: Path) -> in
         names = [words[0] for words in args.camera]
         videos = [[Path(word) for word in words[1:]] for words in args.camera]
         return export_lerobot(
-            logs, out, args.fps, make_cameras(names, videos, args.camera_start, len(logs))
+            logs, output_path, args.fps, make_cameras(names, videos, args.camera_start, len(logs))
         )
     from handctl.log.export.csv_and_candump import export_candump, export_csv
 
-    return export_csv(log, out) if form == "csv" else export_candump(log, out)
+    return export_csv(log, output_path) if form == "csv" else export_candump(log, output_path)
 
 
 def _recover_log(args: argparse.Namespace) -> int:

@@ -51,7 +51,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
 
     workers = usable_cores() if args.jobs is None else checked_count(args.jobs, "--jobs", 64)
     with progress_bar("executing", len(log), args.json) as update_progress:
-        execution = execute_log(log, progress=update_progress, workers=workers)
+        execution = execute_log(log, progress=update_progress, worker_count=workers)
     passed = (
         not execution.differing_ticks
         if args.within is None
@@ -122,18 +122,19 @@ def _writer_text(log: Any) -> tuple[str, str]:
     )
 
 
-def _difference_line(one: Any) -> str:
+def _difference_line(difference: Any) -> str:
     """Return a difference from the log as one line: tick, time [s], field, value in the log, computed value."""
-    place = f"{one.field} of {one.name}" if one.name else one.field
+    place = f"{difference.field} of {difference.name}" if difference.name else difference.field
     apart = ""
-    if one.ulps is not None:
-        few = one.ulps <= MAX_PRINTED_ULPS
+    if difference.ulps is not None:
+        few = difference.ulps <= MAX_PRINTED_ULPS
         apart = (
-            f", {one.ulps} units in the last place"
+            f", {difference.ulps} units in the last place"
             if few
-            else f", {one.computed - one.logged:+.3g}"
+            else f", {difference.computed - difference.logged:+.3g}"
         )
-    return f"tick {one.k} ({one.t_s:.3f} s), {place}: logged {one.logged!r}, now {one.computed!r}{apart}"
+    values = f"logged {difference.logged!r}, now {difference.computed!r}{apart}"
+    return f"tick {difference.k} ({difference.t_s:.3f} s), {place}: {values}"
 
 
 def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:

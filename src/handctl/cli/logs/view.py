@@ -117,21 +117,21 @@ def _write_files(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[s
         return _draw_picture(args, rrd, at_s) | result
 
 
-def _draw_picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]:
+def _draw_picture(args: argparse.Namespace, recording_path: Path, at_s: float) -> dict[str, Any]:
     from handctl.view.dashboard_picture import draw_recording
 
-    reports = draw_recording(rrd, at_s, args.picture)
+    reports = draw_recording(recording_path, at_s, args.picture)
     for report in reports:
         print_escaped(f"handctl: {report}", error=True)
     _print_note(args, f"wrote {args.picture}: the hand at {at_s:.3f} s")
     return {"png": args.picture, "at_s": at_s, "reports": reports}
 
 
-def _show_in_viewer(log: Path, run_info: Any, scan: Any) -> None:
+def _show_in_viewer(log: Path, run_info: Any, record_scan: Any) -> None:
     """Open the viewer, send the log to it, and wait until the user closes the viewer."""
     from handctl.view.browse import browse_log
 
-    with browse_log(log, run_info, [], {}, scan) as running:
+    with browse_log(log, run_info, [], {}, record_scan) as running:
         try:
             running.process.wait()
         except KeyboardInterrupt:

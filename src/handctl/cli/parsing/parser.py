@@ -175,12 +175,12 @@ def _quote_word(word: str) -> str:
     return repr(printable_text(word, MAX_WORD_CHARACTERS))
 
 
-def did_you_mean(word: str, names: Iterable[str]) -> str:
+def did_you_mean(unknown_word: str, known_words: Iterable[str]) -> str:
     """Return a question that suggests the name most similar to a word.
 
     If no name is similar enough, the text is empty.
     """
-    near = similar_name(word, names)
+    near = similar_name(unknown_word, known_words)
     return f", did you mean {near}?" if near else ""
 
 

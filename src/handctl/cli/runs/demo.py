@@ -152,14 +152,14 @@ def _commission_and_run(
     plan: RunPlan,
     program: TaskProgram,
     log: Path,
-    runners: tuple[RunFunction, RunFunction],
+    run_functions: tuple[RunFunction, RunFunction],
     identified: IdentifiedByTendon,
 ) -> RunOutcome:
     """Commission the hand, and then run the program.
 
     In this run, the controller uses parameters of the hand that were identified in an earlier run.
     """
-    first, then = runners
+    first, then = run_functions
     print_note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
     calibration, _ = run_commissioning(plan, commission_log(log), first)
     calibration = calibration.model_copy(update={"identified": identified})

@@ -55,7 +55,9 @@ def run(args: argparse.Namespace) -> int:
     return outcome.exit_code
 
 
-def _jog_program(args: argparse.Namespace, names: tuple[str, ...], ceiling: float) -> JogProgram:
+def _jog_program(
+    args: argparse.Namespace, names: tuple[str, ...], max_tension: float
+) -> JogProgram:
     """Check the goal before the hand moves, and return the program that moves the hand to this goal.
 
     An angle may be the goal of a digit or of a single joint.
@@ -74,9 +76,9 @@ def _jog_program(args: argparse.Namespace, names: tuple[str, ...], ceiling: floa
             "duration_s": args.duration / 2,
         }
         return JogProgram(validate_content(goal, MoveDigits, "--angle"), args.duration)
-    if args.tension > ceiling:
+    if args.tension > max_tension:
         raise ConfigError(
-            f"{args.tension:g} N", "--tension", f"at most tension_max_N = {ceiling:g} N"
+            f"{args.tension:g} N", "--tension", f"at most tension_max_N = {max_tension:g} N"
         )
     goal = {"do": "hold", "tension_N": {args.digit: args.tension}}
     return JogProgram(validate_content(goal, HoldTension, "--tension"), args.duration)

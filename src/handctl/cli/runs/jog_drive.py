@@ -109,14 +109,14 @@ def _motion_goal(args: argparse.Namespace) -> JogGoal:
     return JogGoal(mode, args.setpoint, args.duration, limits, args.limit, args.travel)
 
 
-def _check_number(value: float, name: str, low: float, high: float) -> None:
+def _check_number(value: float, name: str, minimum: float, maximum: float) -> None:
     """Check that the value of an argument is within a range. NaN is outside every range.
 
     Raises:
         ConfigError: the value is outside the range.
     """
-    if not low <= value <= high:
-        raise ConfigError(f"{value:g}", name, f"{low:g} to {high:g}")
+    if not minimum <= value <= maximum:
+        raise ConfigError(f"{value:g}", name, f"{minimum:g} to {maximum:g}")
 
 
 def _describe_motion(
@@ -211,7 +211,7 @@ def _move_drive(
     return result, off
 
 
-def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, off: bool) -> None:
+def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, is_off: bool) -> None:
     """Print the result of a motion, from the values that the drive has reported."""
     if args.json:
         values = {
@@ -225,7 +225,7 @@ def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, of
             "mode": goal.mode.value,
             "setpoint": goal.target,
         }
-        print_json({**done, **finite, "confirmed_off": off, "failure": result.failure})
+        print_json({**done, **finite, "confirmed_off": is_off, "failure": result.failure})
         return
     strongest = (
         "no torque reported"
@@ -237,4 +237,4 @@ def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, of
     )
     if result.failure:
         print(f"stopped: {result.failure}", file=sys.stderr, flush=True)
-    print("off, as reported by the drive" if off else "NOT confirmed off")
+    print("off, as reported by the drive" if is_off else "NOT confirmed off")

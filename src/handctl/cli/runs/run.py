@@ -84,15 +84,15 @@ def _program_of_task(args: argparse.Namespace, plan: RunPlan) -> tuple[Program, 
 
 
 def print_run_result(
-    result: dict[str, Any], outcome: RunOutcome, plan: RunPlan, as_json: bool
+    run_result: dict[str, Any], outcome: RunOutcome, plan: RunPlan, as_json: bool
 ) -> int:
     """Print the result of a run, and return the exit code."""
     if as_json:
-        print_json(result)
+        print_json(run_result)
     else:
         from handctl.cli.console.verdict import print_summary
 
-        print_summary(result, plan)
+        print_summary(run_result, plan)
     if outcome.state.failure:
         print(
             f"handctl: {DriveError(outcome.state.failure, right=pace_advice(plan, outcome))}",

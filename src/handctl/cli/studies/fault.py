@@ -20,9 +20,9 @@ def run(args: argparse.Namespace) -> int:
     return _send_request(args, {"inject": args.text} if args.action == "inject" else {"list": True})
 
 
-def _send_request(args: argparse.Namespace, question: dict[str, object]) -> int:
+def _send_request(args: argparse.Namespace, request: dict[str, object]) -> int:
     """Send a request about faults to a running simulator, and print the faults that the simulator lists."""
-    faults = ask_simulator(find_simulator(args.bus), question)["faults"]
+    faults = ask_simulator(find_simulator(args.bus), request)["faults"]
     if args.json:
         print_json({"faults": faults})
         return 0

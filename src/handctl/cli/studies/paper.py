@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     if not 1 <= args.jobs <= 64:
         raise ConfigError(f"{args.jobs}", "--jobs", "1 to 64")
     _check_writable(args.output, args.figures, args.export)
-    results = None if args.quick else _load_or_measure(args.results, args.jobs)
+    results = None if args.quick else _load_or_measure_results(args.results, args.jobs)
     parts = page_sections(results)
     if args.export:
         _export_files(args.export)
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def _load_or_measure(path: Path | None, jobs: int) -> dict[str, Any]:
+def _load_or_measure_results(path: Path | None, job_count: int) -> dict[str, Any]:
     """Return the results of the experiments.
 
     If the file of results exists, read the results from this file. Otherwise run the experiments,
@@ -70,11 +70,11 @@ def _load_or_measure(path: Path | None, jobs: int) -> dict[str, Any]:
         ConfigError: the file contains no results, or the file cannot be written.
     """
     if path is None:
-        return _measure_all(jobs)
+        return _measure_all_results(job_count)
     if path.exists():
         return load_results(path)
     check_output(path, "--results")
-    write_text_atomically(path, json.dumps(rounded_results(_measure_all(jobs))) + "\n")
+    write_text_atomically(path, json.dumps(rounded_results(_measure_all_results(job_count))) + "\n")
     return load_results(path)
 
 
@@ -97,21 +97,23 @@ def _export_files(folder: Path) -> None:
     write_text_atomically(folder / f"{hand.name}.xml", mjcf_text(hand))
 
 
-def _print_items(args: argparse.Namespace, parts: tuple[PageSection, ...]) -> None:
+def _print_items(args: argparse.Namespace, page_sections: tuple[PageSection, ...]) -> None:
     if args.json:
         json.dump(
-            items_as_json([item for part in parts for item in part.items]), sys.stdout, indent=2
+            items_as_json([item for part in page_sections for item in part.items]),
+            sys.stdout,
+            indent=2,
         )
         sys.stdout.write("\n")
     elif args.markdown:
-        sys.stdout.write(page_as_markdown(parts))
+        sys.stdout.write(page_as_markdown(page_sections))
     else:
-        _print_table(parts)
+        _print_table(page_sections)
         for path in filter(None, (args.figures, args.output, args.export)):
             print(f"written: {path}")
 
 
-def _measure_all(jobs: int) -> dict[str, Any]:
+def _measure_all_results(jobs: int) -> dict[str, Any]:
     """Run all experiments, show the progress, and return the results."""
     done = 0
     with progress_bar("starting the simulator", job_count()) as update_progress:
@@ -125,13 +127,13 @@ def _measure_all(jobs: int) -> dict[str, Any]:
             return run_experiments(workers)
 
 
-def _print_table(parts: tuple[PageSection, ...]) -> None:
+def _print_table(page_sections: tuple[PageSection, ...]) -> None:
     """Print the items about the paper as tables, and then the number of items with each verdict."""
     from rich.table import Table
     from rich.text import Text
 
     console = rich_console(min_width=80)
-    for part in parts:
+    for part in page_sections:
         if part.table:
             numbers = Table(*part.table[0])
             for row in part.table[1:]:
@@ -150,5 +152,5 @@ def _print_table(parts: tuple[PageSection, ...]) -> None:
             )
             table.add_row(item.id, verdict, cell)
         console.print(table)
-    counts = count_by_verdict([item for part in parts for item in part.items])
+    counts = count_by_verdict([item for part in page_sections for item in part.items])
     console.print(", ".join(f"{number} {verdict}" for verdict, number in counts.items()))

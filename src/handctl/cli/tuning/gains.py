@@ -116,8 +116,8 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
     return ExitCode.DONE
 
 
-def _gains_to_compare(word: str, hand: Hand) -> Gains:
-    """Return the set of gains that ``word`` names.
+def _gains_to_compare(gains_word: str, hand: Hand) -> Gains:
+    """Return the set of gains that ``gains_word`` names.
 
     This word is "packaged", "present", a number in the history, a log, or a gains file.
 
@@ -125,27 +125,27 @@ def _gains_to_compare(word: str, hand: Hand) -> Gains:
         ConfigError: the history contains no entry with this number.
     """
     store = GainsStore(hand.name)
-    if word == "packaged":
+    if gains_word == "packaged":
         return packaged_gains(hand.name)
-    if word == "present":
+    if gains_word == "present":
         present = store.present_gains()
         return present.gains if present else packaged_gains(hand.name)
-    if word.isdecimal():
+    if gains_word.isdecimal():
         entries = {str(entry.number): entry.file.gains for entry in store.history_entries()}
-        if word.lstrip("0") not in entries:
+        if gains_word.lstrip("0") not in entries:
             raise ConfigError(
-                f"no gains number {word}",
+                f"no gains number {gains_word}",
                 str(store.history_folder),
                 "one that handctl gains log lists",
             )
-        return entries[word.lstrip("0")]
-    if word.endswith(".mcap"):
+        return entries[gains_word.lstrip("0")]
+    if gains_word.endswith(".mcap"):
         from handctl.log.read.reader import RunLog
         from handctl.replay.controller_rebuild import logged_gains
 
-        with RunLog(Path(word)) as log:
+        with RunLog(Path(gains_word)) as log:
             return logged_gains(log)
-    return load_gains_file(Path(word)).gains
+    return load_gains_file(Path(gains_word)).gains
 
 
 def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
@@ -229,13 +229,13 @@ def _print_history(args: argparse.Namespace, hand: Hand) -> int:
     return ExitCode.DONE
 
 
-def _number_text(present: Any) -> int:
-    return present.provenance.number if present else 0
+def _number_text(present_value: Any) -> int:
+    return present_value.provenance.number if present_value else 0
 
 
-def _entry_line(entry: StoredGains, entries: list[StoredGains]) -> str:
+def _entry_line(entry: StoredGains, stored_gains: list[StoredGains]) -> str:
     """Return an entry of the history as one line: time, sources, and the first three changed gains."""
-    by_number = {one.number: one.file.gains for one in entries}
+    by_number = {one.number: one.file.gains for one in stored_gains}
     before = by_number.get(
         entry.file.provenance.replaces, packaged_gains(entry.file.provenance.hand)
     )
@@ -280,7 +280,7 @@ def _change_live_gains(args: argparse.Namespace) -> int:
 
 
 def _wait_for_answers(
-    watcher: Any, values: dict[str, float], taken: dict[str, Any]
+    watcher: Any, requested_values: dict[str, float], taken_values: dict[str, Any]
 ) -> dict[str, str]:
     """Wait until the controller has answered a request to change gains.
 
@@ -291,9 +291,9 @@ def _wait_for_answers(
         UnconfirmedError: the controller does not confirm the gains in time.
     """
     texts: dict[str, str] = {}
-    for line in itertools.chain((taken,), watcher.status_lines(GAIN_CHANGE_TIMEOUT_S)):
+    for line in itertools.chain((taken_values,), watcher.status_lines(GAIN_CHANGE_TIMEOUT_S)):
         for event in line["events"]:
-            if event["name"] == "gain" and event["where"] in values:
+            if event["name"] == "gain" and event["where"] in requested_values:
                 texts[event["where"]] = event["text"]
             if event["name"] == "gains":
                 _raise_refusal(event["text"])

@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
     log = args.log or default_log(plan.hand, "identify")
     about = f"exciting {plan.hand.name} for about {total:.0f} s, one digit at a time"
     if args.lockstep:
-        calibration, outcome = _in_lockstep(args, plan, program, log, about)
+        calibration, outcome = _identify_in_lockstep(args, plan, program, log, about)
     else:
         announce_motion(args, plan, path, calibration)
         print_note(about)
@@ -114,8 +114,12 @@ def run(args: argparse.Namespace) -> int:
     return _report_results(args, plan.hand, {log: results}, path, calibration)
 
 
-def _in_lockstep(
-    args: argparse.Namespace, plan: RunPlan, program: ExciteProgram, log: Path, introduction: str
+def _identify_in_lockstep(
+    args: argparse.Namespace,
+    plan: RunPlan,
+    program: ExciteProgram,
+    log: Path,
+    introduction_text: str,
 ) -> tuple[Calibration, RunOutcome]:
     """Commission a simulated hand in virtual time, and then excite it.
 
@@ -126,7 +130,7 @@ def _in_lockstep(
         args.hand, seed=args.seed, perturb=perturb, truth=log.with_suffix(".truth")
     )
     with simulator.lockstep_clock(plan.period_ns) as clock:
-        print_note(introduction)
+        print_note(introduction_text)
         return _commission_and_excite(plan, program, log, partial(run_lockstep, clock=clock))
 
 
@@ -201,7 +205,7 @@ def _log_header(log: Path) -> RunHeader:
         return record.header
 
 
-def _are_simulated(headers: dict[Path, RunHeader]) -> bool:
+def _are_simulated(header_of_log: dict[Path, RunHeader]) -> bool:
     """Return True if all logs were recorded with a simulated hand: in lockstep, or on buses without real motors.
 
     Raises:
@@ -209,7 +213,7 @@ def _are_simulated(headers: dict[Path, RunHeader]) -> bool:
             hand.
     """
     kinds = {}
-    for log, header in headers.items():
+    for log, header in header_of_log.items():
         buses = header.metadata.get("bus", "").split()
         kinds[header.deterministic or (bool(buses) and not real_buses(buses))] = log
     if len(kinds) > 1:
@@ -222,7 +226,7 @@ def _are_simulated(headers: dict[Path, RunHeader]) -> bool:
 def _report_results(
     args: argparse.Namespace,
     hand: Hand,
-    results: dict[Path, dict[str, TendonResult]],
+    results_of_log: dict[Path, dict[str, TendonResult]],
     path: Path,
     calibration: Calibration | None,
 ) -> int:
@@ -231,7 +235,7 @@ def _report_results(
     identified = previous_identified(
         path, hand, calibration.drive if calibration else {}, print_notice
     )
-    every = [one for tendons in results.values() for one in tendons.values()]
+    every = [one for tendons in results_of_log.values() for one in tendons.values()]
     spoilt = {one.data.digit: one.blocked_event for one in every if one.blocked_event}
     met = {
         one.data.digit: one.contact_text
@@ -240,7 +244,7 @@ def _report_results(
     }
     incoherent = [one.data.tendon for one in every if one.is_incoherent]
     any_identified = False
-    for log, tendons in results.items():
+    for log, tendons in results_of_log.items():
         new = {name: one.calibration_entry(log, made) for name, one in tendons.items()}
         any_identified = any_identified or any(one is not None for one in new.values())
         identified |= {
@@ -252,17 +256,17 @@ def _report_results(
     if calibration is not None and written:
         write_calibration(path, calibration.model_copy(update={"identified": identified}))
     pictures = _draw_pictures(
-        hand, results, print_note
+        hand, results_of_log, print_note
     )  # the calibration is written first, so that it is not lost if the drawing fails
     _print_refusals(spoilt, met, incoherent)
     ended = ExitCode.FAILED if spoilt or met else ExitCode.DONE
     if args.json:
         print_json(
-            _result_fields(results, pictures, path if written else None)
+            _result_fields(results_of_log, pictures, path if written else None)
             | {"blocked": spoilt, "met": met, "incoherent": incoherent}
         )
         return ended
-    for log, tendons in results.items():
+    for log, tendons in results_of_log.items():
         print("\n".join([f"from {log}:", *result_table(tendons, is_verbose())]))
     print("pictures: " + ", ".join(map(str, pictures)))
     if written:
@@ -282,13 +286,13 @@ def _report_results(
 
 
 def _print_refusals(
-    blocked_digits: dict[str, str], met: dict[str, str], incoherent_tendons: list[str]
+    blocked_digits: dict[str, str], reason_of_tendon: dict[str, str], incoherent_tendons: list[str]
 ) -> None:
     """Print which parameters are not kept, and the reasons.
 
     Args:
         blocked_digits: for each digit that was blocked, the event that reports the blocking.
-        met: for each digit that touched something during its sweep, the description of the contact.
+        reason_of_tendon: for each digit that touched something during its sweep, the description of the contact.
         incoherent_tendons: names of the tendons whose coherence is too low.
     """
     for digit, reason in blocked_digits.items():
@@ -296,7 +300,7 @@ def _print_refusals(
             f"handctl: no parameters of {digit} are kept: {reason}; expected a digit that touches nothing",
             error=True,
         )
-    for digit, reason in met.items():
+    for digit, reason in reason_of_tendon.items():
         print_escaped(
             f"handctl: springs and friction of {digit} are not kept: {reason}; {BLOCKED_HINT}",
             error=True,
@@ -319,10 +323,12 @@ def _search_command(args: argparse.Namespace, path: Path) -> str:
 
 
 def _draw_pictures(
-    hand: Hand, results: dict[Path, dict[str, TendonResult]], print_line: Callable[[str], None]
+    hand: Hand,
+    results_of_log: dict[Path, dict[str, TendonResult]],
+    print_line: Callable[[str], None],
 ) -> list[Path]:
     pictures = []
-    for log, tendons in results.items():
+    for log, tendons in results_of_log.items():
         for name, one in tendons.items():
             picture = log.with_suffix(f".identify-{name}.png")
             print_line(f"drawing {picture}")
@@ -332,10 +338,12 @@ def _draw_pictures(
 
 
 def _result_fields(
-    results: dict[Path, dict[str, TendonResult]], pictures: list[Path], path: Path | None
+    results_of_log: dict[Path, dict[str, TendonResult]],
+    picture_paths: list[Path],
+    path: Path | None,
 ) -> dict[str, Any]:
     logs = {
         str(log): {name: one.as_json() for name, one in tendons.items()}
-        for log, tendons in results.items()
+        for log, tendons in results_of_log.items()
     }
-    return {"logs": logs, "pictures": pictures, "calibration": path}
+    return {"logs": logs, "pictures": picture_paths, "calibration": path}

@@ -86,15 +86,15 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.DONE if good else ExitCode.FAILED
 
 
-def _report_failure(args: argparse.Namespace, reason: str) -> int:
+def _report_failure(args: argparse.Namespace, failure_reason: str) -> int:
     """Report the reason why no gains are written, and return the exit code."""
     if args.json:
-        print_json({"gains": None, "picture": None, "enough": False, "why": reason})
-    print_escaped(f"handctl: tune design: {reason}; nothing is written", error=True)
+        print_json({"gains": None, "picture": None, "enough": False, "why": failure_reason})
+    print_escaped(f"handctl: tune design: {failure_reason}; nothing is written", error=True)
     return ExitCode.FAILED
 
 
-def _place_poles(args: argparse.Namespace, model: HandModel, plants: Any, rate: float) -> Any:
+def _place_poles(args: argparse.Namespace, model: HandModel, plants: Any, rate_hz: float) -> Any:
     """Return gains with which the poles are at ``--poles-Hz`` [Hz], with the damping ratio ``--damping``.
 
     Raises:
@@ -106,9 +106,9 @@ def _place_poles(args: argparse.Namespace, model: HandModel, plants: Any, rate: 
         motion, tension = (float(word) for word in args.poles.split(","))
     except ValueError:
         raise ConfigError(repr(args.poles), "--poles-Hz", "two numbers, e.g. 6,25") from None
-    if not (MIN_POLE_HZ <= motion < rate / 2 and MIN_POLE_HZ <= tension < rate / 2):
+    if not (MIN_POLE_HZ <= motion < rate_hz / 2 and MIN_POLE_HZ <= tension < rate_hz / 2):
         raise ConfigError(
-            args.poles, "--poles-Hz", f"{MIN_POLE_HZ:g} to half of the rate, {rate / 2:g}"
+            args.poles, "--poles-Hz", f"{MIN_POLE_HZ:g} to half of the rate, {rate_hz / 2:g}"
         )
     if not 0 < args.damping <= MAX_DAMPING:
         raise ConfigError(f"{args.damping:g}", "--damping", f"more than 0, at most {MAX_DAMPING:g}")
@@ -116,59 +116,60 @@ def _place_poles(args: argparse.Namespace, model: HandModel, plants: Any, rate: 
 
 
 def _result_fields(
-    result: Any, out: Path, picture: Path, rate: float, plants: int
+    gain_design: Any, gains_path: Path, picture_path: Path, rate_hz: float, plant_count: int
 ) -> dict[str, Any]:
     return {
-        "gains": str(out),
-        "picture": str(picture),
-        "rate_hz": rate,
-        "plants": plants,
+        "gains": str(gains_path),
+        "picture": str(picture_path),
+        "rate_hz": rate_hz,
+        "plants": plant_count,
         "before": {
-            f"{name}/{kind}": asdict(one) for (name, kind), one in result.margins_before.items()
+            f"{name}/{kind}": asdict(one)
+            for (name, kind), one in gain_design.margins_before.items()
         },
         "after": {
-            f"{name}/{kind}": asdict(one) for (name, kind), one in result.margins_after.items()
+            f"{name}/{kind}": asdict(one) for (name, kind), one in gain_design.margins_after.items()
         },
-        "not_at_rest_before": result.not_at_rest_before,
-        "worst_before": asdict(result.worst_before),
-        "worst_after": asdict(result.worst_after),
-        "enough": result.worst_after.are_sufficient,
+        "not_at_rest_before": gain_design.not_at_rest_before,
+        "worst_before": asdict(gain_design.worst_before),
+        "worst_after": asdict(gain_design.worst_after),
+        "enough": gain_design.worst_after.are_sufficient,
     }
 
 
-def _print_design(result: Any, rate: float, plants: int) -> None:
+def _print_design(gain_design: Any, rate_hz: float, plant_count: int) -> None:
     from rich import box
     from rich.table import Table
 
-    title = (
-        f"loops at {rate:g} Hz, before \u2192 after; in the last row the least of {plants} plants"
-    )
+    title = f"loops at {rate_hz:g} Hz, before \u2192 after; in the last row the least of {plant_count} plants"
     table = Table(title=title, box=box.SIMPLE, pad_edge=False)
     for heading in ("tendon", "loop", "gain dB", "phase deg", "disk", "delay ms", "cross Hz"):
         table.add_column(heading, no_wrap=True)
-    unproven = "not at rest" if result.not_at_rest_before else "unstable"
+    unproven = "not at rest" if gain_design.not_at_rest_before else "unstable"
     alike: dict[tuple[str, ...], list[str]] = {}
-    for (name, kind), after in result.margins_after.items():
+    for (name, kind), after in gain_design.margins_after.items():
         alike.setdefault(
-            (str(kind), *_margin_cells(result.margins_before[name, kind], after, unproven)), []
+            (str(kind), *_margin_cells(gain_design.margins_before[name, kind], after, unproven)), []
         ).append(name)
     for (kind, *cells), names in alike.items():
         more = f" + {len(names) - 1}" if len(names) > 1 else ""
         table.add_row(names[0].removesuffix("_tendon") + more, kind, *cells)
     table.add_section()
-    table.add_row("worst", "", *_margin_cells(result.worst_before, result.worst_after, unproven))
+    table.add_row(
+        "worst", "", *_margin_cells(gain_design.worst_before, gain_design.worst_after, unproven)
+    )
     rich_console(min_width=TABLE_WIDTH).print(table)
-    if result.not_at_rest_before:
-        reason = result.not_at_rest_before
+    if gain_design.not_at_rest_before:
+        reason = gain_design.not_at_rest_before
         print_escaped(f"before: in simulation the hand does not come to rest: {reason}")
 
 
-def _margin_cells(before: Any, after: Any, missing_margin_text: str) -> list[str]:
+def _margin_cells(margins_before: Any, margins_after: Any, missing_margin_text: str) -> list[str]:
     """Return the cells of a row of the table: each margin with the old gains and with the new gains.
 
     Args:
-        before: stability margins with the old gains.
-        after: stability margins with the designed gains.
+        margins_before: stability margins with the old gains.
+        margins_after: stability margins with the designed gains.
         missing_margin_text: text in the first cell if a loop has no margins. The other cells then contain a
             dash.
     """
@@ -186,7 +187,10 @@ def _margin_cells(before: Any, after: Any, missing_margin_text: str) -> list[str
         )
 
     def before_and_after_text(name: str, scale: float = 1.0, digits: int = 1) -> str:
-        return f"{margin_text(before, name, scale, digits)}\u2192{margin_text(after, name, scale, digits)}"
+        texts = (
+            margin_text(margins, name, scale, digits) for margins in (margins_before, margins_after)
+        )
+        return "\u2192".join(texts)
 
     return [
         before_and_after_text("gain_db"),

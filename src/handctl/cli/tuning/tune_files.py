@@ -38,7 +38,7 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
 
 
 def ensemble_of_tuned_hand(
-    args: argparse.Namespace, spread: dict[str, float], maximum: int
+    args: argparse.Namespace, spread_of_factor: dict[str, float], maximum: int
 ) -> tuple[dict[str, float], ...]:
     """Return the factors between the parameters of each simulated plant and those of the hand to tune.
 
@@ -50,8 +50,10 @@ def ensemble_of_tuned_hand(
     Raises:
         ConfigError: the number of plants is too small or too large, or ``--perturb`` is wrong.
     """
-    perturb = check_perturb(args, simulated=True)
-    plants = draw_ensemble(checked_count(args.plants, "--plants", maximum), args.seed, spread)
+    perturb = check_perturb(args, is_simulated=True)
+    plants = draw_ensemble(
+        checked_count(args.plants, "--plants", maximum), args.seed, spread_of_factor
+    )
     if args.fit:
         return plants
     return tuple(
@@ -59,12 +61,12 @@ def ensemble_of_tuned_hand(
     )
 
 
-def verify_command(args: argparse.Namespace, out: Path) -> str:
+def verify_command(args: argparse.Namespace, gains_path: Path) -> str:
     """Return the command line that verifies new gains in simulation.
 
     The options of the returned command line select the same hand.
     """
-    words = ["handctl", "tune", "verify", str(out), "--lockstep", "--hand", str(args.hand)]
+    words = ["handctl", "tune", "verify", str(gains_path), "--lockstep", "--hand", str(args.hand)]
     words += ["--calibration", str(args.fit)] if args.fit else []
     return shlex.join(words + same_hand_words(args))
 

@@ -83,20 +83,24 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _report_infeasible(
-    args: argparse.Namespace, result: Any, storage: Path, picture: Path, trials: int
+    args: argparse.Namespace,
+    search_result: Any,
+    storage_path: Path,
+    picture_path: Path,
+    trials: int,
 ) -> int:
     """Report that no trial has large enough stability margins, and return the exit code."""
     if args.json:
-        print_json(_report_fields(result, storage, None, picture))
+        print_json(_report_fields(search_result, storage_path, None, picture_path))
     else:
         print(
-            f"no trial keeps the margins on every plant; look at {picture}, and try --trials {2 * trials}"
+            f"no trial keeps the margins on every plant; look at {picture_path}, and try --trials {2 * trials}"
         )
     return ExitCode.FAILED
 
 
 def _designed_gains(
-    hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]
+    hand: Hand, gains: Gains, rate_hz: float, plants: tuple[dict[str, float], ...]
 ) -> tuple[Gains, ...]:
     """Return the gains that ``tune design`` finds for the same simulated plants.
 
@@ -106,7 +110,7 @@ def _designed_gains(
 
     try:
         result = design_gains(
-            HandModel.from_hand(hand, gains, rate), tuple(linear_factors(one) for one in plants)
+            HandModel.from_hand(hand, gains, rate_hz), tuple(linear_factors(one) for one in plants)
         )
     except (ValueError, ConfigError):
         return ()
@@ -149,49 +153,51 @@ class _SearchProgress:
     def __exit__(self, *error: object) -> None:
         self._bar.stop()
 
-    def show_result(self, result: Any) -> None:
+    def show_result(self, search_result: Any) -> None:
         """Update the display of the search after a trial.
 
         Without a terminal, print at most one line in 5 s.
         """
         text = (
-            f"best {result.relative_cost(result.best):.3f}, trial {result.best.number}"
-            if result.best
+            f"best {search_result.relative_cost(search_result.best):.3f}, trial {search_result.best.number}"
+            if search_result.best
             else "none feasible yet"
         )
-        self._bar.update(self._task, completed=len(result.trials), description=text)
+        self._bar.update(self._task, completed=len(search_result.trials), description=text)
         if not self._quiet and self._bar.disable and time.monotonic() >= self._next:
             self._next = time.monotonic() + 5.0
-            self._console.print(f"trial {len(result.trials)}: {text}")
+            self._console.print(f"trial {len(search_result.trials)}: {text}")
 
 
-def _report_fields(result: Any, storage: Path, out: Path | None, picture: Path) -> dict[str, Any]:
-    best = result.best
-    first = result.trials[0]
+def _report_fields(
+    search_result: Any, storage_path: Path, gains_path: Path | None, picture_path: Path
+) -> dict[str, Any]:
+    best = search_result.best
+    first = search_result.trials[0]
     best_fields = best and {
         "trial": best.number,
         "values": best.values,
         "score": asdict(best.score),
     }
     return {
-        "trials": len(result.trials),
-        "good": sum(one.is_feasible for one in result.trials),
-        "best": best_fields and best_fields | {"cost": result.relative_cost(best)},
+        "trials": len(search_result.trials),
+        "good": sum(one.is_feasible for one in search_result.trials),
+        "best": best_fields and best_fields | {"cost": search_result.relative_cost(best)},
         "first": asdict(first.score),
-        "front": list(result.pareto_front),
-        "study": str(storage),
-        "gains": out,
-        "picture": str(picture),
+        "front": list(search_result.pareto_front),
+        "study": str(storage_path),
+        "gains": gains_path,
+        "picture": str(picture_path),
     }
 
 
-def _print_search(result: Any, report: dict[str, Any]) -> None:
+def _print_search(search_result: Any, report: dict[str, Any]) -> None:
     from rich.table import Table
 
     table = Table(
         title=f"{report['trials']} trials, {report['good']} good, {len(report['front'])} on the Pareto front"
     )
-    for heading in ("", "where it began", f"trial {result.best.number}"):
+    for heading in ("", "where it began", f"trial {search_result.best.number}"):
         table.add_column(heading)
     rows = (
         ("tracking error [deg rms]", "tracking_deg", 2),
@@ -203,10 +209,13 @@ def _print_search(result: Any, report: dict[str, Any]) -> None:
     for name, key, digits in rows:
         table.add_row(
             name,
-            *(f"{getattr(one.score, key):.{digits}f}" for one in (result.trials[0], result.best)),
+            *(
+                f"{getattr(one.score, key):.{digits}f}"
+                for one in (search_result.trials[0], search_result.best)
+            ),
         )
     rich_console().print(table)
-    if blocked := result.best.score.blocked:
+    if blocked := search_result.best.score.blocked:
         text = f"{blocked}: blocked in some moves, for example by each other; not scored there"
         rich_console().print(text, soft_wrap=True)
     rich_console().print(

@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         args.seed = seed
         run_log = log if seed == first else log.with_stem(f"{log.stem}-seed{seed}")
         observer = VerifyObserver(plan.hand, base, new.gains, amplitudes=amplitudes)
-        outcome, truth = _run_once(args, plan, ExerciseProgram(amplitudes), observer, run_log)
+        outcome, truth = _run_test_round(args, plan, ExerciseProgram(amplitudes), observer, run_log)
         runs.append(_judge_run(plan, outcome, observer, run_log, truth))
         if not runs[-1]["through"]:
             break
@@ -75,16 +75,18 @@ def run(args: argparse.Namespace) -> int:
     return _report_verification(args, runs, outcome)
 
 
-def _with_gains(plan: RunPlan, gains: Any, candidate: Path) -> RunPlan:
+def _with_gains(plan: RunPlan, gains: Any, candidate_path: Path) -> RunPlan:
     from dataclasses import replace
 
     return replace(
-        plan, gains=gains, attachments=plan.attachments | {"candidate.toml": candidate.read_bytes()}
+        plan,
+        gains=gains,
+        attachments=plan.attachments | {"candidate.toml": candidate_path.read_bytes()},
     )
 
 
-def _run_once(
-    args: argparse.Namespace, plan: RunPlan, program: Any, observer: Any, log: Path
+def _run_test_round(
+    args: argparse.Namespace, plan: RunPlan, program: Any, verify_observer: Any, log: Path
 ) -> tuple[RunOutcome, Path | None]:
     if not args.lockstep:
         path, calibration, reason = find_calibration(args, plan.hand, plan.buses)
@@ -92,7 +94,7 @@ def _run_once(
         if calibration is None:
             calibration = ensure_calibration(plan, path, reason, run_live, commission_log(log))
         controller = make_controller(plan, program, calibration, True)
-        return run_live(plan, controller, log, observer=observer), None
+        return run_live(plan, controller, log, observer=verify_observer), None
     calibration = homed_calibration(plan.hand, identified_in_file(args.calibration, plan.hand))
     truth = log.with_suffix(".truth")
     perturb = gain_assignments(args.perturb, "--perturb")
@@ -100,12 +102,12 @@ def _run_once(
         args.hand, None, args.seed, perturb, homed=True, truth=truth
     ).lockstep_clock(plan.period_ns) as clock:
         return run_lockstep(
-            plan, make_controller(plan, program, calibration, True), log, clock, observer
+            plan, make_controller(plan, program, calibration, True), log, clock, verify_observer
         ), truth
 
 
 def _judge_run(
-    plan: RunPlan, outcome: RunOutcome, observer: Any, log: Path, truth_file: Path | None
+    plan: RunPlan, outcome: RunOutcome, verify_observer: Any, log: Path, truth_file: Path | None
 ) -> dict[str, Any]:
     """Compute the scores of one test run, and draw a picture of this run.
 
@@ -120,14 +122,14 @@ def _judge_run(
     with RunLog(log) as record:
         rounds = scores_by_round(record, plan.hand, truth, outcome.offset_ns)
         picture = log.with_suffix(".png")
-        draw_verify(picture, record, plan.hand, truth, outcome.offset_ns, observer.rollback)
-    stopped = _stop_reason(outcome.state.failure, observer, len(rounds))
+        draw_verify(picture, record, plan.hand, truth, outcome.offset_ns, verify_observer.rollback)
+    stopped = _stop_reason(outcome.state.failure, verify_observer, len(rounds))
     return {
         "through": not stopped,
         "stopped": stopped,
-        "blocked": asdict(observer.blocked) if observer.blocked else None,
-        "amplitudes": observer.amplitudes,
-        "returned": asdict(observer.rollback) if observer.rollback else None,
+        "blocked": asdict(verify_observer.blocked) if verify_observer.blocked else None,
+        "amplitudes": verify_observer.amplitudes,
+        "returned": asdict(verify_observer.rollback) if verify_observer.rollback else None,
         "failure": outcome.state.failure,
         "rounds": rounds,
         "judged_by": "truth" if truth else "estimates",
@@ -136,26 +138,26 @@ def _judge_run(
     }
 
 
-def _stop_reason(failure: str, observer: Any, round_count: int) -> str:
+def _stop_reason(failure: str, verify_observer: Any, round_count: int) -> str:
     """Return the reason why a test run did not pass all of its rounds.
 
     If the run passed all rounds, the text is empty.
 
     A blocked digit is reported before all other reasons, because it explains most of the others.
     """
-    if observer.blocked:
-        return str(observer.blocked)
+    if verify_observer.blocked:
+        return str(verify_observer.blocked)
     if failure:
         return f"the run failed: {failure}"
-    if observer.rollback:
-        return f"{observer.rollback.why} at amplitude {observer.rollback.amplitude:g}"
-    if round_count < len(observer.amplitudes):
-        return f"the run ended in round {round_count} of {len(observer.amplitudes)}"
+    if verify_observer.rollback:
+        return f"{verify_observer.rollback.why} at amplitude {verify_observer.rollback.amplitude:g}"
+    if round_count < len(verify_observer.amplitudes):
+        return f"the run ended in round {round_count} of {len(verify_observer.amplitudes)}"
     return ""
 
 
 def _report_verification(
-    args: argparse.Namespace, runs: list[dict[str, Any]], outcome: RunOutcome
+    args: argparse.Namespace, round_results: list[dict[str, Any]], outcome: RunOutcome
 ) -> int:
     """Print the results of all test runs, and a table about the last run.
 
@@ -163,8 +165,8 @@ def _report_verification(
     """
     from handctl.tune.gains_verification import compare_rounds
 
-    last = runs[-1]
-    columns = compare_rounds([one["rounds"] for one in runs]) if last["through"] else []
+    last = round_results[-1]
+    columns = compare_rounds([one["rounds"] for one in round_results]) if last["through"] else []
     worse = [column.name for column in columns if column.verdict == "worse"]
     reason = last["stopped"]
     if worse and not args.accept_worse:
@@ -178,8 +180,8 @@ def _report_verification(
         "columns": [asdict(column) for column in columns],
         "worse": worse,
         "rounds": [asdict(one) for one in last["rounds"]],
-        "runs": len(runs),
-        "logs": [one["log"] for one in runs],
+        "runs": len(round_results),
+        "logs": [one["log"] for one in round_results],
     }
     if args.json:
         print_json(result)
@@ -198,7 +200,9 @@ def _print_columns(result: dict[str, Any]) -> None:
         print(f"{one['name']}: {one['verdict']}, {change}")
 
 
-def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespace) -> None:
+def _print_rounds(
+    result: dict[str, Any], test_rounds: Iterable[Any], args: argparse.Namespace
+) -> None:
     from rich.table import Table
 
     table = Table(title=f"judged by the {result['judged_by']}")
@@ -211,7 +215,7 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
         "peak tension [N]",
     ):
         table.add_column(heading)
-    for i, (one, amplitude) in enumerate(zip(rounds, result["amplitudes"], strict=False)):
+    for i, (one, amplitude) in enumerate(zip(test_rounds, result["amplitudes"], strict=False)):
         numbers = (one.tracking_deg, one.tension_N, one.effort_Nm_per_s, one.peak_tension_N)
         table.add_row(
             _gains_label(i, result["returned"], result["amplitudes"]),
@@ -222,7 +226,7 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
     console.print(table)
     back = result["returned"]
     if back:
-        console.print(return_text(back))
+        console.print(gains_return_text(back))
     if result.get("columns"):
         _print_columns(result)
     console.print(f"log: {result['log']}\npicture: {result['picture']}", soft_wrap=True)
@@ -235,21 +239,23 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
         print_escaped(f"not verified: {result['why_not']}")
 
 
-def return_text(back: dict[str, Any]) -> str:
+def gains_return_text(gains_return: dict[str, Any]) -> str:
     """Return the line of the report about a return to the old gains."""
     return (
-        f"returned to the old gains at {back['t_s']:.3f} s (tick {back['k']}), "
-        f"amplitude {back['amplitude']:g}: {back['why']}"
+        f"returned to the old gains at {gains_return['t_s']:.3f} s (tick {gains_return['k']}), "
+        f"amplitude {gains_return['amplitude']:g}: {gains_return['why']}"
     )
 
 
-def _gains_label(number: int, back: dict[str, Any] | None, amplitudes: tuple[float, ...]) -> str:
+def _gains_label(
+    round_number: int, gains_return: dict[str, Any] | None, amplitudes: tuple[float, ...]
+) -> str:
     """Return the label of the gains in a test round: old, new, first new and then old, or old again."""
     from handctl.tune.gains_verification import OLD_GAINS_ROUNDS
 
-    if number < OLD_GAINS_ROUNDS:
+    if round_number < OLD_GAINS_ROUNDS:
         return "old"
-    if back is None:
+    if gains_return is None:
         return "new"
-    end = OLD_GAINS_ROUNDS + amplitudes[OLD_GAINS_ROUNDS:].index(back["amplitude"])
-    return "new" if number < end else "new, then old" if number == end else "old again"
+    end = OLD_GAINS_ROUNDS + amplitudes[OLD_GAINS_ROUNDS:].index(gains_return["amplitude"])
+    return "new" if round_number < end else "new, then old" if round_number == end else "old again"

@@ -215,7 +215,7 @@ def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
     """
     for one in gains.tendon:
         if one.name not in tendons:
-            near = similar_name(one.name, tendons, cutoff=0.5)
+            near = similar_name(one.name, tendons, min_similarity=0.5)
             right = f"{near}?" if near else f"one of {', '.join(tendons)}"
             raise ConfigError(f"no tendon {one.name!r}", f"gains: {TENDON_SECTION}", right)
 
@@ -228,7 +228,7 @@ def bounds_after_check(key: str, value: float, source_name: str) -> GainBounds:
     """
     known = bounds_of_key(key)
     if known is None:
-        near = similar_name(key, gain_bounds(), cutoff=0.5)
+        near = similar_name(key, gain_bounds(), min_similarity=0.5)
         right = f"{near}?" if near else "one of those that handctl gains show lists"
         raise ConfigError("no such gain", f"{source_name}: {key}", right)
     inside = known.low < value if known.open_low else known.low <= value

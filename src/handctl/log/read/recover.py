@@ -71,7 +71,7 @@ def recover_log(path: Path, out: Path) -> RecoveryReport:
             return RecoveryReport(
                 RecoveryStatus.NOTHING, lost_ranges=((0, file.size),), problem=problem
             )
-        with atomic_path(out, new=True) as part:
+        with atomic_path(out, must_be_new=True) as part:
             descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
             try:
                 recovery = _copy_intact_parts(file, scan, problem, McapContainer(descriptor))

@@ -290,7 +290,8 @@ def _rotation_check(motion_sign: int) -> RequirementCheck:
             raise CheckFailed(rig.state.error_text or "was no longer enabled")
         if step.moved_rad < -MIN_MOTION_RAD:
             raise CheckFailed(
-                f"{step.commanded_torque_N_m:+.3f} N m turned it by {motion_sign * step.moved_rad:+.3f} rad, the wrong way"
+                f"{step.commanded_torque_N_m:+.3f} N m turned it by "
+                f"{motion_sign * step.moved_rad:+.3f} rad, the wrong way"
             )
         if step.moved_rad > MIN_MOTION_RAD:
             brake_shaft(rig, device.torque_limit_N_m)
