@@ -26,7 +26,7 @@ from handctl.programs.commission import (
 )
 from handctl.programs.program import ProgramProgress
 from handctl.session.calibration import load_calibration
-from handctl.session.plan import default_rate
+from handctl.session.run_plan import default_rate
 from handctl.session.simulate import SimulatorSettings
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 from tests.controller.synthetic_states import (

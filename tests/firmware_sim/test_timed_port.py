@@ -34,7 +34,9 @@ class TimedBus:
 
     def __init__(self, wire_words: list[str], with_hand: bool = True) -> None:
         self.clock = ManualClock(START_NS)
-        made = timed_port_maker(wire_words, [DEFAULT_BITRATES], self.clock.now_ns, is_node_side=with_hand)
+        made = timed_port_maker(
+            wire_words, [DEFAULT_BITRATES], self.clock.now_ns, is_node_side=with_hand
+        )
         assert made
         self.port = made("lab", 0)
         self.world = SimulatedWorld(
