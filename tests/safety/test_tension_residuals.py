@@ -161,7 +161,7 @@ def test_a_tendon_pulled_much_harder_than_commanded_is_found_within_20_ms(
 
 
 def test_the_reading_of_a_saturated_load_cell_is_no_excess_tension() -> None:
-    """Reproduce a defect: T04b (a load cell is wrong) was reported before T06 (a load cell is saturated)."""
+    """Otherwise T04b (a load cell is wrong) would be reported before T06 (a load cell is saturated)."""
     rotor = MotorWithTendon(saturated=1)
     for _ in range(10):
         rotor.run_tick(250.0, 24.0)
