@@ -65,23 +65,23 @@ def _mark_bytes(value: object) -> tuple[str, str]:
     return BYTES_MARK, value.hex()
 
 
-def restore_state(layout: BlockLayout, snapshot_bytes: bytes) -> ControllerState:
+def restore_state(layout: BlockLayout, packed_snapshot: bytes) -> ControllerState:
     """Return the state stored in a snapshot.
 
     Args:
         layout: layout of the state block of the controller that has written the snapshot.
-        snapshot_bytes: bytes of the snapshot.
+        packed_snapshot: bytes of the snapshot.
 
     Raises:
         ValueError: the data are not a snapshot of a controller with this layout.
     """
     # All numbers of the state block have 8 bytes.
     end = IDENTITY_BYTES + 8 * layout.size
-    if snapshot_bytes[:IDENTITY_BYTES] != layout.identity or len(snapshot_bytes) < end:
-        raise ValueError(f"a snapshot of {len(snapshot_bytes)} bytes of another schema or hand")
-    block = np.frombuffer(snapshot_bytes, np.float64, layout.size, IDENTITY_BYTES).copy()
+    if packed_snapshot[:IDENTITY_BYTES] != layout.identity or len(packed_snapshot) < end:
+        raise ValueError(f"a snapshot of {len(packed_snapshot)} bytes of another schema or hand")
+    block = np.frombuffer(packed_snapshot, np.float64, layout.size, IDENTITY_BYTES).copy()
     try:
-        decisions = from_plain(json.loads(snapshot_bytes[end:]))
+        decisions = from_plain(json.loads(packed_snapshot[end:]))
     except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"decisions that cannot be read: {error}") from None
     if not isinstance(decisions, ControllerDecisions):

@@ -316,32 +316,34 @@ def _move_goal(
     model: HandModel,
     d: int,
     estimate: HandEstimate,
-    start_angles: Vector | None,
-    end_angles: Vector,
+    start_coordinates: Vector | None,
+    end_coordinates: Vector,
     duration: float,
     t: float,
 ) -> DigitGoal:
     """Return a move of a digit from its present reference (3, n), or from the estimate if there is no reference."""
-    if start_angles is None:
-        return motion_to(model.digits[d], estimate, end_angles, duration, t)
+    if start_coordinates is None:
+        return motion_to(model.digits[d], estimate, end_coordinates, duration, t)
     return DigitGoal(
         GoalKind.MOTION,
-        continued_move(start_angles, end_angles, duration, model.digits[d].reach),
+        continued_move(start_coordinates, end_coordinates, duration, model.digits[d].reach),
         since=t,
     )
 
 
 def _reach_problem(
-    model: HandModel, d: int, estimate: HandEstimate, end_angles: Vector, duration: float
+    model: HandModel, d: int, estimate: HandEstimate, end_coordinates: Vector, duration: float
 ) -> str:
     """Return the reason why a digit cannot move to given coordinates [deg] in a given time [s], or an empty text."""
     digit = model.digits[d]
     units = digit.coordinate_units
     joint_min, joint_max = (units.displayed(bound) for bound in digit.reach)
-    for angle, low, high, unit in zip(end_angles, joint_min, joint_max, units.names, strict=True):
+    for angle, low, high, unit in zip(
+        end_coordinates, joint_min, joint_max, units.names, strict=True
+    ):
         if not low - ROUNDING_DEG <= angle <= high + ROUNDING_DEG:
             return f"{angle:g} {unit}, expected from {low:g} to {high:g} {unit}"
-    travel = np.abs(end_angles - units.displayed(coordinates_by_excursion(digit, estimate)))
+    travel = np.abs(end_coordinates - units.displayed(coordinates_by_excursion(digit, estimate)))
     worst = int(np.argmax(travel / units.per_degree))
     peak = PEAK_SPEED_RATIO * float(travel[worst]) / duration
     unit, limit = units.names[worst], FOLLOW_SPEED_DEG_S * units.per_degree[worst]

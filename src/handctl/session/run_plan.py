@@ -212,7 +212,7 @@ def check_hand_ready(hand: Hand, where: str) -> None:
         raise mistake.error(where)
 
 
-def control_rate(requested_hz: float | None, hand: Hand, bus_loads: Sequence[BusLoad]) -> float:
+def control_rate(requested_hz: float | None, hand: Hand, load_of_bus: Sequence[BusLoad]) -> float:
     """Return the requested control rate [Hz].
 
     If no rate is requested, return the highest of the usual rates that the buses allow.
@@ -221,13 +221,13 @@ def control_rate(requested_hz: float | None, hand: Hand, bus_loads: Sequence[Bus
         ConfigError: at this control rate, a single lost tick would trigger the watchdog of a drive,
             or a bus would be overloaded.
     """
-    best = highest_rate_of_buses(bus_loads)
+    best = highest_rate_of_buses(load_of_bus)
     rate = best if requested_hz is None else requested_hz
     lowest = TICKS_IN_WATCHDOG * 1e3 / min(motor.watchdog_ms for motor in hand.motor)
     if not lowest <= rate < math.inf:
         what = f"{rate:g}" if requested_hz is not None else f"the buses carry {rate:g}"
         raise ConfigError(what, "--rate", f"at least {lowest:g}, for the drives' watchdogs")
-    for name, load in zip(hand.bus_names, bus_loads, strict=True):
+    for name, load in zip(hand.bus_names, load_of_bus, strict=True):
         if load.load_at(rate) > MAX_BUS_LOAD:
             what = f"bus {name} would be {100 * load.load_at(rate):.0f} % full at {rate:g} Hz"
             raise ConfigError(what, "--rate", f"at most {best:g}")
@@ -246,10 +246,10 @@ def _check_log(log: Path | None) -> None:
         raise ConfigError(f"{log} exists already", "--log", "a new file ending in .mcap")
 
 
-def highest_rate_of_buses(bus_loads: Sequence[BusLoad]) -> float:
+def highest_rate_of_buses(load_of_bus: Sequence[BusLoad]) -> float:
     """Return the highest of the usual control rates at which no bus is overloaded [Hz]."""
     return highest_rate(
-        (load.tick_s for load in bus_loads), (load.timed_fraction for load in bus_loads)
+        (load.tick_s for load in load_of_bus), (load.timed_fraction for load in load_of_bus)
     )
 
 

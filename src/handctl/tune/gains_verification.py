@@ -335,17 +335,17 @@ class MeasureComparison:
     verdict: str
 
 
-def compare_rounds(scores_by_round: list[list[GainScore]]) -> list[MeasureComparison]:
+def compare_rounds(round_scores: list[list[GainScore]]) -> list[MeasureComparison]:
     """Compare the rounds with full amplitude, with old and with new gains, run by run.
 
     Args:
-        scores_by_round: scores of the rounds of each run.
+        round_scores: scores of the rounds of each run.
     """
     columns = []
     for key, (name, unit) in COMPARED_MEASURES.items():
-        old = np.array([getattr(rounds[OLD_GAINS_ROUNDS - 1], key) for rounds in scores_by_round])
-        new = np.array([getattr(rounds[-1], key) for rounds in scores_by_round])
-        n = len(scores_by_round)
+        old = np.array([getattr(rounds[OLD_GAINS_ROUNDS - 1], key) for rounds in round_scores])
+        new = np.array([getattr(rounds[-1], key) for rounds in round_scores])
+        n = len(round_scores)
         mean = float(old.mean())
         change = float((new - old).mean())
         spread = (

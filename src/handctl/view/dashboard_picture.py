@@ -70,17 +70,17 @@ def settled_screenshot(client: "ViewerClient") -> bytes:
         before = now
 
 
-def connect_client(running_viewer: Viewer) -> "ViewerClient":
+def connect_client(viewer: Viewer) -> "ViewerClient":
     """Wait for a viewer that is starting, and return a client connected to the viewer."""
     from rerun.experimental import ViewerClient
 
     end = time.monotonic() + LOAD_TIMEOUT_S
     while True:
         try:
-            client = ViewerClient.connect(running_viewer.url)
+            client = ViewerClient.connect(viewer.url)
             client.get_state()
         except (RuntimeError, ConnectionError) as error:
-            if running_viewer.process.poll() is not None or time.monotonic() > end:
+            if viewer.process.poll() is not None or time.monotonic() > end:
                 raise HandctlError(f"no answer from the viewer: {error}", "rerun", "") from error
             time.sleep(0.1)
         else:

@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def _load_or_measure_results(path: Path | None, job_count: int) -> dict[str, Any]:
+def _load_or_measure_results(path: Path | None, worker_count: int) -> dict[str, Any]:
     """Return the results of the experiments.
 
     If the file of results exists, read the results from this file. Otherwise run the experiments,
@@ -70,11 +70,13 @@ def _load_or_measure_results(path: Path | None, job_count: int) -> dict[str, Any
         ConfigError: the file contains no results, or the file cannot be written.
     """
     if path is None:
-        return _measure_all_results(job_count)
+        return _measure_all_results(worker_count)
     if path.exists():
         return load_results(path)
     check_output(path, "--results")
-    write_text_atomically(path, json.dumps(rounded_results(_measure_all_results(job_count))) + "\n")
+    write_text_atomically(
+        path, json.dumps(rounded_results(_measure_all_results(worker_count))) + "\n"
+    )
     return load_results(path)
 
 
@@ -97,18 +99,18 @@ def _export_files(folder: Path) -> None:
     write_text_atomically(folder / f"{hand.name}.xml", mjcf_text(hand))
 
 
-def _print_items(args: argparse.Namespace, page_sections: tuple[PageSection, ...]) -> None:
+def _print_items(args: argparse.Namespace, shown_sections: tuple[PageSection, ...]) -> None:
     if args.json:
         json.dump(
-            items_as_json([item for part in page_sections for item in part.items]),
+            items_as_json([item for part in shown_sections for item in part.items]),
             sys.stdout,
             indent=2,
         )
         sys.stdout.write("\n")
     elif args.markdown:
-        sys.stdout.write(page_as_markdown(page_sections))
+        sys.stdout.write(page_as_markdown(shown_sections))
     else:
-        _print_table(page_sections)
+        _print_table(shown_sections)
         for path in filter(None, (args.figures, args.output, args.export)):
             print(f"written: {path}")
 
@@ -127,13 +129,13 @@ def _measure_all_results(jobs: int) -> dict[str, Any]:
             return run_experiments(workers)
 
 
-def _print_table(page_sections: tuple[PageSection, ...]) -> None:
+def _print_table(shown_sections: tuple[PageSection, ...]) -> None:
     """Print the items about the paper as tables, and then the number of items with each verdict."""
     from rich.table import Table
     from rich.text import Text
 
     console = rich_console(min_width=80)
-    for part in page_sections:
+    for part in shown_sections:
         if part.table:
             numbers = Table(*part.table[0])
             for row in part.table[1:]:
@@ -152,5 +154,5 @@ def _print_table(page_sections: tuple[PageSection, ...]) -> None:
             )
             table.add_row(item.id, verdict, cell)
         console.print(table)
-    counts = count_by_verdict([item for part in page_sections for item in part.items])
+    counts = count_by_verdict([item for part in shown_sections for item in part.items])
     console.print(", ".join(f"{number} {verdict}" for verdict, number in counts.items()))

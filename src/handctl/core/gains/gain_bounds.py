@@ -151,23 +151,23 @@ def different_values(old_gains: Gains, new_gains: Gains) -> dict[str, tuple[floa
     return {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
 
 
-def _gain_of_key(values_by_key: Mapping[str, float], key: str) -> float:
+def _gain_of_key(gain_values: Mapping[str, float], key: str) -> float:
     """Return the value of a key.
 
     If a single tendon has no value, return the value for all tendons.
     """
     parts = tendon_key(key)
-    return values_by_key[parts.shared] if parts and key not in values_by_key else values_by_key[key]
+    return gain_values[parts.shared] if parts and key not in gain_values else gain_values[key]
 
 
 def gains_with_values(
-    gains: Gains, values_by_key: Mapping[str, float], source_name: str, is_live: bool = False
+    gains: Gains, gain_values: Mapping[str, float], source_name: str, is_live: bool = False
 ) -> Gains:
     """Return a copy of gains with some values replaced. All new values are checked first.
 
     Args:
         gains: gains to copy.
-        values_by_key: new values by key.
+        gain_values: new values by key.
         source_name: name of the source of the values, for messages.
         is_live: True to accept only keys that may change during a run.
 
@@ -176,7 +176,7 @@ def gains_with_values(
             run.
     """
     content = gains.model_dump(by_alias=True)
-    for key, value in values_by_key.items():
+    for key, value in gain_values.items():
         bound = bounds_after_check(key, value, source_name)
         if is_live and not bound.live:
             right = f"a key of {', '.join(LIVE_SECTIONS)}, or handctl gains apply and a new run"

@@ -268,7 +268,7 @@ class RunLog:
 
     @property
     def action(self) -> NDArray[np.uint8]:
-        """Return the reaction to faults in each tick (ticks,), as a `safety.action.SafetyAction`."""
+        """Return the reaction to faults in each tick (ticks,), as a `safety.safety_action.SafetyAction`."""
         return self._fixed["action"]
 
     @property
