@@ -156,7 +156,7 @@ def test_a_tendon_pulled_much_harder_than_commanded_is_found_within_20_ms(
 
     A tension that is too small is no excess.
     """
-    state = residuals_after(0.02, lambda t: 24.0 + excess, lambda t: 24.0, noise=0.0)
+    state = residuals_after(0.02, lambda t: 24.0 + excess, lambda t: 24.0, noise_N=0.0)
     assert (state.excess_tension > EXCESS_TENSION_TRIP_N) == found
 
 
