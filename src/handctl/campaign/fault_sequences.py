@@ -237,12 +237,12 @@ def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterat
             else:
                 simulation.simulated_hand.inject(fault)
         inputs: dict[str, Any] = {
-            "io": (),
+            "io_events": (),
             "requests": (STOP_REQUEST,) if i == SEQUENCE_TICKS else (),
         }
         for start_tick, host in host_faults:
             for key, value in host.tick_arguments(i - start_tick, simulation).items():
-                inputs[key] = inputs[key] + value if key in ("io", "requests") else value
+                inputs[key] = inputs[key] + value if key in ("io_events", "requests") else value
         yield inputs
 
 

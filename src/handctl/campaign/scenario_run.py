@@ -132,7 +132,7 @@ def run_scenario(
             inputs |= second_host.tick_arguments(0, simulation)
         elif i == PAIR_DELAY_TICKS and scenario.second_fault:
             simulation.simulated_hand.inject(scenario.second_fault)
-        t_ns = (simulation.k + int(inputs.get("skip", 0))) * simulation.period_ns
+        t_ns = (simulation.k + int(inputs.get("skipped_ticks", 0))) * simulation.period_ns
         # If the fault stops the host for some ticks, the reaction time begins with the tick in
         # which the host continues.
         start_ns = t_ns if host and i == 0 else start_ns
@@ -394,11 +394,11 @@ class HostFault:
             if not first and "lasting" not in self.words:
                 return {}
             where = self.words[1] if len(self.words) > 1 and self.words[1] != "lasting" else "bus"
-            return {"io": (IoEvent(self.words[0], where),)}
+            return {"io_events": (IoEvent(self.words[0], where),)}
         if not first:
             return {}
         if self.kind == "skip":
-            return {"skip": int(self.words[0])}
+            return {"skipped_ticks": int(self.words[0])}
         if self.kind == "late":
             return {"late_ns": round(float(self.words[0]) * simulation.period_ns)}
         times = int(self.words[1]) if len(self.words) > 1 else 1

@@ -30,8 +30,8 @@ def print_completions(parser: VerbParser) -> None:
     argcomplete.autocomplete(parser)
 
 
-def hand_names(word_prefix: str, **context: Any) -> list[str]:
+def hand_names(prefix: str, **context: Any) -> list[str]:
     """Return all names of packaged hands, and all names of hand files, that begin with a prefix."""
     files = [path for path in Path().glob("*.toml") if path.is_file()]
     return [name for name in (*sorted(path.stem for path in HANDS_FOLDER.glob("*.toml")), *map(str, files))
-            if name.startswith(word_prefix)]  # fmt: skip
+            if name.startswith(prefix)]  # fmt: skip
