@@ -555,12 +555,13 @@ def test_one_client_commands_and_another_takes_over(jamia: HandModel) -> None:
         client.open_stream()
         client.stream_motion(lambda t: 20.0, 0.2)
         client.name = "two"
-        for do in (
-            {"do": "move", "angle_deg": {"thumb": 5.0}},
-            {"do": "hold", "tension_N": {"thumb": 8.0}},
+        for request_kind, request_fields in (
+            ("move", {"angle_deg": {"thumb": 5.0}}),
+            ("hold", {"tension_N": {"thumb": 8.0}}),
         ):
             assert (
-                client.send_command(**do) == "refused: one commands this hand, expected take_over"
+                client.send_command(request_kind, **request_fields)
+                == "refused: one commands this hand, expected take_over"
             )
         client.wait(0.02)
         assert client.reported_faults == set()

@@ -233,4 +233,4 @@ def test_peers_are_loaded_by_name() -> None:
         with pytest.raises(ConfigError, match="module:Class"):
             load_simulator(entry)
     with pytest.raises(ConfigError, match="too hot"):
-        load_simulator(f"{__name__}:RecordingPeer", fail="too hot")
+        load_simulator(f"{__name__}:RecordingPeer", failure_text="too hot")
