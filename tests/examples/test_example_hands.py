@@ -13,11 +13,11 @@ from handctl.hand.hand_loading import load_hand
 from tests.docs.command_blocks import REPOSITORY_ROOT, read_blocks
 
 HANDS_FOLDER = REPOSITORY_ROOT / "examples" / "hands"
-OBJECT_MOTION_MM = (5.0, 10.0)
+OBJECT_MOTION_MM = (1.5, 3.5)
 """Bounds of the motion of the object while ``shadow_like`` holds it [mm].
 
-The base of the thumb yields under load, so the object moves by 8 mm. If the object moves less than
-the lower bound, docs/evidence/hands.md is out of date.
+The digits yield sideways, so the object moves by 2.4 mm. If the object moves less than the lower
+bound, docs/evidence/hands.md is out of date.
 """
 
 
@@ -64,8 +64,6 @@ def test_the_demo_of_the_example_hand_grasps_and_releases(
     result = json.loads(capsys.readouterr().out)
     assert result["failure"] == ""
     assert result["missed"] == result["frames_lost"] == 0
-    assert min(result["contact_force_n"][name] for name in ("index", "middle", "thumb")) > 0.5
+    assert min(result["contact_force_n"][name] for name in ("index", "middle", "thumb")) > 1.0
     assert OBJECT_MOTION_MM[0] < result["object_motion_mm"] < OBJECT_MOTION_MM[1]
-    tracking = result["tracking_rmse_deg"]
-    assert tracking.pop("base") < 5.0, "the base gives way"
-    assert max(tracking.values()) < 1.0
+    assert max(result["tracking_rmse_deg"].values()) < 1.0
