@@ -374,6 +374,14 @@ def test_faults_of_an_extensor_with_a_small_tension_are_found_in_time(seed):
     assert_no_scenario_failed(results)
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_an_odrive_that_does_not_release_is_found_although_it_reports_rarely(seed):
+    """Reproduce a defect: between rare reports, the estimated speed of the spool hid the fault N16."""
+    results = results_of_hand("t42", seed, {GRASP_STAGE: ("hold_on",)}, "odrive")
+    assert len(results) == 2
+    assert_no_scenario_failed(results)
+
+
 def test_only_missing_sensors_extend_a_time_limit():
     """Compare hands with and without load cells.
 

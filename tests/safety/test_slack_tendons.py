@@ -15,7 +15,12 @@ from handctl.core.detectors.residuals import TENSION
 from handctl.core.tick_types import HandMode
 from handctl.safety.faults.node import STILL_PULLING_N
 from handctl.safety.faults.tendon import SLACK_N, SNAP_N, TAUT_N
-from tests.safety.synthetic_monitor import PERIOD_S, SyntheticMonitor, synthetic_limits
+from tests.safety.synthetic_monitor import (
+    PERIOD_S,
+    SPOOL_RADIUS_M,
+    SyntheticMonitor,
+    synthetic_limits,
+)
 
 NAN = math.nan
 TensionList = list[float]
@@ -244,14 +249,26 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(
 
 
 @pytest.mark.parametrize(
-    ("spool_speed", "is_detected"), [(0.0, True), (-0.02, True), (0.1, True), (-0.1, False)]
+    ("paid_out_m", "is_detected"),
+    [(0.0, True), (0.002, True), (-0.006, True), (0.006, False), (NAN, True)],
 )
-def test_a_spool_that_pays_out_fast_is_released(spool_speed, is_detected):
-    """Reproduce a defect: on jamia11, a healthy end of a run reported the fault N16.
+def test_a_spool_that_has_paid_out_is_released(paid_out_m, is_detected):
+    """Reproduce two defects.
 
-    The springs of a digit kept a released tendon at 10 N while they accelerated its rotor.
+    On jamia11, a healthy end of a run reported the fault N16: the springs of a digit kept a released
+    tendon at 10 N while they accelerated its rotor. In the first correction, the estimated speed of the
+    spool decided. On t42 with ODrive drives, this estimate hid a motor that did not release.
     """
-    tendons = FilteredTendons(1, cut_ticks=49, cut_from=11.0, cut_bears=NAN, speed=spool_speed)
+    position = 1.0 - paid_out_m / SPOOL_RADIUS_M
+    tendons = FilteredTendons(
+        1,
+        cut_ticks=49,
+        cut_from=11.0,
+        cut_bears=NAN,
+        cut_position=1.0,
+        position=position,
+        speed=-0.1,
+    )
     assert tendons.run_tick_after_cut([10.5]) == ({"t0": 10.5} if is_detected else {})
 
 

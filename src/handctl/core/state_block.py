@@ -391,6 +391,8 @@ CUT_TICKS = _whole("cut_ticks", "run", "",
     "ticks since the torque was cut; -1 if it was not cut", initial=-1)  # fmt: skip
 TENSION_AT_CUT = _real("cut_from", "tendon", "N",
     "tension when the torque was cut; NaN before a load cell was read", initial=NAN)  # fmt: skip
+POSITION_AT_CUT = _real("cut_position", "tendon", "rad",
+    "motor position when the torque was cut", initial=NAN)  # fmt: skip
 TENSION_AFTER_CUT = _real("cut_bears", "tendon", "N", initial=NAN,
     meaning="latest tension at least 80 ms after the cut; NaN if none was measured")  # fmt: skip
 PAST_READINGS = _real("past", "tendon", "N",

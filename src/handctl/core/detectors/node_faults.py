@@ -37,7 +37,7 @@ from handctl.safety.faults.node import (
     N17,
     NOT_OBEYED_FRACTION,
     NOT_OBEYED_N,
-    PAYING_OUT_SPEED,
+    PAID_OUT_M,
     SLIP_TRIP_DEG,
     SLIP_WARN_DEG,
     STILL_PULLING_FRACTION,
@@ -195,7 +195,7 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
     """Find tendons that are still under tension after the motor torque was cut.
 
     The tension is visible in the load-cell reading or in the torque that the drive reports. A spool
-    that pays out fast is released, although its tendon may still be taut.
+    that has paid out its tendon is released, although the tendon may still be taut.
     """
     if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < STILL_PULLING_S:
         return
@@ -203,12 +203,20 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
         tension = x.tendon[s.TENSION_AFTER_CUT, n]
         if (
             tension > STILL_PULLING_N
-            and x.tendon[s.SPEED, n] > -PAYING_OUT_SPEED
+            and not _has_paid_out(x, c, n)
             and tension > STILL_PULLING_FRACTION * x.tendon[s.TENSION_AT_CUT, n]
         ):
             evidence[N16, n] = tension
         elif _still_reports_torque(x, c, n):
             evidence[N16, n] = abs(x.tendon[s.MEASURED_FORCE, n])
+
+
+@kernel_helper
+def _has_paid_out(x: StateTables, c: ConstantTables, n: int) -> bool:
+    """Return True if the encoder of a motor shows that its spool has paid out tendon since the cut."""
+    turned = x.tendon[s.POSITION, n] - x.tendon[s.POSITION_AT_CUT, n]
+    # The comparison with NaN is False, so an unknown position does not count as released.
+    return bool(c.tendon[h.SPOOL_RADIUS, n] * turned < -PAID_OUT_M)
 
 
 @kernel_helper

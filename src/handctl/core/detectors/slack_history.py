@@ -66,6 +66,7 @@ def update_history_after_cut(x: StateTables, c: ConstantTables, tared: bool) -> 
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
         if ticks == 0:
+            x.tendon[s.POSITION_AT_CUT, n] = x.tendon[s.POSITION, n]
             x.tendon[s.TENSION_AT_CUT, n] = (
                 x.tendon[s.STUCK_TEST_TENSION, n] if math.isnan(tension) else tension
             )

@@ -83,11 +83,11 @@ without torque reports less than 0.1 N in simulation, and the reading of a load 
 After this time, tendons of the packaged hands have at most a third of their tension if the motor is
 off, and at least 0.74 of their tension if the motor still pulls.
 """
-PAYING_OUT_SPEED = 0.03
-"""Speed above which a spool that pays out is regarded as released [m/s].
+PAID_OUT_M = 3e-3
+"""Length of tendon that a spool pays out after a cut, above which the spool is regarded as released [m].
 
 A spring that opens a digit keeps its tendon taut while the tendon accelerates the rotor. On jamia11,
-a released tendon had 10 N for 150 ms, and after 100 ms its spool paid out at 0.1 m/s. A motor that
+a released tendon had 10 N for 150 ms, and its spool had paid out 6 mm after 100 ms. A motor that
 still pulls holds its spool or winds the tendon.
 """
 REPORTED_FRACTION = 0.4
