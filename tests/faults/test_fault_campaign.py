@@ -375,6 +375,14 @@ def test_faults_of_an_extensor_with_a_small_tension_are_found_in_time(seed):
 
 
 @pytest.mark.parametrize("seed", [1, 2])
+def test_a_noisy_encoder_is_reported_as_such(seed):
+    """Reproduce a defect: the noise looked like an acceleration, and T04b (a load cell is wrong) came first."""
+    results = results_of_hand("jamia11", seed, {FREE_STAGE: ("noise encoder",)})
+    assert len(results) == 2
+    assert_no_scenario_failed(results)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
 def test_an_odrive_that_does_not_release_is_found_although_it_reports_rarely(seed):
     """Reproduce a defect: between rare reports, the estimated speed of the spool hid the fault N16."""
     results = results_of_hand("t42", seed, {GRASP_STAGE: ("hold_on",)}, "odrive")

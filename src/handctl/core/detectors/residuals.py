@@ -36,6 +36,11 @@ from handctl.core.state_block import StateTables
 """Rows of ``state_block.RESIDUAL``."""
 TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0, 0.02)
 """Time constant of the low-pass filter of each row [s]."""
+TRUSTED_NOISE_FRACTION = 1.0 / 30.0
+"""Fraction of the limit of fault N07 above which the noise of an encoder makes the acceleration useless.
+
+Two ticks of a noise of 0.04 rad reach a seventh of the limit. Exchanged power stages stay below a hundredth.
+"""
 GAIN_FRACTION = 0.1
 """Relative error of the motor force that the usual tolerance of a motor's torque constant K_t causes."""
 FULL_FRICTION_SPEED_M_S = 5e-3
@@ -120,8 +125,11 @@ def unexplained_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 def excess_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return by how much a tension exceeds the tension that its motor can explain [N], 0 or more.
 
-    The excess is filtered with 20 ms.
+    The excess is filtered with 20 ms. It is 0 while the encoder of the motor is noisy, because the
+    acceleration of the rotor is then wrong. Fault N07 reports the noise.
     """
+    if abs(x.tendon[s.RESIDUAL + JERK, n]) > TRUSTED_NOISE_FRACTION * c.run[h.NOISE_LIMIT]:
+        return 0.0
     excess = -x.tendon[s.RESIDUAL + QUICK_BALANCE, n]
     return max(excess - _explained_difference(x, c, n, QUICK_FORCE), 0.0)
 
