@@ -603,7 +603,7 @@ def _check_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
         yield FileMistake(
             what, f"{where}.tendon", "one spool pair per coordinate: a pair pulls both ways"
         )
-    if any(digit.joint_values("spring_stiffness_N_m_per_rad")):
+    if digit.has_springs:
         what = "springs beside spool pairs"
         key = 0 if any(digit.spring_stiffness_N_m_per_rad) else 1
         yield FileMistake(

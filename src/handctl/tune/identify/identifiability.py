@@ -119,7 +119,7 @@ def _lacks_encoders(hand: Hand, digit: str) -> bool:
     to measure.
     """
     tendons = hand.digit_tendons[digit]
-    sprung = any(hand.digit_named(digit).spring_stiffness_N_m_per_rad)
+    sprung = hand.digit_named(digit).has_springs
     several = tendons.stop - tendons.start > 1
     return sprung and several and not bool(np.all(hand.tendons_with_encoders[tendons]))
 
@@ -162,7 +162,7 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
     """
     index = hand.tendon_names.index(tendon)
     is_pair = bool(hand.is_pair[index])
-    sprung = any(hand.digit_named(digit).spring_stiffness_N_m_per_rad)
+    sprung = hand.digit_named(digit).has_springs
     unseen = {} if is_pair else {"pretension": ""}
     if is_pair:
         unseen["torque_gain"] = (
