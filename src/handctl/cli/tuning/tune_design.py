@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     plants = tuple(linear_factors(one) for one in factors)
     model = HandModel.from_hand(twin, gains, rate)
     proof = RestTest(twin, factors, plants, args.seed)
-    strict_proof = RestTest(twin, factors, plants, args.seed, DESIGN_FRACTION)
+    strict_proof = proof.with_fraction(DESIGN_FRACTION)
     console = rich_console(error=True)
     console.quiet = is_quiet()
     with console.status(f"keeping margins on {len(plants)} plants"):

@@ -7,7 +7,7 @@ digits. Therefore gains are accepted only if they pass a test on the simulated p
 of the joint angles, and after a step of the tensions, the hand must come to rest.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -174,6 +174,17 @@ def simulate_swing(
     return StepOscillation(float(angle.max()), float(free.max()), tuple(hold.tolist()))
 
 
+def swings_with_other_noise(
+    hand: Hand, model: HandModel, plant_factors: Mapping[str, float], seed: int
+) -> Iterator[StepOscillation]:
+    """Yield the oscillations of `RUNS_OF_MEDIAN` runs of a plant, each with different noise.
+
+    `median_swing` explains the arguments.
+    """
+    for i in range(RUNS_OF_MEDIAN):
+        yield simulate_swing(hand, model, plant_factors, seed + i * SEED_STEP)
+
+
 def median_swing(
     hand: Hand, model: HandModel, plant_factors: Mapping[str, float], seed: int
 ) -> StepOscillation:
@@ -189,9 +200,8 @@ def median_swing(
         seed: seed of the simulated noise of the first run.
     """
     runs = list[StepOscillation]()
-    for i in range(RUNS_OF_MEDIAN):
-        run = simulate_swing(hand, model, plant_factors, seed + i * SEED_STEP)
-        if run.failure or (i == 0 and run.is_within(CLEAR_FRACTION)):
+    for run in swings_with_other_noise(hand, model, plant_factors, seed):
+        if run.failure or (not runs and run.is_within(CLEAR_FRACTION)):
             return run
         runs.append(run)
     return StepOscillation(
@@ -304,6 +314,10 @@ class RestTest:
     _results: dict[str, str] = field(default_factory=dict)
     _chatter: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
+    def with_fraction(self, fraction: float) -> "RestTest":
+        """Return the test with other limits. Both tests measure the plant without feedback only once."""
+        return replace(self, fraction=fraction, reason="", _results={})
+
     def __call__(self, model: HandModel) -> bool:
         """Return True if the hand comes to rest with the gains of a model."""
         gains = model.gains.model_dump_json()
@@ -354,11 +368,10 @@ class RestTest:
             still = HandModel.from_hand(
                 model.hand, Gains.model_validate(GAINS_WITHOUT_FEEDBACK), 1.0 / model.period
             )
-            runs = [
-                simulate_swing(self.hand, still, factors, seed + i * SEED_STEP)
-                for i in range(RUNS_OF_MEDIAN)
-            ]
             none = (0.0,) * model.tendon_count
-            each = [none if run.failure else run.hold_swings_N for run in runs]
+            each = [
+                none if run.failure else run.hold_swings_N
+                for run in swings_with_other_noise(self.hand, still, factors, seed)
+            ]
             self._chatter[name] = tuple(np.median(each, axis=0).tolist())
         return self._chatter[name]
