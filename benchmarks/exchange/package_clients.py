@@ -3,8 +3,8 @@
 Each library is used with motors and payloads that it supports.
 
 This module stops the threads of the clients and does their work itself, so that all clients are
-measured in the same way. The client of moteus needs asyncio, and runs in
-an event loop of asyncio.
+measured in the same way. The client of moteus needs asyncio, and runs
+in an event loop of asyncio.
 """
 
 import asyncio

@@ -90,14 +90,14 @@ def update_friction_state(x: StateTables, c: ConstantTables, n: int, efficiency:
     stiffness = c.tendon[h.TENDON_STIFFNESS, n]
     travel = x.tendon[s.TRAVEL, n]
     slider = x.tendon[s.FRICTION_SLIDER, n]
-    sliding_speed = _sliding_speed(x.tendon[s.FRICTION_STATE, n])
-    x.tendon[s.FRICTION_STATE, n] = math.nan
     if math.isnan(slider):
+        x.tendon[s.FRICTION_STATE, n] = math.nan
         x.tendon[s.FRICTION_SLIDER, n] = travel - x.tendon[s.TENSION, n] / stiffness
         return
     load = x.tendon[s.REQUIRED_TENSION, n]
     if not c.tendon_int[h.IS_SPOOL_PAIR, n]:
         load = max(load, c.tendon[h.TENSION_FLOOR, n])
+    sliding_speed = _sliding_speed(x.tendon[s.FRICTION_STATE, n])
     stretched = stiffness * (travel - slider)
     tension = _tension_with_friction(c, n, stretched, load, efficiency, 0.0, sliding_speed)
     x.tendon[s.FRICTION_SLIDER, n] = travel - tension / stiffness
