@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from handctl.blas_kernels import use_portable_kernels
 from tests.machine_stall_meter import MachineStallMeter
 from tests.slow_tests import DurationRecorder, tests_slower_than
 
@@ -41,6 +42,9 @@ REAL_CLOCK_TIMEOUT_S = 900.0
 A test may set a shorter limit.
 """
 
+# With these kernels, the golden logs repeat to the bit on every x86 processor. numpy reads the choice
+# when it is imported, so none of the imports above may import numpy.
+use_portable_kernels()
 # A shell starts its background jobs with SIGINT ignored, and nohup ignores SIGHUP. Restore both
 # signals, because every program that the tests start would otherwise ignore them too.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -21,6 +21,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from typing import Any, NamedTuple
 
+from handctl.blas_kernels import use_portable_kernels
 from handctl.cli.console.streams import discard_output, flush_stdout, open_standard_streams
 from handctl.cli.console.termination import (
     TerminationRequested,
@@ -143,6 +144,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if is_completing():
             print_completions(parser_of_all_verbs())
         install_excepthook()
+    use_portable_kernels()
     open_standard_streams()
     with escaped_streams():
         return _run_and_report_errors(words)

@@ -1,0 +1,51 @@
+"""Choice of the matrix kernels of OpenBLAS, so that a log gives the same bits on every x86 processor.
+
+numpy and scipy compute products of matrices with OpenBLAS. OpenBLAS has kernels for each family of
+processors, and the kernels of different families can round the last bit differently. The tension
+filter and the design of the controller use such products. So a log from a processor with AVX-512
+would not repeat to the bit on a processor without AVX-512. The kernels for Haswell run on every
+processor with AVX2 and FMA, and need the same time for matrices as small as those of a hand.
+"""
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+KERNELS_VARIABLE = "OPENBLAS_CORETYPE"
+"""Environment variable with the family of processors whose kernels OpenBLAS uses."""
+PORTABLE_KERNELS = "Haswell"
+REQUIRED_FEATURES = frozenset({"avx2", "fma"})
+"""Features of a processor that can execute the portable kernels."""
+CPU_DESCRIPTION = Path("/proc/cpuinfo")
+
+
+def use_portable_kernels() -> None:
+    """Let OpenBLAS use the kernels for Haswell in this process and in the programs that it starts.
+
+    The call has an effect only before the first import of numpy. It changes nothing if the user has
+    chosen kernels, or if the processor cannot execute these.
+    """
+    if portable_kernels_run():
+        os.environ.setdefault(KERNELS_VARIABLE, PORTABLE_KERNELS)
+
+
+def portable_kernels_run() -> bool:
+    """Return True if the processor has the features that the portable kernels need."""
+    try:
+        with CPU_DESCRIPTION.open() as lines:
+            return cpu_features(lines) >= REQUIRED_FEATURES
+    except OSError:  # only Linux has this file
+        return False
+
+
+def cpu_features(lines: Iterable[str]) -> frozenset[str]:
+    """Return the features of the first processor in the lines of ``/proc/cpuinfo``.
+
+    A processor that is no x86 processor has no line ``flags``. Its features are unknown, and the
+    result is empty.
+    """
+    for line in lines:
+        name, _, value = line.partition(":")
+        if name.strip() == "flags":
+            return frozenset(value.split())
+    return frozenset()

@@ -1,0 +1,83 @@
+"""Tests of the choice of the BLAS kernels, on which the last bits of a run depend."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from handctl import blas_kernels
+from handctl.blas_kernels import KERNELS_VARIABLE, PORTABLE_KERNELS, cpu_features
+
+WITH_AVX2 = "processor : 0\nflags\t\t: fpu fma avx avx2\nprocessor : 1\n"
+PRINT_KERNELS_AND_NUMPY = (
+    "import os, sys; import handctl.cli.main as cli; print('numpy' in sys.modules); "
+    f"cli.use_portable_kernels(); print(os.environ.get('{KERNELS_VARIABLE}'))"
+)
+
+
+def test_features_are_those_of_the_first_processor() -> None:
+    assert cpu_features(WITH_AVX2.splitlines(keepends=True)) == {"fpu", "fma", "avx", "avx2"}
+    assert cpu_features(["processor : 0\n", "Features : fp asimd\n"]) == set()
+
+
+@pytest.mark.parametrize(
+    ("description", "chosen_before", "kernels"),
+    [
+        (WITH_AVX2, None, PORTABLE_KERNELS),
+        (WITH_AVX2, "Zen", "Zen"),
+        ("flags : fpu avx\n", None, None),
+        ("Features : fp asimd\n", None, None),
+        (None, None, None),
+    ],
+)
+def test_kernels_are_chosen_where_the_processor_can_execute_them(
+    description: str | None,
+    chosen_before: str | None,
+    kernels: str | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The last case is a system without the file ``/proc/cpuinfo``."""
+    path = tmp_path / "cpuinfo"
+    if description is not None:
+        path.write_text(description)
+    monkeypatch.setattr(blas_kernels, "CPU_DESCRIPTION", path)
+    if chosen_before is None:
+        monkeypatch.delenv(KERNELS_VARIABLE, raising=False)
+    else:
+        monkeypatch.setenv(KERNELS_VARIABLE, chosen_before)
+    blas_kernels.use_portable_kernels()
+    assert os.environ.get(KERNELS_VARIABLE) == kernels
+
+
+def test_command_line_chooses_the_kernels_before_numpy_is_imported() -> None:
+    environment = {name: value for name, value in os.environ.items() if name != KERNELS_VARIABLE}
+    result = subprocess.run(
+        [sys.executable, "-c", PRINT_KERNELS_AND_NUMPY],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    numpy_imported, kernels = result.stdout.split()
+    assert numpy_imported == "False"
+    assert kernels == (os.environ.get(KERNELS_VARIABLE) or "None")
+
+
+@pytest.mark.skipif(
+    not blas_kernels.portable_kernels_run(), reason="this processor cannot execute the kernels"
+)
+@pytest.mark.parametrize("log_name", ["jamia-grasp", "jamia11-grasp"])
+def test_golden_log_repeats_to_the_bit_in_a_new_process(log_name: str) -> None:
+    """A process that does not inherit the choice of the tests makes the same choice."""
+    environment = {name: value for name, value in os.environ.items() if name != KERNELS_VARIABLE}
+    log = Path(__file__).parents[2] / "logs" / "golden" / f"{log_name}.mcap"
+    result = subprocess.run(
+        [sys.executable, "-m", "handctl", "replay", "execute", str(log)],
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
