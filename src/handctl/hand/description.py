@@ -140,6 +140,11 @@ class Hand(Section):
         return np.array([tendon.pretension_N or 0.0 for tendon in self.tendon])
 
     @cached_property
+    def has_springs(self) -> bool:
+        """Return True if springs open every digit."""
+        return all(digit.has_springs for digit in self.digit)
+
+    @cached_property
     def joints(self) -> tuple[str, ...]:
         """Return the joint names of all digits, each digit from the palm to the tip: ``index_j1``, ``index_j2``, .."""
         return tuple(joint for digit in self.digit for joint in digit.joints)

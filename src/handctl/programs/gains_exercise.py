@@ -4,6 +4,7 @@ With each set of gains, the program executes the same moves and tensions. The er
 and tensions are then compared.
 """
 
+import functools
 import math
 from dataclasses import dataclass, replace
 
@@ -120,14 +121,7 @@ class ExerciseProgram:
 
     def stages_of(self, model: HandModel) -> tuple[ExerciseStage, ...]:
         """Return all stages for a hand. Digits that tendons open first close gently."""
-        if all(digit.has_springs for digit in model.hand.digit):
-            return self.stages
-        gentle = ExerciseStage("close", GENTLE_CLOSE_DURATION_S, tension=GENTLE_CLOSE_TENSION_N)
-        return tuple(
-            part
-            for stage in self.stages
-            for part in ((gentle, _gentle_rise(stage)) if stage.name == "close" else (stage,))
-        )
+        return _stages_of_program(self, model.hand.has_springs)
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
         """Return the progress until the hand is armed: no torque."""
@@ -184,6 +178,20 @@ class ExerciseProgram:
         return replace(
             progress, step=stage_index, since=t, phase=stage.name, goals=goals, contact=blocked
         ), (event,)
+
+
+# Every tick asks for the stages, and a search for gains has thousands of ticks per trial.
+@functools.lru_cache(maxsize=8)
+def _stages_of_program(program: ExerciseProgram, has_springs: bool) -> tuple[ExerciseStage, ...]:
+    """Return the stages for a hand with or without springs, see ``ExerciseProgram.stages_of``."""
+    if has_springs:
+        return program.stages
+    gentle = ExerciseStage("close", GENTLE_CLOSE_DURATION_S, tension=GENTLE_CLOSE_TENSION_N)
+    return tuple(
+        part
+        for stage in program.stages
+        for part in ((gentle, _gentle_rise(stage)) if stage.name == "close" else (stage,))
+    )
 
 
 def _digit_goal(
