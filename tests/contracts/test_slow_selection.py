@@ -1,12 +1,19 @@
 """Test which slow tests are left out of an incomplete test run."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.slow_tests import FILE_LIMIT_S, FUNCTION_BUDGET_S, REAL_CLOCK_BUDGET_S, choose_slow_tests
+from tests.slow_tests import (
+    FILE_LIMIT_S,
+    FUNCTION_BUDGET_S,
+    REAL_CLOCK_BUDGET_S,
+    choose_slow_tests,
+    listed_costs,
+)
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -20,6 +27,21 @@ def test_a_file_keeps_its_cheapest_test_unless_it_takes_long() -> None:
     rows = [("a.py::one", 3.0, 0.0, False), ("a.py::two", 2.0, 0.0, False)]
     rows += [("b.py::one", 1.1 * FILE_LIMIT_S, 0.0, False)]
     assert set(choose_slow_tests(rows)) == {"a.py::one", "b.py::one"}
+
+
+def test_each_listed_function_exists() -> None:
+    """A renamed test would run in every `make test`, because its old name stays in the list.
+
+    Earlier defect: 36 lines of the list named functions that had been renamed.
+    """
+    listed = {re.split(r"\[", test, maxsplit=1)[0] for test in listed_costs()}
+    missing = []
+    for test in sorted(listed):
+        file, *_, function = test.split("::")
+        path = REPOSITORY / file
+        if not path.exists() or f"def {function}(" not in path.read_text(encoding="utf-8"):
+            missing.append(test)
+    assert missing == []
 
 
 def test_a_test_that_waits_long_is_slow() -> None:
