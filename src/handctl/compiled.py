@@ -9,6 +9,9 @@ because the types of a kernel's arguments do not depend on the hand. The compile
 a folder. The name of the folder contains a hash of the path and the content of all source files of
 kernels. A change in one of these files leads to a new folder. So no process runs the compiled code
 of another version. If no folder can be written, each process compiles the kernels itself.
+
+A controller needs numba. Without numba, Python interprets the kernels. Programs that only read logs
+or send requests to a controller need no more.
 """
 
 import contextlib
@@ -22,19 +25,24 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeVar, cast
 
-from numba import njit, types
-from numba.core import cgutils as _cgutils
-from numba.core import config as _config
-from numba.core.errors import TypingError
-from numba.extending import intrinsic, overload
 from numpy.typing import NDArray
 
-from handctl.kernel_loading import load_kernel
+from handctl.extras import is_installed, require_extra
 
-numba_config: Any = _config
-"""Module with the settings of numba. The module has no type information."""
-cgutils: Any = _cgutils
-"""Module with the code generation of numba. The module has no type information."""
+NUMBA_INSTALLED = is_installed("numba")
+if NUMBA_INSTALLED:
+    from numba import njit, types
+    from numba.core import cgutils as _cgutils
+    from numba.core import config as _config
+    from numba.core.errors import TypingError
+    from numba.extending import intrinsic, overload
+
+    from handctl.kernel_loading import load_kernel
+
+    numba_config: Any = _config
+    """Module with the settings of numba. The module has no type information."""
+    cgutils: Any = _cgutils
+    """Module with the code generation of numba. The module has no type information."""
 F = TypeVar("F", bound=Callable[..., Any])
 
 KERNEL_SOURCES = (
@@ -64,25 +72,29 @@ _INNER_DISPATCHERS: list[Any] = []
 """Numba dispatchers of all functions that only kernels call."""
 KERNEL_FUNCTIONS: list[Callable[..., Any]] = []
 """Python functions of all kernels and of all functions that kernels call."""
-_NUMBA_TYPES = {
-    "real": types.float64,
-    "count": types.int64,
-    "block": types.Array(types.float64, 1, "C"),
-    "constants": types.Array(types.float64, 1, "C", readonly=True),
-    "layout": types.Array(types.int64, 1, "C"),
-    "words": types.Array(types.uint64, 2, "C"),
-    "vector": types.Array(types.float64, 1, "A", readonly=True),
-    "matrix": types.Array(types.float64, 2, "A", readonly=True),
-    "cube": types.Array(types.float64, 3, "A", readonly=True),
-    "flags": types.Array(types.boolean, 1, "A", readonly=True),
-    "counts": types.Array(types.int64, 1, "A", readonly=True),
-    "matrix_int": types.Array(types.int64, 2, "A", readonly=True),
-    "keys": types.Array(types.int64, 1, "C", readonly=True),
-    "table": types.Array(types.float64, 2, "C", readonly=True),
-    "table_int": types.Array(types.int64, 2, "C", readonly=True),
-    "table_words": types.Array(types.uint64, 2, "C", readonly=True),
-    "bytes": types.Array(types.uint8, 1, "C", readonly=True),
-}
+_NUMBA_TYPES: dict[str, Any] = (
+    {}
+    if not NUMBA_INSTALLED
+    else {
+        "real": types.float64,
+        "count": types.int64,
+        "block": types.Array(types.float64, 1, "C"),
+        "constants": types.Array(types.float64, 1, "C", readonly=True),
+        "layout": types.Array(types.int64, 1, "C"),
+        "words": types.Array(types.uint64, 2, "C"),
+        "vector": types.Array(types.float64, 1, "A", readonly=True),
+        "matrix": types.Array(types.float64, 2, "A", readonly=True),
+        "cube": types.Array(types.float64, 3, "A", readonly=True),
+        "flags": types.Array(types.boolean, 1, "A", readonly=True),
+        "counts": types.Array(types.int64, 1, "A", readonly=True),
+        "matrix_int": types.Array(types.int64, 2, "A", readonly=True),
+        "keys": types.Array(types.int64, 1, "C", readonly=True),
+        "table": types.Array(types.float64, 2, "C", readonly=True),
+        "table_int": types.Array(types.int64, 2, "C", readonly=True),
+        "table_words": types.Array(types.uint64, 2, "C", readonly=True),
+        "bytes": types.Array(types.uint8, 1, "C", readonly=True),
+    }
+)
 
 
 def kernel(*arguments: str) -> Callable[[F], F]:
@@ -99,6 +111,8 @@ def kernel(*arguments: str) -> Callable[[F], F]:
     """
 
     def mark_kernel(function: F) -> F:
+        if not NUMBA_INSTALLED:
+            return function
         dispatcher = _mark_function(function)
         _KERNEL_DISPATCHERS[f"{function.__module__}.{function.__name__}"] = (
             dispatcher,
@@ -116,6 +130,8 @@ def kernel_helper(function: F) -> F:
 
     Python cannot call the function.
     """
+    if not NUMBA_INSTALLED:
+        return function
     KERNEL_FUNCTIONS.append(function)
     options: dict[str, Any] = {
         "forceinline": True,
@@ -198,7 +214,7 @@ def _remove_old_kernels(cache_folder: Path) -> None:
             shutil.rmtree(path, ignore_errors=True)
 
 
-_CACHE_FOLDER = None if numba_config.DISABLE_JIT else _cache_folder()
+_CACHE_FOLDER = None if not NUMBA_INSTALLED or numba_config.DISABLE_JIT else _cache_folder()
 
 
 @kernel("real")
@@ -245,9 +261,6 @@ def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> An
     return result(flat, types.intp, tuple_of(types.intp, shape.count)), generate
 
 
-_borrow: Any = intrinsic(_without_owner)
-
-
 def borrowed_array(
     flat_array: NDArray[Any], first_element: int, shape: tuple[int, ...]
 ) -> NDArray[Any]:
@@ -267,12 +280,15 @@ def borrowed_array(
     return flat_array.reshape(-1)[first_element : first_element + math.prod(shape)].reshape(shape)
 
 
-@overload(borrowed_array, inline="always")
-def _compiled_borrow(flat: Any, first: Any, shape: Any) -> Any:
-    def implementation(flat: Any, first: Any, shape: Any) -> Any:
-        return _borrow(flat, first, shape)
+if NUMBA_INSTALLED:
+    _borrow: Any = intrinsic(_without_owner)
 
-    return implementation
+    @overload(borrowed_array, inline="always")
+    def _compiled_borrow(flat: Any, first: Any, shape: Any) -> Any:
+        def implementation(flat: Any, first: Any, shape: Any) -> Any:
+            return _borrow(flat, first, shape)
+
+        return implementation
 
 
 class _UncompiledKernel(NamedTuple):
@@ -297,7 +313,11 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
     Args:
         progress: function called with the number of kernels that are ready and the number of all
             kernels.
+
+    Raises:
+        MissingExtraError: numba is not installed.
     """
+    require_extra("a controller", "numba")
     report = progress or _ignore_progress
     all_of_them = [_UncompiledKernel(name, *kernel) for name, kernel in _KERNEL_DISPATCHERS.items()]
     waiting = [one for one in all_of_them if not getattr(one.code, "signatures", True)]

@@ -1,7 +1,7 @@
 """Optional packages, and the extras of handctl (in the sense of pip) that install them.
 
-``pip install handctl`` installs only the packages that a controller on a real bus needs. Every
-other package belongs to an extra in pyproject.toml.
+``pip install handctl`` installs the packages for a client of a controller, for logs, and for looking
+at a bus. Every other package belongs to an extra in pyproject.toml.
 """
 
 import sys
@@ -10,6 +10,12 @@ from importlib.util import find_spec
 from handctl.errors import ConfigError
 
 EXTRA_BY_MODULE = {
+    "numba": "controller",
+    "llvmlite": "controller",
+    "scipy": "controller",
+    "filterpy": "controller",
+    "control": "controller",
+    "matplotlib": "controller",
     "mujoco": "sim",
     "rerun": "view",
     "rerun_cli": "view",

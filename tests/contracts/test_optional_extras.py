@@ -14,6 +14,7 @@ import pytest
 from firmware_sim.__main__ import EXTRA_PACKAGES
 from firmware_sim.__main__ import main as firmware_sim
 from handctl.cli.main import VERB_HELP, VERBS_BY_FOLDER, main
+from handctl.cli.parsing.optional_packages import VERBS_WITHOUT_CONTROLLER
 from handctl.extras import EXTRA_BY_MODULE, MissingExtraError, missing_extra, require_extra
 
 REPOSITORY = Path(__file__).parents[2]
@@ -22,7 +23,7 @@ PLACES_OF_EXTRAS = (
     "src/handctl/gym/", "src/handctl/view/", "src/handctl/log/export/", "src/handctl/replay/dataset_episode.py",
     "src/handctl/tune/search/",
 )  # fmt: skip
-"""Folders and files of the source that may import optional packages."""
+"""Folders and files of the source that may import optional packages, except those of the extra ``controller``."""
 PARTS_OF_DEPENDENCIES = {"pydantic_core"}
 """Packages that are part of a dependency.
 
@@ -31,7 +32,18 @@ The dependency itself pins the version of such a package.
 HIDE_EXTRAS_CODE = f"import sys\nsys.modules.update(dict.fromkeys({list(EXTRA_BY_MODULE)}))\n"
 """Python code that hides every optional package from a process."""
 
+
+def hide_packages_code(extra_names: set[str]) -> str:
+    """Return Python code that hides the packages of some extras from a process."""
+    hidden = [package for package, extra in EXTRA_BY_MODULE.items() if extra in extra_names]
+    return f"import sys\nsys.modules.update(dict.fromkeys({hidden}))\n"
+
+
 COMMANDS_WITH_EXTRA = [
+    ("run --hand jamia --bus local:x", "numba", "run needs numba", "controller"),
+    ("gains show", "numba", "gains needs numba", "controller"),
+    ("config check --hand jamia", "numba", "config needs numba", "controller"),
+    ("replay execute no.mcap", "numba", "replay needs numba", "controller"),
     ("demo --lockstep", "mujoco", "demo needs mujoco", "sim"),
     ("sim --hand jamia --bus local:x", "mujoco", "sim needs mujoco", "sim"),
     ("identify --hand jamia --lockstep", "mujoco", "identify needs mujoco", "sim"),
@@ -92,7 +104,7 @@ def test_the_simulator_names_its_extra_as_well() -> None:
 
 def test_the_api_names_the_extra_of_the_simulated_hand() -> None:
     code = (
-        f"{HIDE_EXTRAS_CODE}from handctl.session.simulate import SimulatorSettings\n"
+        f"{hide_packages_code({'sim'})}from handctl.session.simulate import SimulatorSettings\n"
         "SimulatorSettings('jamia').check_constructible()"
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -131,6 +143,7 @@ def test_the_doctor_names_what_is_installed(
     main(["doctor", "--json"])
     report = json.loads(capsys.readouterr().out)
     assert report["extras"] == {
+        "controller": True,
         "sim": True,
         "view": False,
         "export": True,
@@ -143,19 +156,75 @@ def test_the_doctor_names_what_is_installed(
     assert "not installed: view\n" in capsys.readouterr().out
 
 
-def test_no_verb_s_help_or_module_needs_an_extra() -> None:
+@pytest.mark.parametrize("with_controller", [True, False])
+def test_no_verb_s_help_or_module_needs_an_extra(with_controller: bool) -> None:
     modules = [
         f"handctl.cli.{folder}.{verb}"
         for folder, verbs in VERBS_BY_FOLDER.items()
         for verb in verbs
+        if with_controller or verb in VERBS_WITHOUT_CONTROLLER
     ]
+    missing = set(EXTRA_BY_MODULE.values()) - ({"controller"} if with_controller else set())
     code = (
-        f"{HIDE_EXTRAS_CODE}import importlib\nfrom handctl.cli.main import main\n"
+        f"{hide_packages_code(missing)}import importlib\nfrom handctl.cli.main import main\n"
         f"for name in {list(VERB_HELP)}:\n    try:\n        main([name, '--help'])\n    except SystemExit:\n"
         "        pass\n"
         f"for name in {modules}:\n    importlib.import_module(name)\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+CLIENT_CODE = """
+import handctl, handctl.client, handctl.log.read.reader as reader
+from handctl.compiled import NUMBA_INSTALLED, compile_kernels, square
+from handctl.extras import MissingExtraError
+assert not NUMBA_INSTALLED and square(3.0) == 9.0
+with reader.RunLog(sys.argv[1]) as log:
+    assert len(list(log.ticks())) > 300
+try:
+    compile_kernels()
+except MissingExtraError as error:
+    print(error)
+"""
+"""Program of a client of a controller, in an environment without extras."""
+
+
+def test_a_client_and_a_reader_of_logs_need_no_extra() -> None:
+    """Without numba, Python interprets kernels. Only a controller requires compiled kernels."""
+    log = REPOSITORY / "logs" / "golden" / "jamia-grasp.mcap"
+    ran = subprocess.run(
+        [sys.executable, "-c", HIDE_EXTRAS_CODE + CLIENT_CODE, str(log)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    expected = "a controller needs numba: pip install 'handctl[controller]'\n"
+    assert (ran.stdout, ran.returncode) == (expected, 0), ran.stderr
+
+
+WITHOUT_CONTROLLER = [
+    ("log info {log}", 0, "hand.toml"),
+    ("log export {log} --csv --output {folder}/rows", 0, ""),
+    ("doctor", None, "not installed: controller, sim"),
+    ("bus plan --hand jamia", 2, "handctl: bus needs numba: pip install 'handctl[controller]'"),
+    ("scan --bus local:no-such-bus", 1, "no simulator serves this bus"),
+]
+"""Command lines in an environment without extras, each with exit code and part of the output."""
+
+
+@pytest.mark.parametrize(("words", "exit_code", "text"), WITHOUT_CONTROLLER)
+def test_verbs_for_logs_and_buses_need_no_controller(
+    words: str, exit_code: int | None, text: str, tmp_path: Path
+) -> None:
+    """The exit code of ``doctor`` depends on the machine, so it is not checked."""
+    log = REPOSITORY / "logs" / "golden" / "jamia-grasp.mcap"
+    code = f"{HIDE_EXTRAS_CODE}from handctl.cli.main import main\nsys.exit(main(sys.argv[1:]))"
+    command = words.format(log=log, folder=tmp_path).split()
+    ran = subprocess.run(
+        [sys.executable, "-c", code, *command], capture_output=True, text=True, check=False
+    )
+    assert exit_code in (None, ran.returncode), ran.stderr
+    assert text in ran.stdout + ran.stderr
 
 
 def test_each_extra_installs_what_it_is_named_for() -> None:
@@ -169,7 +238,9 @@ def test_each_extra_installs_what_it_is_named_for() -> None:
 
 
 def test_optional_packages_are_imported_in_few_places_and_nothing_else_is_undeclared() -> None:
-    declared = {re.split(r"[=<>]", line)[0] for line in PROJECT_TABLE["dependencies"]}
+    extras = PROJECT_TABLE["optional-dependencies"]
+    lines = PROJECT_TABLE["dependencies"] + extras["controller"]
+    declared = {re.split(r"[=<>]", line)[0] for line in lines}
     distributions = packages_distributions()
     for path in sorted((REPOSITORY / "src").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -177,7 +248,7 @@ def test_optional_packages_are_imported_in_few_places_and_nothing_else_is_undecl
                 if name in {*sys.stdlib_module_names, *PARTS_OF_DEPENDENCIES, "handctl"}:
                     continue
                 place = str(path.relative_to(REPOSITORY))
-                if name in EXTRA_BY_MODULE:
+                if EXTRA_BY_MODULE.get(name, "controller") != "controller":
                     assert place.startswith(PLACES_OF_EXTRAS), f"{place} imports {name}"
                 else:
                     assert declared & set(distributions[name]), (

@@ -2,8 +2,8 @@
 
 This environment is outside of the repository.
 
-The controller is tested before the extras are installed. The test of the controller therefore
-cannot use a package of an extra.
+Each test installs further extras, so the tests run in the order of this file. A test cannot use the
+packages of extras that are installed later.
 """
 
 import os
@@ -17,12 +17,15 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).parents[2]
+SIZE_WITHOUT_EXTRAS_MB = 300
+"""Largest size of the packages that are installed without extras [MB]."""
 CONTROLLER_SIZE_MB = 620
 """Largest size of the packages that a controller needs [MB].
 
 numba with LLVM takes 210 MB, scipy 145 MB, numpy 75 MB, and the dependencies of the package control
 take 105 MB.
 """
+GOLDEN_LOG = REPOSITORY / "logs" / "golden" / "jamia-grasp.mcap"
 
 pytestmark = [pytest.mark.nightly, pytest.mark.timeout(1800)]
 
@@ -105,10 +108,16 @@ class WheelEnvironment:
 
 
 @pytest.fixture(scope="module")
-def controller_environment(tmp_path_factory: pytest.TempPathFactory) -> WheelEnvironment:
+def environment_without_extras(tmp_path_factory: pytest.TempPathFactory) -> WheelEnvironment:
     fresh = WheelEnvironment(tmp_path_factory.mktemp("wheel"))
     fresh.install()
     return fresh
+
+
+@pytest.fixture(scope="module")
+def controller_environment(environment_without_extras: WheelEnvironment) -> WheelEnvironment:
+    environment_without_extras.install("[controller]")
+    return environment_without_extras
 
 
 @pytest.fixture(scope="module")
@@ -117,18 +126,22 @@ def simulator_environment(controller_environment: WheelEnvironment) -> WheelEnvi
     return controller_environment
 
 
-def test_a_controller_needs_no_extra(controller_environment: WheelEnvironment) -> None:
-    where = controller_environment.run(
-        "python", "-c", "import handctl; print(handctl.__file__)"
-    ).stdout
-    assert where.startswith(str(controller_environment.folder))
-    assert (
-        controller_environment.run("handctl", "--version").stdout.strip()
-        in controller_environment.wheel.name
-    )
-    log = REPOSITORY / "logs" / "golden" / "jamia-grasp.mcap"
-    assert "0 differ" in controller_environment.run("handctl", "replay", "execute", str(log)).stdout
-    controller_environment.run("handctl", "report", str(log), "--output", "report.html")
+def test_logs_and_clients_need_no_extra(environment_without_extras: WheelEnvironment) -> None:
+    run = environment_without_extras.run
+    where = run("python", "-c", "import handctl; print(handctl.__file__, handctl.connect)").stdout
+    assert where.startswith(str(environment_without_extras.folder))
+    assert run("handctl", "--version").stdout.strip() in environment_without_extras.wheel.name
+    run("handctl", "log", "info", str(GOLDEN_LOG))
+    run("handctl", "log", "export", str(GOLDEN_LOG), "--csv", "--output", "rows.csv")
+    wanted = run("handctl", "run", "--hand", "jamia", "--bus", "local:x", exit_code=2).stderr
+    assert wanted == "handctl: run needs numba: pip install 'handctl[controller]'\n"
+    assert environment_without_extras.installed_megabytes() <= SIZE_WITHOUT_EXTRAS_MB
+
+
+def test_a_controller_needs_one_extra(controller_environment: WheelEnvironment) -> None:
+    executed = controller_environment.run("handctl", "replay", "execute", str(GOLDEN_LOG)).stdout
+    assert "0 differ" in executed
+    controller_environment.run("handctl", "report", str(GOLDEN_LOG), "--output", "report.html")
     controller_environment.run("handctl", "config", "check", "--hand", "jamia")
     wanted = controller_environment.run("handctl", "demo", "--lockstep", exit_code=2).stderr
     assert wanted == "handctl: demo needs mujoco: pip install 'handctl[sim]'\n"

@@ -79,6 +79,34 @@ def deferred_imports() -> Iterator[None]:
             delattr(package, part)
 
 
+class DeferredModule:
+    """Module that is imported when one of its attributes is used for the first time.
+
+    Programs that never use the module can run without its package. If the package is not installed,
+    the first use of an attribute raises ModuleNotFoundError.
+    """
+
+    def __init__(
+        self, name: str, load: Callable[[str], ModuleType] = importlib.import_module
+    ) -> None:
+        """Remember the name of the module, and import nothing.
+
+        Args:
+            name: full name of the module, for example ``scipy.linalg``.
+            load: function that imports the module.
+        """
+        self._name = name
+        self._load = load
+
+    def __getattr__(self, attribute: str) -> Any:
+        """Import the module, and return one of its attributes. The attribute is then stored in this object."""
+        with deferred_imports():
+            module = self._load(self._name)
+        value = getattr(module, attribute)
+        setattr(self, attribute, value)
+        return value
+
+
 def import_without_package(name: str) -> ModuleType:
     """Import a module of a package without executing the file ``__init__`` of the package.
 

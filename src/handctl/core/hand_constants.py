@@ -16,7 +16,7 @@ from handctl.core.control_law.computed_torque import (
     UNWIND_FRACTION,
 )
 from handctl.core.control_law.servo_commands import MAX_PHASE_RAD
-from handctl.core.deferred_imports import deferred_imports
+from handctl.core.deferred_imports import DeferredModule
 from handctl.core.detectors.residuals import TIME_CONSTANTS_S
 from handctl.core.estimation import blocked_digits, contact_force, posture
 from handctl.core.estimation.filter_stack import FilterBlock
@@ -26,8 +26,7 @@ from handctl.core.tick_types import Vector
 from handctl.drives.sensors.sensor_node import JOINT_STEP_M, JOINT_STEP_RAD
 from handctl.hand.digit import DigitModel
 
-with deferred_imports():
-    from scipy.linalg import block_diag, null_space
+linalg = DeferredModule("scipy.linalg")
 
 MIN_JOINT_MOTION = 1e-9
 """Entry of ``EXCURSION_TO_JOINTS`` above which a tendon moves a joint, as a fraction of the largest entry.
@@ -235,7 +234,7 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
         "torque_to_tension": model.torque_to_tension,
         "pulley_weight": model.pulley_weights,
         "coupling": model.coupling,
-        "reduced_arms": block_diag(*(digit.reduced_moment_arms for digit in digits)),
+        "reduced_arms": linalg.block_diag(*(digit.reduced_moment_arms for digit in digits)),
     }
 
 
@@ -244,8 +243,8 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
     hand = model.hand
     arms = model.hand.own_arms
     sizes = [digit.joint_count for digit in digits]
-    compliance = block_diag(*(_joint_compliance(digit) for digit in digits))
-    spread = block_diag(*(digit.coupling @ digit.coupling.T for digit in digits))
+    compliance = linalg.block_diag(*(_joint_compliance(digit) for digit in digits))
+    spread = linalg.block_diag(*(digit.coupling @ digit.coupling.T for digit in digits))
     read = np.array([joint in hand.sensor_node.joints for joint in hand.joints])
     fused = bool((compliance.any(axis=1) & read).any())
     every = 1 if fused else max(1, round(posture.POSTURE_UPDATE_PERIOD_S / model.period))
@@ -256,7 +255,7 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
         "compliance": compliance,
         "spread": spread,
         "posture_torque": spread @ arms.T,
-        "same_digit": block_diag(*(np.ones((size, size)) for size in sizes)),
+        "same_digit": linalg.block_diag(*(np.ones((size, size)) for size in sizes)),
         "place_weight": np.concatenate([_place_weights(digits, digit) for digit in digits], axis=1),
         "encoder_variance": noise,
         "loose": compliance.any(axis=1) & read,
@@ -275,7 +274,7 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
 
 def _joint_compliance(digit: DigitModel) -> Vector:
     """Return the turn of joints per torque without a change of excursion, N (N^T K N)^-1 N^T (n, n) [rad/(N m)]."""
-    free = null_space(digit.moment_arms)
+    free = linalg.null_space(digit.moment_arms)
     if not free.shape[1]:
         return np.zeros((digit.joint_count, digit.joint_count))
     softest = MIN_SPRING_STIFFNESS / digit.joint_units.scale**2

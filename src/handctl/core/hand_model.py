@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from handctl.core.control_law.computed_torque import RELAX_FLOOR_N
 from handctl.core.control_law.tendon_redundancy import TendonRedundancy, redundancy_of_hand
-from handctl.core.deferred_imports import deferred_imports
+from handctl.core.deferred_imports import DeferredModule
 from handctl.core.estimation.filter_stack import FilterDesign
 from handctl.core.gains.filter_design import design_filter
 from handctl.core.gains.gains import Gains
@@ -20,8 +20,7 @@ from handctl.hand.digit import JointValues
 from handctl.hand.dynamics import DigitModel, required_torque
 from handctl.hand.link_tree import HandLinkTree
 
-with deferred_imports():
-    from scipy.linalg import block_diag
+linalg = DeferredModule("scipy.linalg")
 
 BLIND_SIGMAS = 2.0
 """Margin of the tension limits of a tendon without load cell, in standard deviations of its estimated tension."""
@@ -134,7 +133,7 @@ class HandModel:
             gains=gains,
             period=1.0 / rate_hz,
             digits=digits,
-            coupling=block_diag(*(digit.coupling for digit in digits)),
+            coupling=linalg.block_diag(*(digit.coupling for digit in digits)),
             digit_tendons=tuple(digit.tendons for digit in digits),
             digit_coordinates=_coordinate_slices(digits),
             reach=np.concatenate([digit.reach for digit in digits], axis=1),
@@ -146,8 +145,8 @@ class HandModel:
             space=space,
             filter=filters,
             motion=design_motion(space, gains, 1.0 / rate_hz),
-            excursion_to_joints=block_diag(*(digit.excursion_to_joints for digit in digits)),
-            torque_to_tension=block_diag(*(digit.torque_to_tension for digit in digits)),
+            excursion_to_joints=linalg.block_diag(*(digit.excursion_to_joints for digit in digits)),
+            torque_to_tension=linalg.block_diag(*(digit.torque_to_tension for digit in digits)),
             pulleys=(arms > 0.0).astype(np.float64),
             pulley_weights=arms / arms.sum(axis=1, keepdims=True),
             friction=np.array([tendon.friction_coefficient for tendon in tendons]),

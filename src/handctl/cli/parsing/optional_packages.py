@@ -5,6 +5,12 @@ With this list, handctl reports a missing package before the command begins.
 
 import argparse
 
+VERBS_WITHOUT_CONTROLLER = frozenset({"stop", "clear", "view", "log", "bus", "scan", "doctor"})
+"""Commands that neither compute a tick of the controller nor draw a picture with matplotlib.
+
+``bus plan`` and ``bus watch`` are exceptions.
+"""
+
 
 def optional_packages(verb: str, args: argparse.Namespace) -> tuple[str, ...]:
     """Return the import names of the optional packages that a command line needs.
@@ -20,6 +26,8 @@ def optional_packages(verb: str, args: argparse.Namespace) -> tuple[str, ...]:
         packages.append("mujoco")
     if verb == "tune" and args.kind == "search":
         packages += ["optuna", *["distributed"] * bool(args.scheduler)]
+    if "mujoco" not in packages and _needs_controller(verb, args):
+        packages.append("numba")
     if getattr(args, "dataset", None) is not None:
         packages.append("pyarrow")
     if verb == "log" and args.what == "export":
@@ -27,6 +35,13 @@ def optional_packages(verb: str, args: argparse.Namespace) -> tuple[str, ...]:
             args.format, []
         )
     return tuple(packages)
+
+
+def _needs_controller(verb: str, args: argparse.Namespace) -> bool:
+    """Return True if a command line needs the extra ``controller``."""
+    if verb == "bus":
+        return args.what in ("plan", "watch")
+    return verb not in VERBS_WITHOUT_CONTROLLER
 
 
 def _needs_simulator(verb: str, args: argparse.Namespace) -> bool:

@@ -21,7 +21,7 @@ import math
 
 import numpy as np
 
-from handctl.core.deferred_imports import deferred_imports
+from handctl.core.deferred_imports import DeferredModule
 from handctl.core.estimation.filter_stack import (
     INPUT_COUNT,
     MEASUREMENT_COUNT,
@@ -43,8 +43,7 @@ from handctl.core.gains.riccati import solve_covariance
 from handctl.core.gains.solver_errors import finite_or_error, solver_failures_as_errors
 from handctl.core.tendon_space import TendonSpace
 
-with deferred_imports():
-    from scipy.linalg import expm
+linalg = DeferredModule("scipy.linalg")
 
 DECAY_TIME_S = 1e4
 """Time constant with which stretch offset and excursion of a held digit decay to 0 in the model [s].
@@ -228,8 +227,8 @@ def _discretise_model(
     """
     n, m = B.shape
     # The inputs are constant within a period: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
-    held = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * period_s)
-    loan = expm(np.block([[-A, process_noise], [np.zeros((n, n)), A.T]]) * period_s)
+    held = linalg.expm(np.block([[A, B], [np.zeros((m, n + m))]]) * period_s)
+    loan = linalg.expm(np.block([[-A, process_noise], [np.zeros((n, n)), A.T]]) * period_s)
     F = held[:n, :n]
     noise = loan[n:, n:].T @ loan[:n, n:]
     return F, held[:n, n:], (noise + noise.T) / 2

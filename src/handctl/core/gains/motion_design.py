@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.deferred_imports import deferred_imports
+from handctl.core.deferred_imports import DeferredModule
 from handctl.core.gains.gain_bounds import check_tendon_names
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.riccati import solve_lqr
@@ -21,8 +21,7 @@ from handctl.core.gains.solver_errors import finite_or_error, solver_failures_as
 from handctl.core.tendon_space import TendonSpace
 from handctl.core.tick_types import Vector
 
-with deferred_imports():
-    from scipy.linalg import expm
+linalg = DeferredModule("scipy.linalg")
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +125,7 @@ def _sampled_lqr_gain(
 ) -> Vector:
     """Return the LQR gain (2,) for x' = A x + B u, sampled at the period, with weights by Bryson's rule."""
     # The inputs are constant within a period: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
-    sampled = expm(period_s * np.block([[A, B], [np.zeros((1, 3))]]))
+    sampled = linalg.expm(period_s * np.block([[A, B], [np.zeros((1, 3))]]))
     F = sampled[:2, :2]
     G = sampled[:2, 2:]
     K = solve_lqr(F, G, np.diag([1.0 / x**2 for x in state]), np.array([[1.0 / force**2]]))

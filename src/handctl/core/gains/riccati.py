@@ -1,16 +1,13 @@
 """Solutions of the Riccati equation for feedback gains and for the Kalman filter, by the package ``control``."""
 
-from typing import Any
-
 import numpy as np
 
-from handctl.core.deferred_imports import deferred_imports, import_without_package
+from handctl.core.deferred_imports import DeferredModule, import_without_package
 from handctl.core.tick_types import Vector
 
 # control.dlqr and control.dlqe also call this solver. An import of the whole package control would
 # also import matplotlib and scipy.signal, which takes longer than the design of the gains.
-with deferred_imports():
-    _mateqn: Any = import_without_package("control.mateqn")
+_mateqn = DeferredModule("control.mateqn", import_without_package)
 
 
 def solve_lqr(F: Vector, G: Vector, Q: Vector, R: Vector) -> Vector:
