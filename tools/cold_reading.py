@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 OUR_FOLDERS = ("src/handctl", "firmware_sim", "tests", "benchmarks", "fuzz")
-"""Folders of this repository whose subfolders are the rooms."""
+"""Folders of this repository whose subfolders form the groups."""
 OTHER_PROJECTS = (
     "can", "cantools", "control", "mcap", "gymnasium", "rich", "click", "pluggy", "_pytest", "hypothesis", "grimp",
     "attr", "msgpack",
@@ -98,52 +98,52 @@ def print_score(folder: Path, part: str, numbers: Sequence[int]) -> None:
 
 
 def our_files(with_documents: bool) -> dict[str, list[Path]]:
-    """Return the files of each room of this repository, by the name of the room."""
-    rooms: dict[str, list[Path]] = {}
+    """Return the files of each group of this repository, by the name of the group."""
+    groups: dict[str, list[Path]] = {}
     for folder in OUR_FOLDERS:
         for path in sorted((REPOSITORY / folder).rglob("*.py")):
             below = path.relative_to(REPOSITORY / folder).parts
-            room = f"{folder}/{below[0]}" if len(below) > 1 else folder
-            rooms.setdefault(room, []).append(path)
+            group = f"{folder}/{below[0]}" if len(below) > 1 else folder
+            groups.setdefault(group, []).append(path)
     if with_documents:
         for path in sorted((REPOSITORY / "docs").rglob("*.md")):
-            rooms.setdefault(str(path.parent.relative_to(REPOSITORY)), []).append(path)
-    return rooms
+            groups.setdefault(str(path.parent.relative_to(REPOSITORY)), []).append(path)
+    return groups
 
 
 def other_files() -> dict[str, list[Path]]:
     """Return the files of each installed package of another project, by the name of the package."""
     packages = Path(sysconfig.get_path("purelib"))
-    found = {name: sorted((packages / name).rglob("*.py")) for name in OTHER_PROJECTS}
-    return {name: paths for name, paths in found.items() if paths}
+    paths_of_project = {name: sorted((packages / name).rglob("*.py")) for name in OTHER_PROJECTS}
+    return {name: paths for name, paths in paths_of_project.items() if paths}
 
 
 def draw_lines(
-    rooms: dict[str, list[Path]],
+    groups: dict[str, list[Path]],
     find_lines: Callable[[Path], Iterable[str]],
     count: int,
     chance: random.Random,
 ) -> list[Line]:
-    """Draw lines from all rooms in turn. No text occurs twice.
+    """Draw lines from all groups in turn. No text occurs twice.
 
     Args:
-        rooms: files of each room.
+        groups: files of each group.
         find_lines: function that returns the names or the sentences of a file.
         count: number of lines to draw.
         chance: source of random numbers.
     """
     texts = {
-        room: [(text, path) for path in paths for text in find_lines(path)]
-        for room, paths in rooms.items()
+        group: [(text, path) for path in paths for text in find_lines(path)]
+        for group, paths in groups.items()
     }
-    texts = {room: found for room, found in texts.items() if found}
+    texts = {group: pairs for group, pairs in texts.items() if pairs}
     drawn: dict[str, Line] = {}
     while len(drawn) < count:
-        for room in chance.sample(sorted(texts), len(texts)):
-            text, path = chance.choice(texts[room])
+        for group in chance.sample(sorted(texts), len(texts)):
+            text, path = chance.choice(texts[group])
             ours = path.is_relative_to(REPOSITORY) and "site-packages" not in path.parts
             if len(drawn) < count:
-                drawn.setdefault(text, Line(text, "handctl" if ours else room, path.name))
+                drawn.setdefault(text, Line(text, "handctl" if ours else group, path.name))
     return list(drawn.values())
 
 
@@ -199,17 +199,17 @@ def sentences_in_file(path: Path) -> list[str]:
 
 def sentences_of_text(text: str) -> list[str]:
     """Return the sentences of the ordinary paragraphs of a text."""
-    found = []
+    sentences = []
     for paragraph in re.split(r"\n\s*\n", text):
         if re.search(r"^\s*([-*>|:.]|\w+:|>>>|\d+\.)", paragraph) or "::" in paragraph:
             continue
         joined = " ".join(paragraph.split())
-        found += [
+        sentences += [
             sentence
             for sentence in re.split(r"(?<=[.?!]) (?=[A-Z`*])", joined)
             if len(sentence.split()) in SENTENCE_WORDS and sentence.endswith((".", "?", "!"))
         ]
-    return found
+    return sentences
 
 
 if __name__ == "__main__":
