@@ -147,7 +147,7 @@ def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
 
 
 def hash_of_segments() -> str:
-    """Begin random motions to streamed targets, and return one hash of all state blocks that result."""
+    """Return a hash of the state blocks after the start of 200 random motions to streamed targets."""
     digest = hashlib.blake2b(digest_size=16)
     draw = np.random.default_rng(0)
     axes = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run")

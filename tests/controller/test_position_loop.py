@@ -1,4 +1,4 @@
-"""Test drives that close the position loop of a digit themselves: their commands, tracking errors, tensions and faults.
+"""Test commands, tracking errors, tensions and faults of hands whose drives close the position loops.
 
 ``python -m tests.controller.test_position_loop moteus 10`` prints the tracking errors of ten seeds.
 """

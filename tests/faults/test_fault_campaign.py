@@ -461,7 +461,7 @@ def test_a_drive_of_a_weak_hand_that_does_not_obey_is_found_as_soon_as_one_of_a_
 
 @pytest.mark.parametrize("seed", [6, 13])
 def test_a_slack_tendon_of_a_drive_that_forgot_its_limits_counts_as_found(seed):
-    """Reproduce a defect: T01 relaxed the hand after 26 ticks, but the campaign did not accept T01."""
+    """Reproduce a defect: the hand rightly relaxed with T01 after 26 ticks, but the campaign expected other faults."""
     results = results_of_hand("t42", seed, {GRASP_STAGE: ("forget",)}, "moteus")
     assert len(results) == 2
     assert_no_scenario_failed(results)

@@ -102,7 +102,7 @@ def test_hidden_values_do_not_affect_the_height(drawn_figures: list[Any]) -> Non
 def test_all_tensions_are_inside_the_plot(
     drawn_figures: list[Any], hand_name: str, field: str
 ) -> None:
-    """Reproduce a defect: with a dead load cell, the command and the true tension were above the plot."""
+    """Reproduce a defect: with a dead load cell, the axis of the plot ended below the command and the true tension."""
     hand = load_hand(hand_name)
     log, truth = generated_run_of(hand_name, True), zero_truth(hand, 120)
     for other in ("tension", "tension_goal", "tension_sigma"):

@@ -63,7 +63,8 @@ def check_fault_alone(
 ) -> tuple[SyntheticMonitor, list[SafetyAction], list[tuple[str, str]]]:
     """Judge several ticks with regard to one fault.
 
-    Return the monitor, the action that this fault demands in each tick, and its findings.
+    Return the monitor after these ticks, the action that it demands in each tick, and the findings that
+    it reports.
     """
     monitor, actions, reported = monitor or rested_monitor(), [], []
     for tick_input in tick_inputs:

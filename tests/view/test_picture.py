@@ -104,7 +104,8 @@ def test_viewer_ignores_streams_of_other_programs(
 ) -> None:
     """A viewer does not show data that another program still sends to an earlier viewer.
 
-    Earlier defect: the next viewer showed the data of this program in place of its own views.
+    Earlier defect: a viewer that was started later showed the data of the other program, and not the
+    views that were sent to it.
     """
     running, client = bare_viewer
     assert not running.url.endswith(":9876/proxy"), (

@@ -212,19 +212,19 @@ class ControllerState:
         return self.layout.view(self.block, name)
 
     def run_number(self, row: int) -> float:
-        """Return a real number of the table ``run``, by its row."""
+        """Return the number in a row of the table ``run``."""
         return float(self._run[row])
 
     def set_run_number(self, row: int, value: float) -> None:
-        """Set a real number of the table ``run``, by its row."""
+        """Set the number in a row of the table ``run``."""
         self._run[row] = value
 
     def run_integer(self, row: int) -> int:
-        """Return an integer of the table ``run_int``, by its row."""
+        """Return the integer in a row of the table ``run_int``."""
         return int(self._run_int[row])
 
     def set_run_integer(self, row: int, value: int) -> None:
-        """Set an integer of the table ``run_int``, by its row."""
+        """Set the integer in a row of the table ``run_int``."""
         self._run_int[row] = value
 
     @property

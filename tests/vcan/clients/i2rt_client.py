@@ -100,7 +100,7 @@ def check_velocity_mode(checks: CheckList) -> None:
 
 
 def check_mit_mode(checks: CheckList) -> None:
-    """Let a chain in MIT mode, as in i2rt's arm YAM, pull and then hold positions."""
+    """Command torques and then positions to a chain of motors in MIT mode, as in the arm YAM of i2rt."""
     chain = open_chain(ControlMode.MIT)
     start = np.array([state.pos for state in chain.read_states()])
 
