@@ -125,7 +125,7 @@ def servo_damping(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def servo_speed_force(x: StateTables, c: ConstantTables, n: int, rate: float) -> float:
-    """Return the force that a drive's position loop makes because of the speed error, as the mean over the next period [N].
+    """Return the mean force over the next period that a drive's position loop makes because of the speed error [N].
 
     Within the period, the speed error also increases the position error. On average over the
     period, the position error grows by the speed error times half a period.
