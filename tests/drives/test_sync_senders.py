@@ -74,7 +74,7 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
 def test_the_host_sends_one_heartbeat_on_each_bus(tmp_path: Path) -> None:
     """Reproduce a defect.
 
-    Earlier defect: the host sent its heartbeat once for each drive, although every drive on a bus
+    The host sent its heartbeat once for each drive, although every drive on a bus
     receives each of them.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
