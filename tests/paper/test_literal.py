@@ -10,7 +10,7 @@ import pytest
 
 REPOSITORY_ROOT = Path(__file__).parents[2]
 TEST_SELECTION = (
-    "(pinocchio_built_by_hand and gravity3) or mass_matrix_is or coriolis or energy_is or sums_are"
+    "(pinocchio_built_by_hand and gravity_m_s23) or mass_matrix_is or coriolis or energy_is or sums_are"
 )
 NEED_EQ10 = {
     "test_agrees_with_pinocchio_built_by_hand",

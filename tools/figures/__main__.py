@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.main import main as handctl
-from tools.figures import diagrams, gif, numbers, plots, runs, tuning
+from tools.figures import diagrams, gif, hands, numbers, plots, runs, tuning
 from tools.figures.style import (
     FIGURES_FOLDER,
     apply_style,
@@ -38,6 +38,7 @@ PICTURES: dict[str, Callable[[Path], Path]] = {
     "report": tuning.report_picture, "orca-like": tuning.pair_picture, "meshes": tuning.mesh_picture,
     "identify": tuning.identify_picture, "tune-design": tuning.design_picture, "tune-return": tuning.return_picture,
     "tune-search": tuning.search_picture, "tune-verify": tuning.verify_picture,
+    **{f"hand-{name}": hands.picture_of(name) for name in (*hands.PACKAGED_HANDS, *hands.EXAMPLE_HANDS)},
 }  # fmt: skip
 
 
